@@ -1,0 +1,105 @@
+"""Frames, poses, finite differences and resampling, with one convention: x right, y up, z towards the camera.
+
+Rows run downwards, so a derivative along y is minus the derivative along the rows.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput
+from splitknit.types import BoolArray, Camera, FloatArray
+
+
+def pixel_axes_mm(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x (W,) of the columns and y (H,) of the rows, in mm, at the pixel centres on the finger plane."""
+    rows, columns = camera.image_size
+    x = (np.arange(columns, dtype=np.float64) - (columns - 1) / 2) * camera.pitch_mm
+    y = ((rows - 1) / 2 - np.arange(rows, dtype=np.float64)) * camera.pitch_mm
+    return np.asarray(x), np.asarray(y)
+
+
+def gradients_from_normals(
+    normals: FloatArray, mask: BoolArray | None = None, max_slope: float = 10.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return dz/dx and dz/dy (y up) of a field of normals (H, W, 3), zero outside `mask`.
+
+    Slopes beyond `max_slope` (a normal seen at a grazing angle or from behind) are shortened to it, direction kept.
+    """
+    nz = np.maximum(normals[..., 2], np.float32(1e-6))
+    gradient_x = -normals[..., 0] / nz
+    gradient_y = -normals[..., 1] / nz
+    slope = np.hypot(gradient_x, gradient_y)
+    scale = np.minimum(np.float32(1.0), np.float32(max_slope) / np.maximum(slope, np.float32(1e-6)))
+    if mask is not None:
+        scale = np.where(mask, scale, np.float32(0.0))
+    return (gradient_x * scale).astype(np.float32), (gradient_y * scale).astype(np.float32)
+
+
+def normals_from_gradients(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatArray:
+    """Unit normals (H, W, 3) of a surface with these slopes (dimensionless, y up)."""
+    normals = np.empty((*gradient_x.shape, 3), dtype=np.float32)
+    length = np.sqrt(gradient_x * gradient_x + gradient_y * gradient_y + np.float32(1.0))
+    normals[..., 0] = -gradient_x / length
+    normals[..., 1] = -gradient_y / length
+    normals[..., 2] = 1.0 / length
+    return normals
+
+
+def height_gradients(height: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    """Slopes dz/dx and dz/dy (y up) of `height` (H, W), NaN outside the surface, in units of `pitch` a pixel.
+
+    Central differences; one-sided where one neighbour is missing; zero where both are.
+    """
+    return _difference(height, 1) / np.float32(pitch), -_difference(height, 0) / np.float32(pitch)
+
+
+def _difference(height: FloatArray, axis: int) -> FloatArray:
+    values = np.moveaxis(height, axis, 0)
+    step = values[1:] - values[:-1]  # NaN where either end is missing
+    known = np.isfinite(step)
+    step = np.where(known, step, np.float32(0.0))
+    total = np.zeros_like(values)
+    count = np.zeros(values.shape, dtype=np.float32)
+    total[1:] += step
+    total[:-1] += step
+    count[1:] += known
+    count[:-1] += known
+    return np.moveaxis((total / np.maximum(count, np.float32(1.0))).astype(np.float32), 0, axis)
+
+
+def warp(
+    image: NDArray[np.float32],
+    source_from_target: NDArray[np.float64],
+    size: tuple[int, int],
+    *,
+    fill: float = 0.0,
+    nearest: bool = False,
+) -> NDArray[np.float32]:
+    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic or nearest.
+
+    `source_from_target` (3 x 3) takes (column, row, 1) of the target to the source; pixels from outside become `fill`.
+    """
+    if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
+        raise BadInput("the transform between two frames is singular.")
+    flags = (cv2.INTER_NEAREST if nearest else cv2.INTER_CUBIC) | cv2.WARP_INVERSE_MAP
+    result = cv2.warpAffine(
+        np.ascontiguousarray(image, dtype=np.float32),
+        source_from_target[:2],
+        (size[1], size[0]),
+        flags=flags,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(fill, fill, fill, fill),
+    )
+    return np.asarray(result, dtype=np.float32)
+
+
+def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.float64]:
+    """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about `centre`."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    to_origin = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
+    back = np.array([[1.0, 0.0, centre[0]], [0.0, 1.0, centre[1]], [0.0, 0.0, 1.0]])
+    return np.asarray(back @ turn @ to_origin)

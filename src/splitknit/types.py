@@ -1,0 +1,215 @@
+"""What travels together: frozen dataclasses shared by all stages.
+
+Axes, units and signs are in ``docs/conventions.md``. The rig's frame has x right along the columns, y up against the
+rows, z towards the camera, in millimetres; its origin is where the camera's axis meets the finger plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+
+FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera that looks down on the finger plane."""
+
+    px_per_mm: float
+    """Pixels per millimetre on the finger plane."""
+    image_size: tuple[int, int]
+    """Rows, columns."""
+    height_mm: float = 140.0
+    """Distance of the camera from the finger plane."""
+    model: str = "orthographic"
+    """``orthographic`` or ``perspective``."""
+    matrix: NDArray[np.float64] | None = None
+    """3 x 3 camera matrix in pixels (perspective only)."""
+    distortion: tuple[float, ...] | None = None
+    """Distortion coefficients in OpenCV's order (perspective only)."""
+
+    def __post_init__(self) -> None:
+        require(np.isfinite(self.px_per_mm) and self.px_per_mm > 0, "camera.px_per_mm must be a positive number.")
+        require(np.isfinite(self.height_mm) and self.height_mm > 0, "camera.height_mm must be a positive number.")
+        require(min(self.image_size) > 0, f"camera.image_size must be positive, but it is {list(self.image_size)}.")
+        require(self.model in ("orthographic", "perspective"), f"camera.model '{self.model}' is not known.")
+        if self.model == "perspective":
+            require(self.matrix is not None, "a perspective camera needs its matrix.")
+
+    @property
+    def pitch_mm(self) -> float:
+        """Size of one pixel on the finger plane."""
+        return 1.0 / self.px_per_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Led:
+    """One light: near (`position_mm`) or distant (`direction`, towards the light), never both."""
+
+    band: str
+    """``white`` or ``nir``."""
+    position_mm: tuple[float, float, float] | None = None
+    direction: tuple[float, float, float] | None = None
+    intensity: float = 1.0
+    """Relative, one scale for the whole rig."""
+    lobe_exponent: float = 0.0
+    """Exponent of the cosine about the direction from the LED to the origin; 0 is isotropic."""
+    also: tuple[Led, ...] = ()
+    """Further LEDs lit in the same exposure."""
+
+    def __post_init__(self) -> None:
+        require(
+            (self.position_mm is None) != (self.direction is None),
+            "an LED has either position_mm (near) or direction (distant), not both and not neither.",
+        )
+        vector = self.position_mm if self.position_mm is not None else self.direction
+        require(
+            vector is not None and bool(np.isfinite(vector).all()) and bool(np.linalg.norm(vector) > 0),
+            "an LED's position_mm or direction must be three finite numbers that are not all zero.",
+        )
+        require(np.isfinite(self.intensity) and self.intensity > 0, "an LED's intensity must be a positive number.")
+        require(
+            np.isfinite(self.lobe_exponent) and self.lobe_exponent >= 0,
+            "an LED's lobe_exponent must be zero or a positive number.",
+        )
+        if self.position_mm is not None:
+            require(self.position_mm[2] > 0, "an LED's position_mm must lie above the finger plane (z > 0).")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Camera and lights."""
+
+    camera: Camera
+    leds: tuple[Led, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def select(self, groups: Sequence[Sequence[int]]) -> Rig:
+        """Return the rig whose `leds[k]` is what lights image k: the LEDs `groups[k]` together."""
+        chosen = []
+        for group in groups:
+            require(len(group) > 0, "every image needs at least one LED.")
+            for index in group:
+                require(
+                    0 <= index < len(self.leds),
+                    f"LED {index} is not in the rig, which has {len(self.leds)} LEDs (0 to {len(self.leds) - 1}).",
+                )
+            first = self.leds[group[0]]
+            chosen.append(replace(first, also=tuple(self.leds[index] for index in group[1:])))
+        return replace(self, leds=tuple(chosen))
+
+    def light_vectors(self) -> NDArray[np.float64]:
+        """Distant-light vectors (L, 3): direction from the origin to each LED times its relative irradiance there.
+
+        Near LEDs follow the inverse square of the distance. The mean length is one. LEDs that share an exposure add.
+        """
+        vectors = np.array([_vector_at_origin(led) for led in self.leds]).reshape(-1, 3)
+        lengths = np.linalg.norm(vectors, axis=1)
+        require(bool((lengths > 0).all()), "LEDs that share one exposure cancel each other; correct the rig.")
+        return vectors / float(lengths.mean())
+
+
+def _vector_at_origin(led: Led) -> NDArray[np.float64]:
+    if led.position_mm is not None:
+        position = np.asarray(led.position_mm, dtype=np.float64)
+        vector = led.intensity * position / np.linalg.norm(position) ** 3 * 1e4
+    else:
+        direction = np.asarray(led.direction, dtype=np.float64)
+        vector = led.intensity * direction / np.linalg.norm(direction)
+    for other in led.also:
+        vector = vector + _vector_at_origin(other)
+    return np.asarray(vector, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """The images of one spectral band, as stored: integers, not yet linear.
+
+    :func:`splitknit.radiance.linear_stack` turns them into linear light.
+    """
+
+    name: str
+    pixels: PixelArray
+    """(L, H, W, C), C = 1 (grey) or 3 (red, green, blue)."""
+    leds: tuple[tuple[int, ...], ...]
+    """`leds[k]` are the indices of the rig's LEDs that light image k."""
+    exposure: NDArray[np.float64]
+    """(L,) exposure time times gain, relative; images are divided by it."""
+    black_level: NDArray[np.float64]
+    """(L,) stored value of no light."""
+    ambient: PixelArray | None = None
+    """(H, W, C) with all LEDs off, or None."""
+    ambient_exposure: float = 1.0
+    ambient_black_level: float = 0.0
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """One finger, photographed once under every LED."""
+
+    rig: Rig
+    bands: Mapping[str, Band]
+    """``white`` always; ``nir`` where it was captured."""
+    encoding: str = "linear"
+    """``linear`` or ``srgb``."""
+    material: str = "skin"
+    """``skin`` or ``opaque`` (no subsurface scattering to undo)."""
+    tip_direction_deg: float | None = None
+    """Where the tip points: 0 = row 0, counter-clockwise; None = up within 60 deg."""
+    mask: BoolArray | None = None
+    """(H, W) given by the user: used as it is."""
+    subject: Mapping[str, Any] = field(default_factory=dict)
+    captured_at: str | None = None
+    truth: Path | None = None
+    """A simulator's ``truth.npz``."""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of every file that was read, by its name in the folder."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns of every image."""
+        return self.rig.camera.image_size
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """A metric fingerprint on the input's pixel grid."""
+
+    height_mm: FloatArray
+    """(H, W) knitted surface, NaN outside the mask."""
+    ridge_mm: FloatArray
+    """(H, W) ridge-valley relief alone, NaN outside the mask."""
+    shape_mm: FloatArray
+    """(H, W) finger shape alone, NaN outside the mask."""
+    mask: BoolArray
+    """(H, W)."""
+    normals: FloatArray
+    """(H, W, 3) of the knitted surface, unit length, zero outside the mask."""
+    albedo: FloatArray
+    """(H, W) relative, NaN outside the mask."""
+    pitch_mm: float
+    input_from_upright: NDArray[np.float64]
+    """(3, 3) on (column, row, 1): where an upright pixel (tip up) lies in the input."""
+    upright_size: tuple[int, int]
+    """Rows, columns of the upright frame."""
+    preset: str
+    uncertainty_um: FloatArray | None = None
+    """(H, W) standard deviation of the relief where the skin's blur was inverted, NaN outside the mask."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    quality: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """What the pipeline found or assumed (yaw, crease row, scattering, ...)."""
+    warnings: tuple[str, ...] = ()
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+    hashes: Mapping[str, str] = field(default_factory=dict)
