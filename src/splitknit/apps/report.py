@@ -1,0 +1,277 @@
+"""One self-contained page and one JSON document that say what was measured, how well, and from what.
+
+Dates and timings are written here and nowhere else: all other files are the same bytes for the same input.
+"""
+
+from __future__ import annotations
+
+import datetime
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from splitknit.apps import charts, figures
+from splitknit.apps.compare import Comparison, compare
+from splitknit.apps.figures import Picture
+from splitknit.apps.pictures import upright_frame
+from splitknit.types import Capture, FloatArray, Reconstruction
+
+Truth = Mapping[str, NDArray[Any]]
+
+COMPARED = (
+    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13"),
+    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13"),
+    ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
+    ("ridge_correlation", "Ridge band, correlation", "", "above 0.85"),
+    ("ridge_gain", "Ridge band, gain", "", "0.6 to 1.4, ideally 1"),
+    ("ridge_rms_um", "Ridge band, rms", "µm", "small"),
+    ("ridge_truth_std_um", "Ridge band of the truth, standard deviation", "µm", ""),
+    ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
+    ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
+    ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
+    ("mask_overlap", "Overlap of the masks (intersection over union)", "", "near 1"),
+)
+"""Figure, words, unit, what good looks like."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The page and the same facts for programs."""
+
+    html: str
+    facts: Mapping[str, Any]
+
+
+def make_report(
+    result: Reconstruction,
+    capture: Capture,
+    prints: NDArray[np.uint8],
+    *,
+    truth: Truth | None = None,
+    others: Sequence[Reconstruction] = (),
+    files: Mapping[str, str] | None = None,
+    title: str = "3D fingerprint",
+) -> Report:
+    """Build the report of `result`.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    capture : Capture
+        What it was made from; only small previews of the images enter the page.
+    prints : (h, w) uint8
+        The relief as a print.
+    truth : mapping, optional
+        A simulator's arrays; `result` and `others` are then compared with it, side by side.
+    others : sequence of Reconstruction
+        The same capture by other presets.
+    files : mapping, optional
+        SHA-256 of the files written beside the report, by name.
+    """
+    comparisons = [] if truth is None else [compare(each, truth) for each in (result, *others)]
+    facts = _facts(result, capture, comparisons, files or {})
+    frame = upright_frame(result, figures.LONGEST_PX)
+    uncertainty = figures.uncertainty_picture(result, frame)
+    maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
+    maps += [figures.relief_picture(result, frame), figures.shape_picture(result, frame)]
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    html = environment.get_template("report.html").render(
+        title=title,
+        facts=facts,
+        summary=_summary(result),
+        views=figures.views(result, frame),
+        prints=figures.print_picture(prints),
+        maps=maps + ([uncertainty] if uncertainty is not None else []),
+        profiles=_profiles(result, truth),
+        quality=_tables(facts["quality"]),
+        found=_tables(facts["facts"]),
+        settings=_tables(facts["settings"]),
+        comparison=_comparison_table(comparisons),
+        close_ups=_close_ups(result, others, truth),
+        errors=[
+            figures.error_pictures(each, comparison, frame)
+            for each, comparison in zip((result, *others), comparisons, strict=bool(comparisons))
+        ]
+        if comparisons
+        else [],
+        total_s=sum(result.timings_s.values()),
+    )
+    return Report(html, facts)
+
+
+def _facts(
+    result: Reconstruction, capture: Capture, comparisons: Sequence[Comparison], files: Mapping[str, str]
+) -> dict[str, Any]:
+    import splitknit  # noqa: PLC0415 - the version, without an import cycle
+
+    return {
+        "format": "splitknit-report",
+        "version": 1,
+        "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
+        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "preset": result.preset,
+        "capture": {
+            "material": capture.material,
+            "encoding": capture.encoding,
+            "image_size": list(capture.shape),
+            "px_per_mm": capture.rig.camera.px_per_mm,
+            "bands": {name: len(band.leds) for name, band in capture.bands.items()},
+            "captured_at": capture.captured_at,
+            "subject": plain(capture.subject),
+        },
+        "result": {
+            "pitch_mm": result.pitch_mm,
+            "input_from_upright": plain(result.input_from_upright),
+            "upright_size": list(result.upright_size),
+            "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
+        },
+        "warnings": list(result.warnings),
+        "quality": plain(result.quality),
+        "facts": plain(result.facts),
+        "settings": plain(result.settings),
+        "timings_s": plain(result.timings_s),
+        "inputs_sha256": dict(sorted(result.hashes.items())),
+        "files_sha256": dict(sorted(files.items())),
+        "comparison": {each.preset: plain(each.figures) for each in comparisons},
+    }
+
+
+def plain(value: Any) -> Any:  # noqa: PLR0911
+    """Return `value` as lists, dictionaries, strings and finite numbers; what is not finite becomes ``None``."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if hasattr(value, "__dataclass_fields__") and not isinstance(value, type):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    return str(value)
+
+
+def _summary(result: Reconstruction) -> list[tuple[str, str]]:
+    """State the most important facts in words."""
+    upright = np.linalg.inv(result.input_from_upright)
+    rows, columns = np.nonzero(result.mask[::4, ::4])
+    points = upright @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
+    width, length = (np.ptp(points[0]) * result.pitch_mm, np.ptp(points[1]) * result.pitch_mm)
+    depth = float(np.nanmax(result.height_mm) - np.nanmin(result.height_mm))
+    relief = result.ridge_mm[result.mask & np.isfinite(result.ridge_mm)]
+    swing = 1000.0 * float(np.percentile(relief, 95) - np.percentile(relief, 5)) if relief.size else 0.0
+    return [
+        ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
+        ("Skin measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
+        ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm ({25.4 / result.pitch_mm:.0f} per inch)"),
+        ("Relief, valley to ridge", f"{swing:.0f} µm (5th to 95th percentile)"),
+    ]
+
+
+def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Markup, str]]:
+    """Cross-sections through the middle of the finger."""
+    whole = upright_frame(result, 10**6, margin_mm=0.0)
+    origin = (np.linalg.inv(result.input_from_upright) @ whole.input_from_picture)[:2, 2]
+    middle = (float(origin[0]) + whole.size[1] / 2, float(origin[1]) + whole.size[0] / 2)
+    pitch = result.pitch_mm
+
+    def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
+        step = np.array([0.0, half]) if along else np.array([half, 0.0])
+        start, end = (middle[0] - step[0], middle[1] - step[1]), (middle[0] + step[0], middle[1] + step[1])
+        values = charts.line_through(field, result.input_from_upright, start, end)
+        return np.linspace(-half * pitch, half * pitch, values.size).astype(np.float32), values
+
+    charted = []
+    for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
+        lines = []
+        top = 0.0
+        for label, field in (("surface", result.height_mm), *((("truth", truth["height_mm"]),) if truth else ())):
+            x, y = cut(np.asarray(field, dtype=np.float32), extent / 2, along=along)
+            if not bool(np.isfinite(y).any()):
+                continue
+            top = float(np.nanmean(y))
+            lines.append(charts.Line(label, x, y - top))
+        if lines:
+            chart = charts.line_chart(lines, "mm from the middle", "height, mm", equal=True)
+            caption = f"Height {words} the finger, through its middle, both axes to one scale."
+            charted.append((f"Section {words} the finger", chart, caption))
+    half = min(3.0 / pitch, whole.size[0] / 2)
+    fields = [("measured", result.ridge_mm)]
+    if truth is not None:
+        fields.insert(0, ("truth", truth["height_mm"] - truth["shape_mm"]))
+    lines = []
+    for label, field in fields:
+        x, y = cut(np.asarray(field, dtype=np.float32), half, along=True)
+        if bool(np.isfinite(y).any()):
+            lines.append(charts.Line(label, x, 1000.0 * (y - np.nanmean(y))))
+    if lines:
+        chart = charts.line_chart(lines, "mm from the middle, tip to the left", "relief, µm")
+        charted.append(("Ridges along the finger's axis", chart, "Relief along 6 mm of the axis, mean removed."))
+    return charted
+
+
+def _close_ups(result: Reconstruction, others: Sequence[Reconstruction], truth: Truth | None) -> list[Picture]:
+    if truth is None:
+        return []
+    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
+    pictures = [figures.close_up(true_relief, result, "Truth")]
+    return pictures + [figures.close_up(each.ridge_mm, result, each.preset) for each in (result, *others)]
+
+
+def _comparison_table(comparisons: Sequence[Comparison]) -> dict[str, Any]:
+    rows = []
+    for key, words, unit, good in COMPARED:
+        values = [each.figures.get(key) for each in comparisons]
+        if any(value is not None for value in values):
+            shown = ["-" if value is None else f"{value:.3g} {unit}".strip() for value in values]
+            rows.append({"words": words, "values": shown, "good": f"{good} {unit}".strip() if good else ""})
+    return {"presets": [each.preset for each in comparisons], "rows": rows}
+
+
+def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One table for each nested group of `facts`; lists of numbers become bars."""
+    plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
+    groups = [("", plain_rows)] if plain_rows else []
+    groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
+    return [
+        {"name": _words(name), "rows": [(_words(key), _shown(value)) for key, value in rows]}
+        for name, rows in groups
+        if rows
+    ]
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _shown(value: Any) -> str | Markup:
+    """Show a number, a text, or a short list of numbers as bars."""
+    numbers = isinstance(value, list) and bool(value) and all(type(item) in (int, float) for item in value)
+    if numbers and len(value) <= 32:
+        return charts.bar_chart(value, [str(k) for k in range(len(value))])
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{_words(str(key))}: {_shown(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return ", ".join(str(_shown(item)) if not isinstance(item, list) else str(item) for item in value)
+    return "-" if value is None else str(value)
