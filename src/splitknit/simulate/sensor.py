@@ -1,0 +1,109 @@
+"""A small camera sensor in the manner of the IMX219: exposure, noise, raw levels, white balance, encoding."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import FloatArray, PixelArray
+
+RESPONSE: Mapping[str, tuple[float, float, float]] = {"white": (0.90, 1.00, 0.47), "nir": (1.00, 0.98, 0.97)}
+"""Signal of the red, green and blue pixels, relative: a white card under a white LED of 5000 K (CIE LED-B3 through the
+IMX219's quantum efficiency), and under 850 nm, where the colour filters are transparent."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSettings:
+    """How light becomes stored integers."""
+
+    exposure: float = 0.7
+    """Share of full scale that the brightest diffusely lit skin reaches; glare may clip."""
+    full_well_e: float = 4700.0
+    """Electrons at full scale, a pixel of the full frame."""
+    read_noise_e: float = 2.5
+    raw_bits: int = 10
+    bits: int = 8
+    """Bits of the stored files: 8 or 16."""
+    encoding: str = "linear"
+    """``linear`` or ``srgb``."""
+    binned: bool = True
+    """At a scale below one a pixel collects the electrons of the full-frame pixels it covers."""
+    demosaic: bool = False
+    """Store one colour a pixel (RGGB) and interpolate bilinearly: softer, with correlated noise."""
+    noise: bool = True
+    """False keeps exact light, quantised."""
+
+    def __post_init__(self) -> None:
+        require(0.05 <= self.exposure <= 1.0, f"sensor.exposure must be 0.05 to 1, but it is {self.exposure}.")
+        require(self.full_well_e >= 100, "sensor.full_well_e must be at least 100 electrons.")
+        require(self.read_noise_e >= 0, "sensor.read_noise_e must not be negative.")
+        require(8 <= self.raw_bits <= 16, f"sensor.raw_bits must be 8 to 16, but it is {self.raw_bits}.")
+        require(self.bits in (8, 16), f"sensor.bits must be 8 or 16, but it is {self.bits}.")
+        require(self.encoding in ("linear", "srgb"), f"sensor.encoding '{self.encoding}' is not known.")
+
+
+def record(
+    light: FloatArray,
+    band: str,
+    seed: np.random.SeedSequence,
+    settings: SensorSettings | None = None,
+    scale: float = 1.0,
+) -> PixelArray:
+    """Record one image.
+
+    Parameters
+    ----------
+    light : (H, W, 3) white-balanced linear light, 1 = full scale
+    band : ``white`` or ``nir``: the channels' sensitivity
+    seed : of this image's noise
+    settings : of the sensor
+    scale : of the image relative to the full frame (for binning)
+
+    Returns
+    -------
+    (H, W, 3) uint8 or uint16
+
+    Notes
+    -----
+    The variance of a signal of n electrons is n + read noise squared; the shot noise is taken as Gaussian. Channels of
+    low response are noisier, because the white balance amplifies them.
+    """
+    settings = settings or SensorSettings()
+    require(light.ndim == 3 and light.shape[2] == 3, f"light must have the shape (H, W, 3), but it has {light.shape}.")
+    pixels = 1.0 / scale**2 if settings.binned else 1.0
+    full = np.float32(settings.full_well_e * pixels)
+    read = np.float32(settings.read_noise_e**2 * pixels)
+    response = np.asarray(RESPONSE[band], dtype=np.float32)
+    signal = light * (response * full)
+    if settings.noise:
+        deviation = np.random.default_rng(seed).standard_normal(light.shape, dtype=np.float32)
+        deviation *= np.sqrt(np.maximum(signal, np.float32(0.0)) + read)
+        signal += deviation
+    levels = float(2**settings.raw_bits - 1)
+    raw = np.clip(np.rint(signal * np.float32(levels / full)), 0.0, levels)
+    if settings.demosaic:
+        raw = _demosaic(raw)
+    return _encode(raw / (np.float32(levels) * response), settings)
+
+
+def _demosaic(raw: FloatArray) -> FloatArray:
+    """Keep one colour a pixel, in the order red green / green blue, and interpolate the others bilinearly."""
+    mosaic = np.empty(raw.shape[:2], dtype=np.uint16)
+    for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        mosaic[row::2, column::2] = raw[row::2, column::2, channel]
+    # OpenCV names a pattern by its second row and column: red green / green blue is "BayerBG", and RGB its order
+    return cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB).astype(np.float32)
+
+
+def _encode(light: NDArray[np.float32], settings: SensorSettings) -> PixelArray:
+    value = np.clip(light, 0.0, 1.0)
+    if settings.encoding == "srgb":
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** np.float32(1 / 2.4) - 0.055)
+    if settings.bits == 16:
+        return np.asarray(np.rint(value * np.float32(65535.0)), dtype=np.uint16)
+    return np.asarray(np.rint(value * np.float32(255.0)), dtype=np.uint8)

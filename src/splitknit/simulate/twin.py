@@ -1,0 +1,253 @@
+"""A whole capture of the digital twin: finger, skin, lights, background and sensor, with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.simulate.background import BackgroundSettings, background_albedo, hand_shadow
+from splitknit.simulate.defocus import blur_sigma_px, defocus
+from splitknit.simulate.diffusion import WalkTable, load_walks
+from splitknit.simulate.renderer import (
+    BandLight,
+    RenderSettings,
+    finger_window,
+    render_ambient,
+    render_band,
+    white_card,
+)
+from splitknit.simulate.rig import default_rig
+from splitknit.simulate.sensor import SensorSettings, record
+from splitknit.simulate.skin import BAND_CHANNELS, CHANNELS, SkinRanges, SkinSettings
+from splitknit.simulate.surface import Surface
+from splitknit.types import Band, Capture, FloatArray, PixelArray, Rig
+
+FULL_PX_PER_MM = 75.7
+
+
+@dataclass(frozen=True, slots=True)
+class TwinSettings:
+    """One simulated capture."""
+
+    scale: float = 0.5
+    """Size of the images relative to the full frame of 2200 x 3200 pixels."""
+    rig_seed: int | None = 0
+    """Seed of the LEDs' individual intensities; None makes them equal."""
+    intensity_spread: float = 0.1
+    """Standard deviation of the LEDs' intensities."""
+    skin: SkinSettings | SkinRanges = field(default_factory=SkinRanges)
+    """The skin itself, or the ranges from which each finger's is drawn."""
+    render: RenderSettings = field(default_factory=RenderSettings)
+    background: BackgroundSettings = field(default_factory=BackgroundSettings)
+    sensor: SensorSettings = field(default_factory=SensorSettings)
+
+
+def photograph(
+    surface: Surface,
+    rig: Rig,
+    skin: SkinSettings,
+    seed: np.random.SeedSequence,
+    *,
+    settings: TwinSettings | None = None,
+    walks: WalkTable | None = None,
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Photograph `surface` under every LED of `rig`.
+
+    Parameters
+    ----------
+    surface : on the pixels of `rig.camera`
+    rig : LEDs of the bands ``white`` and ``nir``; each lights one image
+    skin : optics of the finger
+    seed : of background and noise
+    settings : `scale`, `rig_seed`, `intensity_spread` and `skin` are not used here
+    walks : table of random walks; None loads the shipped one
+
+    Returns
+    -------
+    capture : as a camera would store it
+    truth : arrays by name, see ``docs/twin.md``
+
+    Raises
+    ------
+    BadInput
+        If the surface does not fit the camera or no part of it is in the picture.
+    """
+    settings = settings or TwinSettings()
+    require(
+        surface.mask.shape == rig.camera.image_size,
+        f"the surface has {surface.mask.shape} pixels, but the rig's camera has {rig.camera.image_size}.",
+    )
+    walks = walks or load_walks()
+    background_seed, noise_seed = seed.spawn(2)
+    scene = _Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
+    truth = _surface_truth(surface)
+    bands = {}
+    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
+    for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
+        bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = scene.photograph(name, band_seed)
+    truth |= _optics_truth(skin)
+    truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
+    capture = Capture(
+        rig=rig,
+        bands=bands,
+        encoding=settings.sensor.encoding,
+        material="skin",
+        subject={"id": "anonymous"},
+    )
+    return capture, truth
+
+
+class _Scene:
+    """One finger in front of the camera."""
+
+    def __init__(
+        self,
+        subject: tuple[Surface, Rig, SkinSettings],
+        settings: TwinSettings,
+        rng: np.random.Generator,
+        walks: WalkTable,
+    ) -> None:
+        surface, rig, skin = subject
+        self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
+        self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
+        self.shade = hand_shadow(rig.camera, settings.background)
+        self.scale = rig.camera.px_per_mm / FULL_PX_PER_MM
+        self.blur = self._blur()
+
+    def photograph(self, name: str, seed: np.random.SeedSequence) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
+        """Images of one band, the glare (L, H, W) in the images' units, and the exposure (one number)."""
+        members = [k for k, led in enumerate(self.rig.leds) if led.band == name]
+        leds = [self.rig.leds[k] for k in members]
+        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+        skin, render = self.skin, self.settings.render
+        light = render_band(
+            self.surface, leds, optics, roughness=skin.roughness, glare=skin.glare, walks=self.walks, settings=render
+        )
+        exposure = np.float32(self.settings.sensor.exposure / _brightest(light.diffuse))
+        ambient = self._ambient(name, leds)
+        seeds = seed.spawn(len(leds) + 1)
+        height, width = self.rig.camera.image_size
+        glare = np.zeros((len(leds), height, width), dtype=np.float16)
+
+        def shoot(k: int) -> PixelArray:
+            frame = ambient + self._frame(light, k, white_card(self.rig.camera, leds[k], -self._depth()))
+            glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
+            return self._record(frame * exposure, name, seeds[k])
+
+        with ThreadPoolExecutor(render.workers) as pool:
+            images = list(pool.map(shoot, range(len(leds))))
+        dark = self._record(np.broadcast_to(ambient, (height, width, 3)) * exposure, name, seeds[-1])
+        band = Band(
+            name=name,
+            pixels=_stack(images),
+            leds=tuple((k,) for k in members),
+            exposure=np.ones(len(leds)),
+            black_level=np.zeros(len(leds)),
+            ambient=dark,
+        )
+        return band, glare, np.array(float(exposure))
+
+    def _frame(self, light: BandLight, k: int, card: FloatArray) -> FloatArray:
+        """(H, W, 3) radiance of the whole frame under light k."""
+        frame = np.repeat((card * self.albedo)[..., None], 3, axis=2)
+        window = frame[light.window]
+        for c in range(3):
+            diffuse = light.diffuse[k, min(c, light.diffuse.shape[1] - 1)]
+            window[..., c] += diffuse + light.glare[k]
+        frame *= self.shade[..., None]
+        return frame
+
+    def _ambient(self, name: str, leds: list[Any]) -> FloatArray:
+        """(H, W, 3) radiance of the frame with all LEDs off."""
+        settings = self.settings.background
+        level = settings.ambient * float(np.mean([white_card(self.rig.camera, led, step=10**6).mean() for led in leds]))
+        frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
+        if level > 0.0:
+            optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+            skin = render_ambient(self.surface, level, optics, self.walks, self.settings.render)
+            light = BandLight(finger_window(self.surface), skin[None], np.zeros_like(skin[:1]))
+            for c in range(3):
+                frame[light.window][..., c] += light.diffuse[0, min(c, skin.shape[0] - 1)]
+        return frame
+
+    def _depth(self) -> float:
+        return self.settings.background.depth_mm
+
+    def _blur(self) -> FloatArray | None:
+        """(H, W) defocus in pixels, or None where it is switched off."""
+        render, camera = self.settings.render, self.rig.camera
+        if render.aperture_mm == 0.0:
+            return None
+        z = np.where(self.surface.mask, self.surface.shape_mm, 0).astype(np.float32)
+        top = float(z[self.surface.mask].max())
+        # beyond the outline the blur of the outline itself goes on: the dark background shows no blur of its own
+        weight = self.surface.mask.astype(np.float32)
+        size = 0.5 * camera.px_per_mm
+        near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
+        z = np.where(self.surface.mask, z, near)
+        focus = top - render.focus_depth_mm
+        return blur_sigma_px(z, focus, camera.height_mm, render.aperture_mm, camera.px_per_mm)
+
+    def _record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
+        if self.blur is not None:
+            frame = defocus(frame, self.blur)
+        return record(frame, name, seed, self.settings.sensor, self.scale)
+
+
+def _stack(images: list[PixelArray]) -> PixelArray:
+    stacked: PixelArray = np.stack(images)  # type: ignore[assignment]
+    return stacked
+
+
+def _brightest(diffuse: FloatArray) -> float:
+    """The 99.9th percentile of the diffuse light over all lights, in the channel where it is highest."""
+    sample = diffuse[:, :, ::4, ::4]
+    values = [np.percentile(sample[:, c][sample[:, c] > 0], 99.9) for c in range(sample.shape[1])]
+    return float(max(values))
+
+
+def _surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
+    truth: dict[str, NDArray[Any]] = {
+        "height_mm": surface.height_mm,
+        "shape_mm": surface.shape_mm,
+        "mask": surface.mask,
+        "normals": surface.normals,
+        "relief_um": surface.relief_um,
+        "pitch_mm": np.array(surface.camera.pitch_mm),
+    }
+    return truth | _flat("landmark", surface.landmarks)
+
+
+def _optics_truth(skin: SkinSettings) -> dict[str, NDArray[Any]]:
+    """Coefficients by channel, in the order red, green, blue, NIR, and the parameters they come from."""
+    media = [skin.channel(channel) for channel in CHANNELS]
+    truth: dict[str, NDArray[Any]] = {
+        "optics_channels": np.array(CHANNELS),
+        "optics_scattering_per_mm": np.array([m.scattering_per_mm for m in media]),
+        "optics_absorption_per_mm": np.array([m.absorption_per_mm for m in media]),
+        "optics_relief_gain_per_um": np.array([m.relief_gain_per_um for m in media]),
+    }
+    return truth | _flat("skin", asdict(skin))
+
+
+def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """One array for each entry; mappings inside mappings get longer names."""
+    result: dict[str, NDArray[Any]] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            result |= _flat(f"{prefix}_{key}", value)
+        elif value is not None:
+            result[f"{prefix}_{key}"] = np.asarray(value)
+    return result
+
+
+def draw_rig(settings: TwinSettings) -> Rig:
+    """The rig of `settings`."""
+    return default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
