@@ -1,0 +1,124 @@
+"""Changing single fields of nested, frozen settings by name: ``stage.field = value``."""
+
+from __future__ import annotations
+
+import difflib
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+from splitknit.check import BadInput, require
+
+Settings = TypeVar("Settings")
+
+
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one mapping with dotted names.
+
+    Examples
+    --------
+    >>> flatten({"knit": {"mode": "crossover"}, "normals.method": "robust"})
+    {'knit.mode': 'crossover', 'normals.method': 'robust'}
+    """
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{name}.")
+        else:
+            flat[name] = value
+    return flat
+
+
+def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Return `settings` (nested frozen dataclasses) with the fields of `changes` replaced.
+
+    Parameters
+    ----------
+    settings : dataclass
+    changes : mapping
+        From ``stage.field`` to the new value, or nested mappings.
+
+    Raises
+    ------
+    BadInput
+        If a field is not known (the nearest name is offered), a value has another type than the field, or the
+        settings refuse the value.
+    """
+    result = settings
+    for name, value in flatten(changes).items():
+        result = _replaced(result, name.split("."), value, name)
+    return result
+
+
+def _replaced(settings: Any, path: list[str], value: Any, name: str) -> Any:
+    known = [field.name for field in fields(settings)] if is_dataclass(settings) else []
+    if not known or path[0] not in known:
+        parent = name[: -len(".".join(path))]
+        near = difflib.get_close_matches(path[0], known, n=1, cutoff=0.5)
+        hint = f"did you mean '{parent}{near[0]}'?" if near else f"known are {', '.join(parent + k for k in known)}."
+        raise BadInput(f"there is no setting '{name}'; " + (hint if known else "it has no parts."))
+    current = getattr(settings, path[0])
+    if len(path) > 1:
+        require(is_dataclass(current), f"there is no setting '{name}'; '{path[0]}' has no parts.")
+        return replace(settings, **{path[0]: _replaced(current, path[1:], value, name)})
+    if is_dataclass(current):
+        parts = ", ".join(f"{name}.{field.name}" for field in fields(current))
+        raise BadInput(f"setting '{name}' is a group; set one of its parts: {parts}.")
+    hint_type = typing.get_type_hints(type(settings)).get(path[0], Any)
+    return replace(settings, **{path[0]: _converted(value, hint_type, name)})
+
+
+def _converted(value: Any, expected: Any, name: str) -> Any:
+    """Return `value` as the type of the field, without guessing: an int may become a float, a list a tuple."""
+    options = _options(expected)
+    for option in options:
+        done, result = _as_type(value, option)
+        if done:
+            return result
+    wanted = " or ".join(_type_name(option) for option in options)
+    raise BadInput(f"setting '{name}' must be {wanted}, but it is {value!r}.")
+
+
+def _options(expected: Any) -> list[Any]:
+    if typing.get_origin(expected) in (typing.Union, types.UnionType):
+        return list(typing.get_args(expected))
+    return [expected]
+
+
+def _as_type(value: Any, option: Any) -> tuple[bool, Any]:  # noqa: PLR0911 - one line for each kind of field
+    if option is Any:
+        return True, value
+    if option is types.NoneType:
+        return value is None, None
+    if option is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool), value if value is None else _float(
+            value
+        )
+    if option is int:
+        return isinstance(value, int) and not isinstance(value, bool), value
+    if option in (bool, str):
+        return isinstance(value, option), value
+    origin, arguments = typing.get_origin(option), typing.get_args(option)
+    if origin is typing.Literal:
+        return value in arguments, value
+    if origin is tuple and isinstance(value, (list, tuple)):
+        inner = [arguments[0]] * len(value) if arguments[-1:] == (Ellipsis,) else list(arguments)
+        if len(inner) != len(value):
+            return False, None
+        pairs = [_as_type(item, kind) for item, kind in zip(value, inner, strict=True)]
+        return all(done for done, _ in pairs), tuple(item for _, item in pairs)
+    return isinstance(option, type) and isinstance(value, option), value
+
+
+def _float(value: Any) -> Any:
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+def _type_name(option: Any) -> str:
+    if typing.get_origin(option) is typing.Literal:
+        return "one of " + ", ".join(repr(item) for item in typing.get_args(option))
+    names = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", types.NoneType: "null"}
+    return names.get(option, str(option).removeprefix("<class '").removesuffix("'>"))
