@@ -1,0 +1,166 @@
+"""The light that reaches every point of the current surface from near LEDs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.geometry import pixel_axes_mm
+from splitknit.normals.chunks import row_chunks
+from splitknit.types import Camera, FloatArray, Led, Rig
+
+_UNIT_MM2 = np.float32(1e4)
+"""Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Where on the finger plane (z = 0) every pixel looks, and how its ray runs."""
+
+    x_mm: NDArray[np.float64]
+    """(W,) or (H, W)."""
+    y_mm: NDArray[np.float64]
+    """(H,) or (H, W)."""
+    apex_mm: float | None
+    """Height of the camera's centre, through which all rays pass; None for parallel rays."""
+
+    def points(self, chunk: slice, height_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x and y (h, W) of the surface points above the pixels of some rows."""
+        x = (self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]).astype(np.float32)
+        y = (self.y_mm[chunk, None] if self.y_mm.ndim == 1 else self.y_mm[chunk]).astype(np.float32)
+        if self.apex_mm is None:
+            return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape)
+        nearer = np.float32(1.0) - height_mm / np.float32(self.apex_mm)
+        return x * nearer, y * nearer
+
+
+def view_of(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any) -> View:
+    """View of an image of `shape`: by the axes given, else by the camera."""
+    apex = camera.height_mm if camera.model == "perspective" else None
+    require((x_mm is None) == (y_mm is None), "x_mm and y_mm must be given together.")
+    if x_mm is not None:
+        x, y = np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64)
+        require(
+            x.shape == (shape[1],) and y.shape == (shape[0],),
+            f"x_mm and y_mm must have the lengths {shape[1]} and {shape[0]}, but they have {x.shape} and {y.shape}.",
+        )
+        require(bool(np.isfinite(x).all() and np.isfinite(y).all()), "x_mm or y_mm contains NaN or infinite values.")
+        return View(x, y, apex)
+    require(
+        tuple(camera.image_size) == shape,
+        f"the rig's camera takes images of {tuple(camera.image_size)} pixels, but the stack's have {shape}; "
+        "give x_mm and y_mm for a part of the image.",
+    )
+    if camera.model == "perspective":
+        return _perspective(camera)
+    return View(*pixel_axes_mm(camera), apex)
+
+
+def _perspective(camera: Camera) -> View:
+    """Rays through the pixels, lens distortion removed, cut with the finger plane."""
+    rows, columns = camera.image_size
+    row, column = np.mgrid[0:rows, 0:columns].astype(np.float64)
+    pixels = np.stack([column.ravel(), row.ravel()], axis=1)[:, None]
+    distortion = np.asarray(camera.distortion if camera.distortion is not None else (0.0, 0.0, 0.0, 0.0, 0.0))
+    assert camera.matrix is not None
+    rays = cv2.undistortPoints(pixels, np.asarray(camera.matrix, dtype=np.float64), distortion)[:, 0]
+    return View(
+        (rays[:, 0] * camera.height_mm).reshape(rows, columns),
+        (-rays[:, 1] * camera.height_mm).reshape(rows, columns),
+        camera.height_mm,
+    )
+
+
+def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    """Light vectors (L, 3, ...) at points in mm: direction towards the light times its relative irradiance.
+
+    Near LEDs follow the inverse square of the distance and the cosine lobe about their direction to the origin. LEDs
+    that share an exposure add. As in :meth:`splitknit.types.Rig.light_vectors`, the mean length at the origin is one.
+    """
+    origin = np.zeros(1, dtype=np.float32)
+    at_origin = np.stack([_sum(led, origin, origin, origin) for led in rig.leds]).astype(np.float64)
+    scale = np.float32(1 / np.sqrt((at_origin**2).sum(axis=1)).mean())
+    field = np.empty((len(rig.leds), 3, *z.shape), dtype=np.float32)
+    for k, led in enumerate(rig.leds):
+        np.multiply(_sum(led, x, y, z), scale, out=field[k])
+    return field
+
+
+def _sum(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    total = _one(led, x, y, z)
+    for other in led.also:
+        total = total + _sum(other, x, y, z)
+    return total
+
+
+def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    result = np.empty((3, *z.shape), dtype=np.float32)
+    if led.position_mm is None:
+        direction = np.asarray(led.direction, dtype=np.float64)
+        unit = (led.intensity * direction / np.linalg.norm(direction)).astype(np.float32)
+        for axis in range(3):
+            result[axis] = unit[axis]
+        return result
+    position = np.asarray(led.position_mm, dtype=np.float32)
+    for axis, coordinate in enumerate((x, y, z)):
+        np.subtract(position[axis], coordinate, out=result[axis])
+    square = result[0] * result[0] + result[1] * result[1] + result[2] * result[2]
+    distance = np.sqrt(square)
+    strength = np.float32(led.intensity) * _UNIT_MM2 / (square * distance)
+    if led.lobe_exponent > 0:
+        axis_unit = position / np.float32(np.linalg.norm(position))
+        cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
+        strength *= np.maximum(cosine, np.float32(0.0)) ** np.float32(led.lobe_exponent)
+    result *= strength
+    return result
+
+
+def light_field(
+    rig: Rig, surface_mm: Any, shape: tuple[int, int] | None = None, x_mm: Any = None, y_mm: Any = None
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield light vectors of all LEDs at the surface, some rows at a time: (rows, field (L, 3, h, W) float32).
+
+    Parameters
+    ----------
+    rig : Rig
+        `rig.leds[k]` lights image k.
+    surface_mm : (H, W) or a number
+        z of the surface in mm; NaN (no surface) counts as the finger plane.
+    shape : (H, W), needed only where `surface_mm` is a number and no axes are given; the camera's size by default
+    x_mm, y_mm : (W,), (H,), optional
+        Position of the pixels on the finger plane, for a window or binned images; the camera's own by default.
+    """
+    size = image_shape(rig, surface_mm, shape, x_mm, y_mm)
+    surface = surface_array(surface_mm, size)
+    view = view_of(rig.camera, size, x_mm, y_mm)
+    for chunk in row_chunks(*size):
+        z = np.nan_to_num(surface[chunk], nan=0.0).astype(np.float32)
+        yield chunk, light_vectors_at(rig, *view.points(chunk, z), z)
+
+
+def image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
+    """(H, W) as the surface, the caller, the axes or the camera say, in this order."""
+    if np.ndim(surface_mm) == 2:
+        rows, columns = np.shape(surface_mm)
+        return int(rows), int(columns)
+    if shape is not None:
+        return shape
+    if x_mm is not None and y_mm is not None:
+        return len(y_mm), len(x_mm)
+    return rig.camera.image_size
+
+
+def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
+    """`surface_mm` as (H, W) float32, a number spread over the image."""
+    array = np.asarray(surface_mm, dtype=np.float32)
+    require(
+        array.ndim == 0 or array.shape == shape,
+        f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.",
+    )
+    return np.broadcast_to(array, shape)
