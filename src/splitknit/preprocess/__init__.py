@@ -1,0 +1,38 @@
+"""From linear images to the pixels that are the finger: mask, orientation, phalange, contrast, quality, motion.
+
+Every function takes and returns arrays on the input's pixel grid. Decisions are made on reduced copies; each docstring
+says at which scale.
+"""
+
+from splitknit.preprocess.contrast import ClaheSettings, clahe
+from splitknit.preprocess.mask import MaskSettings, check_borders, finger_mask, touched_borders
+from splitknit.preprocess.motion import MotionSettings, ShotMotion, motion_warnings, shot_motion
+from splitknit.preprocess.orientation import OrientationSettings, Upright, find_upright
+from splitknit.preprocess.phalange import Crease, CreaseSettings, find_crease, phalange_mask
+from splitknit.preprocess.photometric import PhotometricMaskSettings, photometric_mask
+from splitknit.preprocess.quality import QualitySettings, capture_quality, quality_warnings
+
+__all__ = [
+    "ClaheSettings",
+    "Crease",
+    "CreaseSettings",
+    "MaskSettings",
+    "MotionSettings",
+    "OrientationSettings",
+    "PhotometricMaskSettings",
+    "QualitySettings",
+    "ShotMotion",
+    "Upright",
+    "capture_quality",
+    "check_borders",
+    "clahe",
+    "find_crease",
+    "find_upright",
+    "finger_mask",
+    "motion_warnings",
+    "phalange_mask",
+    "photometric_mask",
+    "quality_warnings",
+    "shot_motion",
+    "touched_borders",
+]

@@ -1,0 +1,122 @@
+"""How much every pixel looks like skin rather than like the backdrop."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.preprocess.regions import dilate, erode
+from splitknit.types import BoolArray, FloatArray
+
+
+def chromaticity(image: FloatArray) -> FloatArray:
+    """Chromaticity of the modified specular-free image, (H, W, 3) in [0, 1].
+
+    I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
+    the dichromatic model do, also settles the colour of the unlit backdrop: where there is next to no light the three
+    channels of I_MSF are alike and noise does not turn into colour.
+
+    References
+    ----------
+    The thesis, eqs. 3.58-3.63, with (3.61) corrected (``I - I_min + I_min_avg``).
+    """
+    least = image.min(axis=2)
+    average = max(float(np.maximum(least, 0.0).mean()), 1e-3 * float(np.abs(image).max()), 1e-12)
+    msf = np.maximum(image - least[..., None] + np.float32(average), np.float32(1e-12))
+    return np.asarray(msf / msf.sum(axis=2, keepdims=True), dtype=np.float32)
+
+
+def signals(image: FloatArray) -> list[FloatArray]:
+    """The two quantities that tell skin from a dark neutral backdrop: brightness, and the coloured part of the light.
+
+    The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
+    """
+    if image.ndim == 2:
+        return [image]
+    brightness = image.sum(axis=2)
+    coloured = brightness - np.float32(3.0) * image.min(axis=2)
+    return [np.asarray(brightness, dtype=np.float32), np.asarray(coloured, dtype=np.float32)]
+
+
+def skin_evidence(
+    image: FloatArray, seed: BoolArray, margin: float, share: float, noise_factor: float
+) -> tuple[FloatArray, bool]:
+    """Evidence map: above one where a pixel rises from the backdrop by enough to be skin.
+
+    For each signal the backdrop is a quadratic surface fitted robustly outside `seed`, and the threshold is `share` of
+    the median rise inside `seed`, but at least `noise_factor` times the noise outside. So a shadow on the finger down
+    to `share` of its brightness stays finger.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) linear
+    seed : (H, W) surely finger
+    margin : pixels around `seed` that belong to neither side
+    share, noise_factor : see above
+
+    Returns
+    -------
+    evidence : (H, W) float32
+    usable : whether any signal tells `seed` from the backdrop
+    """
+    outside = ~dilate(seed, margin)
+    inside = erode(seed, 0.5 * margin)
+    inside = inside if inside.any() else seed
+    evidence = np.zeros(seed.shape, dtype=np.float32)
+    usable = False
+    if outside.sum() < 50:
+        return seed.astype(np.float32) * np.float32(2.0), True
+    for signal in signals(image):
+        backdrop, noise = _fit_backdrop(signal, outside)
+        rise = signal - backdrop
+        level = float(np.median(rise[inside]))
+        if level < 3.0 * noise_factor * noise or level <= 0.0:
+            continue
+        usable = True
+        threshold = max(share * level, noise_factor * noise)
+        np.maximum(evidence, rise / np.float32(threshold), out=evidence)
+    return evidence, usable
+
+
+def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
+    """Relative step of brightness or colour across the outline of `mask`: (inside - outside) / inside, the larger."""
+    inside = mask & ~erode(mask, reach)
+    near = dilate(mask, 0.3 * reach)
+    outside = dilate(mask, 1.3 * reach) & ~near
+    if not outside.any() or not inside.any():
+        return 0.0
+    steps = []
+    for signal in signals(image):
+        within, without = float(np.median(signal[inside])), float(np.median(signal[outside]))
+        steps.append((within - without) / within if within > 0.0 else 0.0)
+    return max(steps)
+
+
+def _fit_backdrop(signal: FloatArray, outside: BoolArray) -> tuple[FloatArray, float]:
+    """Robust quadratic surface through `signal` outside the finger, and the noise about it (1.48 MAD)."""
+    height, width = signal.shape
+    x = np.linspace(-1.0, 1.0, width)
+    y = np.linspace(-1.0, 1.0, height)
+    rows, columns = np.nonzero(outside)
+    step = max(1, len(rows) // 20000)
+    rows, columns = rows[::step], columns[::step]
+    values = signal[rows, columns].astype(np.float64)
+    design = _quadratic(x[columns], y[rows])
+    keep = np.ones(len(values), dtype=np.bool_)
+    for _ in range(4):
+        part = design[keep]
+        normal = np.einsum("ni,nj->ij", part, part) + 1e-6 * len(part) * np.eye(6)
+        solution = np.linalg.solve(normal, np.einsum("ni,n->i", part, values[keep]))
+        residual = values - np.einsum("ni,i->n", design, solution)
+        centre = float(np.median(residual[keep]))
+        noise = 1.4826 * float(np.median(np.abs(residual[keep] - centre)))
+        keep = np.abs(residual - centre) <= max(3.0 * noise, 1e-12)
+    surface = np.zeros(signal.shape, dtype=np.float64)
+    terms = (np.ones((1, 1)), x[None, :], y[:, None], x[None, :] ** 2, y[:, None] ** 2, x[None, :] * y[:, None])
+    for weight, term in zip(solution, terms, strict=True):
+        surface += weight * term
+    return (surface + centre).astype(np.float32), noise
+
+
+def _quadratic(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.ones_like(x), x, y, x * x, y * y, x * y], axis=1)

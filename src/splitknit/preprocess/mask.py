@@ -1,0 +1,221 @@
+"""Which pixels are the finger.
+
+The coarse decision (k-means) is taken at about 10 px/mm, the outline at about 20 px/mm with sub-pixel interpolation to
+the full grid: finer than the skin's own blur, and a tenth of the work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.preprocess.clusters import two_means
+from splitknit.preprocess.evidence import chromaticity, rise_at_edge, skin_evidence
+from splitknit.preprocess.regions import (
+    blur,
+    depth_inside,
+    dilate,
+    erode,
+    fill_holes,
+    largest_component,
+    reduce_image,
+    reduction,
+    remove_spurs,
+)
+from splitknit.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MaskSettings:
+    """How the finger is told from the backdrop."""
+
+    coarse_px_per_mm: float = 10.0
+    """Scale of the copy that is clustered."""
+    fine_px_per_mm: float = 20.0
+    """Scale of the copy on which the outline is found."""
+    blur_mm: float = 0.25
+    """Gaussian blur (sigma) of the chromaticity before clustering."""
+    fine_blur_mm: float = 0.06
+    """Gaussian blur (sigma) of the images on which the outline is found."""
+    edge_share: float = 0.12
+    """A pixel is finger if it rises from the backdrop by this share of the finger's median rise."""
+    noise_factor: float = 5.0
+    """... and by this many standard deviations of the backdrop's noise."""
+    spur_share: float = 0.4
+    """Parts narrower than this share of the finger's own width are cut off."""
+    edge_margin_mm: float = 1.0
+    """Width of the zone along the outline that counts neither as finger nor as backdrop while either is measured."""
+    least_width_mm: float = 4.0
+    """A region nowhere as wide as this is no finger."""
+    least_step: float = 0.15
+    """A region across whose outline neither brightness nor colour changes by this share is no finger."""
+
+    def __post_init__(self) -> None:
+        for name in ("coarse_px_per_mm", "fine_px_per_mm", "blur_mm", "fine_blur_mm", "noise_factor", "edge_margin_mm"):
+            require(getattr(self, name) > 0, f"mask.{name} must be positive.")
+        for name in ("edge_share", "spur_share", "least_step"):
+            require(0 < getattr(self, name) < 1, f"mask.{name} must lie between 0 and 1.")
+        require(self.least_width_mm >= 0, "mask.least_width_mm must not be negative.")
+
+
+def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
+    """Find the finger on a dark backdrop.
+
+    Seed: k-means (k = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that
+    separates better (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's
+    border: a finger enters through a part of one side, the backdrop surrounds it. Then the backdrop is fitted outside
+    the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut, the
+    largest component kept and its holes (glare) filled.
+
+    Parameters
+    ----------
+    mean_image : (H, W, 3) or (H, W) float32
+        Mean of the white frames, linear, ambient removed; any scale. Small negative values are noise and harmless.
+    px_per_mm : float
+    settings : MaskSettings, optional
+
+    Returns
+    -------
+    mask : (H, W) bool
+        One component without holes.
+
+    Raises
+    ------
+    BadInput
+        If there is no finger, or it touches three borders of the image.
+
+    References
+    ----------
+    The thesis, section 3.3.1.1, eqs. 3.58-3.63 (3.61 corrected). Lloyd's algorithm has a fixed start, so the same
+    image gives the same mask.
+    """
+    settings = settings or MaskSettings()
+    image = _check_image(mean_image)
+    height, width = image.shape[:2]
+    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
+    fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
+    fine = reduce_image(image, fine_scale)
+    coarse_scale = reduction(fine.shape[:2], px_per_mm * fine_scale, settings.coarse_px_per_mm, 600)
+    coarse = reduce_image(fine, coarse_scale)
+    coarse_px = px_per_mm * fine_scale * coarse_scale
+    coarse = blur(coarse, 0.5 * settings.blur_mm * coarse_px)
+
+    mask = _seed(coarse, settings.blur_mm * coarse_px, settings)
+    for _ in range(2):
+        evidence, usable = skin_evidence(
+            coarse, mask, settings.edge_margin_mm * coarse_px, settings.edge_share, settings.noise_factor
+        )
+        require(usable, _NO_FINGER)
+        mask = _clean(evidence > 1.0, mask, settings)
+    require(2.0 * float(depth_inside(mask).max()) >= settings.least_width_mm * coarse_px, _NO_FINGER)
+    require(rise_at_edge(coarse, mask, settings.edge_margin_mm * coarse_px) >= settings.least_step, _NO_FINGER)
+
+    result = _outline(fine, mask, (height, width), px_per_mm * fine_scale, settings)
+    check_borders(result)
+    return result
+
+
+def touched_borders(mask: BoolArray) -> tuple[str, ...]:
+    """Names of the image borders that `mask` reaches along at least 1 % of their length."""
+    sides = {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}
+    return tuple(name for name, line in sides.items() if int(line.sum()) >= max(3, 0.01 * line.size))
+
+
+def check_borders(mask: BoolArray) -> tuple[str, ...]:
+    """Return the borders that `mask` touches; three or more are refused.
+
+    A finger enters through one side, or across a corner through two. With three, too much of it is out of view.
+
+    Raises
+    ------
+    BadInput
+        If `mask` touches three or four borders.
+    """
+    touched = touched_borders(mask)
+    require(
+        len(touched) < 3,
+        f"the finger touches {len(touched)} borders of the image ({', '.join(touched)}): "
+        "move it back so that its tip and both sides are in view, or give a mask.",
+    )
+    return touched
+
+
+_NO_FINGER = (
+    "no finger was found in the white images: nothing stands out from the backdrop in colour or brightness; "
+    "check the exposure, the LEDs and the dark backdrop, or give a mask."
+)
+
+
+def _check_image(mean_image: FloatArray) -> FloatArray:
+    image = np.asarray(mean_image)
+    require(
+        image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3)),
+        f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.",
+    )
+    require(min(image.shape[:2]) >= 16, f"the mean image is too small for a finger: {image.shape[:2]} pixels.")
+    image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
+    require(bool(np.isfinite(image).all()), "the mean image contains NaN or infinite values.")
+    return image
+
+
+def _seed(image: FloatArray, sigma: float, settings: MaskSettings) -> BoolArray:
+    """Cluster by chromaticity and by brightness, keep the split that is clearer and lies like a finger."""
+    brightness = image if image.ndim == 2 else image.sum(axis=2)
+    ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
+    root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
+    candidates = [blur(root, sigma)[..., None]]
+    if image.ndim == 3:
+        candidates.append(blur(chromaticity(image), sigma))
+    best: BoolArray | None = None
+    clearest = 0.0
+    for features in candidates:
+        second, separation = two_means(features.reshape(-1, features.shape[2]))
+        cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
+        region = remove_spurs(fill_holes(cluster), settings.spur_share)
+        purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
+        if separation * purity > clearest:
+            best, clearest = region, separation * purity
+    if best is None or not best.any():
+        raise BadInput(_NO_FINGER)
+    return best
+
+
+def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
+    """Whichever side holds less of the image's border; the brighter one where both hold about as much."""
+    border = np.concatenate([second[0], second[-1], second[:, 0], second[:, -1]])
+    share = float(border.mean())
+    if abs(share - 0.5) > 0.1:
+        return second if share < 0.5 else ~second
+    if not second.any() or second.all():
+        return second
+    return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
+
+
+def _clean(candidate: BoolArray, seed: BoolArray, settings: MaskSettings) -> BoolArray:
+    """One component that contains the middle of `seed`, without spurs and holes."""
+    grown = fill_holes(candidate | erode(seed, 0.5 * float(depth_inside(seed).max())))
+    cleaned = remove_spurs(largest_component(grown), settings.spur_share)
+    require(bool(cleaned.any()), _NO_FINGER)
+    return fill_holes(cleaned)
+
+
+def _outline(
+    fine: FloatArray, mask: BoolArray, size: tuple[int, int], px_per_mm: float, settings: MaskSettings
+) -> BoolArray:
+    """Find the edge of the coarse `mask` on the `fine` copy and interpolate it to `size` (rows, columns)."""
+    shape = fine.shape[:2]
+    guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
+    smooth = blur(fine, settings.fine_blur_mm * px_per_mm)
+    margin = settings.edge_margin_mm * px_per_mm
+    evidence, _ = skin_evidence(smooth, guess, margin, settings.edge_share, settings.noise_factor)
+    near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
+    found = np.where(near, evidence > 1.0, guess)
+    cleaned = fill_holes(remove_spurs(largest_component(fill_holes(found)), settings.spur_share))
+    require(bool(cleaned.any()), _NO_FINGER)
+    field = np.where(dilate(cleaned, 1.5), np.minimum(evidence, np.float32(2.0)), np.float32(0.0))
+    field = np.where(erode(cleaned, 1.5), np.float32(2.0), field).astype(np.float32)
+    full = cv2.resize(field, (size[1], size[0]), interpolation=cv2.INTER_LINEAR) > 1.0
+    return fill_holes(largest_component(full))

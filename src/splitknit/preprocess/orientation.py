@@ -1,0 +1,252 @@
+"""Which way the finger points, and the frame in which it is upright (tip up).
+
+All on a copy of the mask whose longer side has 512 pixels: the centroid of each of its rows is exact to a small
+fraction of a pixel, and the angle follows from hundreds of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import check_mask, require
+from splitknit.geometry import rotation_about, warp
+from splitknit.preprocess.regions import reduce_mask
+from splitknit.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class OrientationSettings:
+    """How the finger's axis is fitted."""
+
+    longest_side: int = 512
+    """Longer side of the reduced mask, pixels."""
+    full_width: float = 0.85
+    """Rows at least this share as wide as the widest count as full width."""
+    tip_exclusion: float = 0.5
+    """Rows nearer to the tip than this share of the widest row are left out of the fit."""
+    limit_deg: float = 75.0
+    """Largest turn from the expected direction that is believed (captures promise 60 deg)."""
+    margin_share: float = 0.02
+    """Margin around the finger in the upright frame, as a share of its longer side."""
+
+    def __post_init__(self) -> None:
+        require(self.longest_side >= 64, "orientation.longest_side must be at least 64.")
+        require(0 < self.full_width < 1, "orientation.full_width must lie between 0 and 1.")
+        require(self.tip_exclusion >= 0, "orientation.tip_exclusion must not be negative.")
+        require(0 < self.limit_deg <= 90, "orientation.limit_deg must lie in (0, 90].")
+        require(self.margin_share >= 0, "orientation.margin_share must not be negative.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Upright:
+    """The frame in which the finger's tip points to row 0, at the input's pixel pitch."""
+
+    yaw_rad: float
+    """Direction of the tip in the input, counter-clockwise from up (towards row 0)."""
+    input_from_upright: NDArray[np.float64]
+    """(3, 3) on (column, row, 1): where an upright pixel lies in the input."""
+    size: tuple[int, int]
+    """Rows, columns of the upright frame."""
+    tip: tuple[float, float]
+    """Column, row of the tip in the input: the end of the finger on its axis."""
+    width_px: float
+    """Median full width of the finger, pixels."""
+    reliable: bool
+    """Whether an axis was found; if not, the tip is taken to point where it was expected."""
+    note: str = ""
+    """What is to be known about the result, in words; empty if nothing."""
+
+    @property
+    def upright_from_input(self) -> NDArray[np.float64]:
+        """(3, 3) on (column, row, 1): where an input pixel lies in the upright frame."""
+        return np.asarray(np.linalg.inv(self.input_from_upright))
+
+    @property
+    def tip_row(self) -> float:
+        """Row of the tip in the upright frame."""
+        return float((self.upright_from_input @ np.array([*self.tip, 1.0]))[1])
+
+
+def find_upright(
+    mask: BoolArray, tip_direction_deg: float | None = None, settings: OrientationSettings | None = None
+) -> Upright:
+    """Find the finger's yaw and the frame in which it is upright. Nothing is resampled.
+
+    A straight line is fitted to the midpoints of the rows in which the finger has its full width, robustly (Tukey's
+    biweight), leaving out the tip and every row whose end is cut by the image's border; this is repeated in the frame
+    turned by the angle found until it no longer changes.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+    tip_direction_deg : float, optional
+        Expected direction of the tip, 0 = up, counter-clockwise. The search starts where the finger leaves the image
+        and stays within `settings.limit_deg` of this direction (default 0).
+    settings : OrientationSettings, optional
+
+    Returns
+    -------
+    Upright
+        With `reliable` false, and the reason in `note`, where the mask has no measurable axis.
+
+    References
+    ----------
+    The thesis, section 3.3.1.1, "Orientation Correction": midpoints of the mask's rows and a line through them.
+    """
+    settings = settings or OrientationSettings()
+    array = np.asarray(mask)
+    mask = check_mask(array, (array.shape[0], array.shape[1]))
+    expected = np.deg2rad(tip_direction_deg or 0.0)
+    scale = min(1.0, settings.longest_side / max(mask.shape))
+    small = reduce_mask(mask, scale)
+    visible = np.ones(small.shape, dtype=np.float32)
+    visible[[0, -1], :] = 0.0
+    visible[:, [0, -1]] = 0.0
+    angle = _start(small, expected)
+    reliable = False
+    for _ in range(12):
+        correction, reliable = _tilt(small, visible, angle, settings)
+        if not reliable:
+            break
+        angle += float(np.clip(correction, -0.35, 0.35))
+        if abs(correction) < np.deg2rad(0.02):
+            break
+    note = ""
+    turn = (angle - expected + np.pi) % (2 * np.pi) - np.pi
+    if not reliable:
+        note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
+    elif abs(turn) > np.deg2rad(settings.limit_deg):
+        note = (
+            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected; it was not "
+            "believed (set tip_direction_deg)."
+        )
+        reliable = False
+    yaw = float(expected + turn) if reliable else float(expected)
+    return _frame(mask, small, yaw, reliable, note, settings)
+
+
+def _start(small: FloatArray, expected: float) -> float:
+    """First guess: from the middle of the finger's entry at the image's border to the middle of the mask."""
+    rows, columns = np.nonzero(small > 0.5)
+    if len(rows) == 0:
+        return expected
+    edge = (rows <= 1) | (columns <= 1) | (rows >= small.shape[0] - 2) | (columns >= small.shape[1] - 2)
+    up = np.array([-np.sin(expected), -np.cos(expected)])  # (column, row) of the expected direction
+    centre = np.array([columns.mean(), rows.mean()])
+    if int(edge.sum()) >= 6:
+        axis = centre - np.array([columns[edge].mean(), rows[edge].mean()])
+        guess = _direction(axis)
+        if axis @ up > 0.2 * np.linalg.norm(axis) > 0:
+            return guess
+    points = np.stack([columns, rows]).astype(np.float64) - centre[:, None]
+    values, vectors = np.linalg.eigh(np.einsum("in,jn->ij", points, points))
+    if values[1] < 1.3 * values[0]:
+        return expected
+    axis = vectors[:, 1] * (1.0 if vectors[:, 1] @ up >= 0 else -1.0)
+    return _direction(axis)
+
+
+def _direction(axis: NDArray[np.float64]) -> float:
+    """Angle, counter-clockwise from up, of a direction given as (column, row)."""
+    return float(np.arctan2(-axis[0], -axis[1]))
+
+
+def _tilt(small: FloatArray, visible: FloatArray, angle: float, settings: OrientationSettings) -> tuple[float, bool]:
+    """Angle by which the midline leans (counter-clockwise) in the frame turned by `angle`, and whether it exists."""
+    side = int(np.ceil(np.hypot(*small.shape))) + 2
+    middle = ((small.shape[1] - 1) / 2, (small.shape[0] - 1) / 2)
+    shift = np.array([[1.0, 0.0, middle[0] - (side - 1) / 2], [0.0, 1.0, middle[1] - (side - 1) / 2], [0, 0, 1.0]])
+    transform = rotation_about(middle, angle) @ shift
+    turned = np.clip(warp(small, transform, (side, side)), 0.0, 1.0)
+    inside = warp(visible, transform, (side, side)) > 0.5
+    widths = turned.sum(axis=1, dtype=np.float64)
+    column = np.arange(side, dtype=np.float64)
+    middles = (turned * column).sum(axis=1, dtype=np.float64) / np.maximum(widths, 1e-9)
+    row = np.arange(side)
+    present = turned > 0.5
+    cut = (present & ~inside).any(axis=1)
+    occupied = np.flatnonzero(widths > 2.0)
+    if len(occupied) == 0:
+        return 0.0, False
+    whole = (widths > 2.0) & ~cut
+    if not whole.any():
+        return 0.0, False
+    widest = float(np.percentile(widths[whole], 95))
+    chosen = whole & (widths >= settings.full_width * widest)
+    chosen &= row >= occupied[0] + settings.tip_exclusion * widest
+    if chosen.sum() < max(8.0, 0.12 * widest):
+        chosen = whole & (row >= occupied[0] + 0.3 * widest)
+    if chosen.sum() < max(8.0, 0.12 * widest):
+        return 0.0, False
+    slope = _robust_slope(row[chosen].astype(np.float64), middles[chosen])
+    return float(np.arctan(slope)), True
+
+
+def _robust_slope(rows: NDArray[np.float64], columns: NDArray[np.float64]) -> float:
+    """Columns per row of the line through the midpoints, by iterated Tukey weights."""
+    x = rows - rows.mean()
+    weights = np.ones_like(x)
+    slope = intercept = 0.0
+    for _ in range(20):
+        total = weights.sum()
+        mean_x, mean_y = (weights * x).sum() / total, (weights * columns).sum() / total
+        slope = float((weights * (x - mean_x) * (columns - mean_y)).sum() / (weights * (x - mean_x) ** 2).sum())
+        intercept = float(mean_y - slope * mean_x)
+        residual = columns - intercept - slope * x
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 0.05)
+        updated = np.maximum(0.0, 1.0 - (residual / (4.685 * spread)) ** 2) ** 2
+        if updated.sum() < 3.0 or bool(np.allclose(updated, weights, atol=1e-4)):
+            break
+        weights = updated
+    return slope
+
+
+def _frame(  # noqa: PLR0917
+    mask: BoolArray, small: FloatArray, yaw: float, reliable: bool, note: str, settings: OrientationSettings
+) -> Upright:
+    """Bounding box of the turned mask, its tip and its width, from the outline's pixels at full resolution."""
+    rows, columns = _outline(mask)
+    turn = rotation_about((0.0, 0.0), -yaw)  # input to turned, both about the first pixel
+    turned = turn[:2, :2] @ np.stack([columns, rows]).astype(np.float64)
+    low, high = turned.min(axis=1), turned.max(axis=1)
+    margin = max(2.0, settings.margin_share * float((high - low).max()))
+    origin = np.floor(low - margin)
+    size = np.ceil(high + margin) - origin + 1.0
+    input_from_upright = rotation_about((0.0, 0.0), yaw) @ np.array(
+        [[1.0, 0.0, origin[0]], [0.0, 1.0, origin[1]], [0.0, 0.0, 1.0]]
+    )
+    extent = float(high[1] - low[1])
+    lines = np.round(turned[1] - low[1]).astype(np.int64)
+    left = np.full(int(np.ceil(extent)) + 2, np.inf)
+    right = np.full(left.size, -np.inf)
+    np.minimum.at(left, lines, turned[0])
+    np.maximum.at(right, lines, turned[0])
+    widths = np.where(np.isfinite(left), right - left + 1.0, 0.0)
+    width = float(np.median(widths[widths >= 0.8 * widths.max()]))
+    top = lines <= max(1.0, 0.03 * width)
+    tip = input_from_upright @ np.array([float(turned[0][top].mean()) - origin[0], float(low[1] - origin[1]), 1.0])
+    return Upright(
+        yaw_rad=yaw,
+        input_from_upright=input_from_upright,
+        size=(int(size[1]), int(size[0])),
+        tip=(float(tip[0]), float(tip[1])),
+        width_px=width,
+        reliable=reliable,
+        note=note,
+    )
+
+
+def _outline(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the first and last mask pixel of every row and every column: enough for any extent."""
+    any_row = np.flatnonzero(mask.any(axis=1))
+    any_column = np.flatnonzero(mask.any(axis=0))
+    left = mask[any_row].argmax(axis=1)
+    right = mask.shape[1] - 1 - mask[any_row][:, ::-1].argmax(axis=1)
+    top = mask[:, any_column].argmax(axis=0)
+    bottom = mask.shape[0] - 1 - mask[::-1, any_column].argmax(axis=0)
+    rows = np.concatenate([any_row, any_row, top, bottom])
+    columns = np.concatenate([left, right, any_column, any_column])
+    return rows, columns

@@ -1,0 +1,207 @@
+"""How good a capture is, in numbers and in words.
+
+Ridge contrast is measured on a copy of about 24 px/mm, everything else on whatever stack is given (a reduced one will
+do; saturation is best counted at full resolution).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import check_image, check_mask, check_stack, require
+from splitknit.preprocess.mask import touched_borders
+from splitknit.preprocess.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask, reduction
+from splitknit.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class QualitySettings:
+    """What is measured and when it is warned of."""
+
+    saturation: float = 0.98
+    """Values from here on are saturated, unless the caller says otherwise."""
+    most_saturated: float = 0.02
+    """Share of the finger that may be saturated in any image."""
+    least_ridge_contrast: float = 0.006
+    """Least relative contrast (standard deviation over mean) of the ridge band."""
+    most_ambient: float = 0.3
+    """Ambient light as a share of the median lit brightness."""
+    least_brightness: float = 0.02
+    """Median brightness of the mean image (full scale is one)."""
+    led_range: tuple[float, float] = (0.5, 2.0)
+    """Brightness of an image relative to what its LED should give; outside, the LED is suspect."""
+    dead_led: float = 0.1
+    """Relative brightness below which an LED is called dead."""
+    least_length_mm: float = 12.0
+    """Visible length of the finger."""
+
+    def __post_init__(self) -> None:
+        for name in ("saturation", "least_ridge_contrast", "most_ambient", "least_length_mm"):
+            require(getattr(self, name) > 0, f"quality.{name} must be positive.")
+        for name in ("most_saturated", "least_brightness", "dead_led"):
+            require(0 <= getattr(self, name) < 1, f"quality.{name} must lie in [0, 1).")
+        low, high = self.led_range
+        require(0 < low < 1 < high, "quality.led_range must be two numbers around one.")
+
+
+def capture_quality(
+    stack: FloatArray,
+    mask: BoolArray,
+    px_per_mm: float,
+    *,
+    lights: NDArray[np.float64] | None = None,
+    ambient: FloatArray | None = None,
+    saturation: float | NDArray[np.float64] | None = None,
+    settings: QualitySettings | None = None,
+) -> dict[str, Any]:
+    """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
+
+    Parameters
+    ----------
+    stack : (L, H, W) float32 linear grey, ambient removed
+    mask : (H, W) bool
+        The finger.
+    px_per_mm : float
+        Of the stack that is given.
+    lights : (L, 3), optional
+        Light vectors whose length is the relative irradiance the rig promises (``Rig.light_vectors``).
+    ambient : (H, W), optional
+        Linear image with all LEDs off.
+    saturation : float or (L,), optional
+        Value at which each image saturates.
+    settings : QualitySettings, optional
+
+    Returns
+    -------
+    dict
+        Plain numbers, strings and lists (JSON): ``ridge_contrast`` (relative, mean of the images),
+        ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness),
+        ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
+        ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
+        median one; or None).
+
+    References
+    ----------
+    Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
+    """
+    settings = settings or QualitySettings()
+    stack = check_stack(stack)
+    shape = (stack.shape[1], stack.shape[2])
+    mask = check_mask(mask, shape)
+    rows, columns = bounding_box(mask)
+    mean = stack.mean(axis=0)
+    medians = np.array([float(np.median(image[mask])) for image in stack])
+    brightness = float(np.median(mean[mask]))
+    ceilings = np.broadcast_to(np.asarray(settings.saturation if saturation is None else saturation), (len(stack),))
+    saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
+    contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
+    ambient_share = None
+    if ambient is not None:
+        dark = check_image(ambient, name="the ambient image")
+        require(dark.shape == shape, f"the ambient image must have the shape {shape}, but it has {dark.shape}.")
+        ambient_share = float(np.median(dark[mask])) / max(brightness, 1e-12)
+    area = float(mask.sum()) / px_per_mm**2
+    return {
+        "ridge_contrast": float(np.mean(contrast)),
+        "ridge_contrast_per_image": contrast,
+        "sharpness": sharpness,
+        "saturated_per_image": saturated,
+        "brightness": brightness,
+        "brightness_per_image": [float(v) for v in medians],
+        "ambient_share": ambient_share,
+        "area_mm2": area,
+        "length_mm": float(rows.stop - rows.start) / px_per_mm,
+        "width_mm": float(columns.stop - columns.start) / px_per_mm,
+        "frame_share": float(mask.mean()),
+        "borders": list(touched_borders(mask)),
+        "led_relative": None if lights is None else _led_relative(medians, np.asarray(lights, dtype=np.float64)),
+    }
+
+
+def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | None = None) -> tuple[str, ...]:
+    """What is wrong with a capture and what to do about it, one sentence each; empty if nothing is.
+
+    `quality` is what :func:`capture_quality` returned.
+    """
+    settings = settings or QualitySettings()
+    words: list[str] = []
+    if quality["brightness"] < settings.least_brightness:
+        words.append(f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure.")
+    worst = int(np.argmax(quality["saturated_per_image"]))
+    share = quality["saturated_per_image"][worst]
+    if share > settings.most_saturated:
+        words.append(
+            f"{100 * share:.0f} % of the finger is saturated in image {worst}: shorten the exposure or dry the finger."
+        )
+    if quality["ridge_contrast"] < settings.least_ridge_contrast:
+        words.append(
+            f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
+            "clean the lens, or moisten a worn finger."
+        )
+    if quality["ambient_share"] is not None and quality["ambient_share"] > settings.most_ambient:
+        words.append(
+            f"ambient light is {100 * quality['ambient_share']:.0f} % of the LEDs' light: close the box, dim the room."
+        )
+    for k, relative in enumerate(quality["led_relative"] or []):
+        if relative < settings.dead_led:
+            words.append(f"image {k} is almost black: its LED seems dead; check its wiring.")
+        elif not settings.led_range[0] <= relative <= settings.led_range[1]:
+            words.append(
+                f"image {k} is {relative:.2f} times as bright as the rig file promises: check the LED, or calibrate "
+                "the rig again."
+            )
+    if quality["length_mm"] < settings.least_length_mm:
+        words.append(
+            f"only {quality['length_mm']:.0f} mm of the finger are in view: push it further in, or check px_per_mm."
+        )
+    opposite = {"top", "bottom"} <= set(quality["borders"]) or {"left", "right"} <= set(quality["borders"])
+    if opposite:
+        words.append("the finger crosses the whole image, so its tip is not in view: move it back.")
+    return tuple(words)
+
+
+def _ridge_contrast(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[list[float], float]:
+    """Relative standard deviation of the ridge band in each image, and the mean modified Laplacian of their mean."""
+    scale = reduction(mask.shape, px_per_mm, 24.0, 1200)
+    px = px_per_mm * scale
+    inside = reduce_mask(mask, scale) > 0.99
+    depth = depth_inside(inside)
+    core = depth > min(1.5 * px, 0.4 * float(depth.max()))
+    if not core.any():
+        return [0.0] * len(stack), 0.0
+    box = bounding_box(inside)
+    contrast = []
+    total = np.zeros(inside[box].shape, dtype=np.float32)
+    for image in stack:
+        small = reduce_image(image, scale)[box]
+        fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
+        level = np.maximum(wide, np.float32(0.05 * max(float(np.median(wide[core[box]])), 1e-12)))
+        relative = ((fine - wide) / level)[core[box]]
+        spread = float(np.percentile(np.abs(relative), 68.3))  # robust standard deviation: glints do not count
+        contrast.append(spread)
+        total += small
+    smooth = blur(total, 0.06 * px)
+    laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))
+    overall = max(float(total[core[box]].mean()), 1e-12)
+    return contrast, float(laplacian[core[box]].mean()) / overall
+
+
+_SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
+
+
+def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> list[float]:
+    """Measured over promised brightness of every image, scaled to a median of one.
+
+    On the middle of a finger that faces the camera a light counts with its z component.
+    """
+    require(lights.shape == (len(medians), 3), f"lights must have the shape ({len(medians)}, 3), not {lights.shape}.")
+    promised = np.maximum(lights[:, 2], 1e-6)
+    ratio = medians / promised
+    middle = float(np.median(ratio))
+    return [float(value / middle) if middle > 0 else 0.0 for value in ratio]

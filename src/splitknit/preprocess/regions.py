@@ -1,0 +1,117 @@
+"""Small operations on binary regions and on reduced copies that the preprocessing steps share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from splitknit.types import BoolArray, FloatArray
+
+
+def reduction(shape: tuple[int, int], px_per_mm: float, working_px_per_mm: float, longest: int) -> float:
+    """Scale (at most one) of a working copy with `working_px_per_mm` and no side above `longest` pixels."""
+    return float(min(1.0, working_px_per_mm / px_per_mm, longest / max(shape)))
+
+
+def reduce_image(image: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    """Area-averaged copy of an image (H, W) or (H, W, C), float32, sides times `scale`."""
+    if scale >= 1.0:
+        return np.ascontiguousarray(image, dtype=np.float32)
+    size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def reduce_mask(mask: BoolArray, scale: float) -> FloatArray:
+    """Share of every reduced pixel that `mask` covers, float32 in [0, 1]."""
+    if scale >= 1.0:
+        return mask.astype(np.float32)
+    size = (max(1, round(mask.shape[1] * scale)), max(1, round(mask.shape[0] * scale)))
+    share = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(share, dtype=np.float32) / np.float32(255.0)
+
+
+def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Gaussian blur, `sigma` in pixels, borders mirrored."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+
+
+def disc(radius: float) -> NDArray[np.uint8]:
+    """Structuring element: a disc of `radius` pixels."""
+    reach = int(np.floor(radius))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return np.asarray(x * x + y * y <= radius * radius, dtype=np.uint8)
+
+
+def dilate(mask: BoolArray, radius: float) -> BoolArray:
+    """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than small ones."""
+    if radius < 1.0 or not mask.any():
+        return mask
+    return np.asarray(_distance_to(mask) <= radius, dtype=np.bool_)
+
+
+def erode(mask: BoolArray, radius: float) -> BoolArray:
+    """Shrink `mask` by `radius` pixels; beyond the image's border the mask is taken to go on."""
+    if radius < 1.0 or mask.all():
+        return mask
+    return np.asarray(_distance_to(~mask) > radius, dtype=np.bool_)
+
+
+def depth_inside(mask: BoolArray) -> FloatArray:
+    """Distance of every pixel of `mask` to the nearest pixel outside; the image's border does not count as outside."""
+    if mask.all():
+        return np.full(mask.shape, float(max(mask.shape)), dtype=np.float32)
+    return _distance_to(~mask)
+
+
+def _distance_to(mask: BoolArray) -> FloatArray:
+    source = np.where(mask, np.uint8(0), np.uint8(1))
+    return np.asarray(cv2.distanceTransform(source, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), dtype=np.float32)
+
+
+def largest_component(mask: BoolArray) -> BoolArray:
+    """The largest 4-connected component of `mask` (empty stays empty)."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    if count <= 2:
+        return mask
+    best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    return np.asarray(labels == best, dtype=np.bool_)
+
+
+def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
+    """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is no hole."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    rows, columns = mask.shape
+    left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
+    right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+    closed = (left > 0) & (top > 0) & (right < columns) & (bottom < rows)
+    hole = closed & (stats[:, cv2.CC_STAT_AREA] <= largest_area)
+    hole[0] = False
+    if count == 1 or not hole.any():
+        return mask
+    return np.asarray(mask | hole[labels], dtype=np.bool_)
+
+
+def remove_spurs(mask: BoolArray, share: float) -> BoolArray:
+    """Cut away what is thinner than `share` of the region's own width, keep the largest rest.
+
+    An opening with a disc as wide as `share` times the widest place; beyond the image's border the region is taken to
+    go on, so that the finger's entry is not rounded. What the opening shaves off the outline itself is put back.
+    """
+    radius = share * float(depth_inside(mask).max())
+    if radius < 1.0:
+        return largest_component(mask)
+    core = largest_component(erode(mask, radius))
+    if not core.any():
+        return largest_component(mask)
+    opened = dilate(core, radius)
+    return largest_component(np.asarray(mask & dilate(opened, 1.0 + 0.15 * radius), dtype=np.bool_))
+
+
+def bounding_box(mask: BoolArray) -> tuple[slice, slice]:
+    """Rows and columns that hold `mask`."""
+    found: Any = ndimage.find_objects(mask.astype(np.uint8))
+    return (found[0][0], found[0][1])
