@@ -103,7 +103,8 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False, w
     parts = [_open(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
     for k, (r, g, b) in enumerate(shades):
         parts.append(
-            f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})"/>'
+            f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
+            'shape-rendering="crispEdges"/>'
         )
     parts.append(_text(10, 25, f"{low:.3g}", "start"))
     parts.append(_text(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))

@@ -154,7 +154,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
         "Relief",
         picture,
         "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
-        "Good: even, unbroken ridges from edge to edge, some 40 to 100 um from valley to top.",
+        "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top.",
         charts.colour_bar(low, high, "µm"),
         frame.pitch_mm,
     )
@@ -177,6 +177,8 @@ def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
     edge = np.zeros(level.shape, dtype=bool)
     edge[:, 1:] |= level[:, 1:] != level[:, :-1]
     edge[1:] |= level[1:] != level[:-1]
+    edge[:, :-1] |= edge[:, 1:]
+    edge[:-1] |= edge[1:]
     picture[edge & (weight > 0.9)] = (20, 20, 20)
     return _picture(
         "Shape",

@@ -26,8 +26,8 @@ from splitknit.types import Capture, FloatArray, Reconstruction
 Truth = Mapping[str, NDArray[Any]]
 
 COMPARED = (
-    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13"),
-    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13"),
+    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13 mm"),
+    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13 mm"),
     ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
     ("ridge_correlation", "Ridge band, correlation", "", "above 0.85"),
     ("ridge_gain", "Ridge band, gain", "", "0.6 to 1.4, ideally 1"),
@@ -241,7 +241,7 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> dict[str, Any]:
         values = [each.figures.get(key) for each in comparisons]
         if any(value is not None for value in values):
             shown = ["-" if value is None else f"{value:.3g} {unit}".strip() for value in values]
-            rows.append({"words": words, "values": shown, "good": f"{good} {unit}".strip() if good else ""})
+            rows.append({"words": words, "values": shown, "good": good})
     return {"presets": [each.preset for each in comparisons], "rows": rows}
 
 

@@ -1,0 +1,268 @@
+"""The command line: ``splitknit VERB``.
+
+Exit code 0: done; 2: the input cannot be used (one sentence on stderr says why and what to do); 1: our failure;
+130: interrupted. Results go to files, facts to stdout, everything else to stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from splitknit import __version__
+from splitknit.check import BadInput
+
+DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PRESETS = ("metric", "snk", "pr", "ea")
+
+Outcome = tuple[dict[str, Any], list[str]]
+"""Facts for ``--json``, and the same in lines for people."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb and return the exit code."""
+    parser = build_parser()
+    try:
+        options = parser.parse_args(arguments)
+        if options.verb is None:
+            parser.print_help(sys.stderr)
+            return BAD_INPUT
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return _guarded(options)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser with all verbs."""
+    parser = argparse.ArgumentParser(
+        prog="splitknit",
+        description="Metric 3D fingerprints from photographs of a finger under one light after another.",
+        epilog="Exit code: 0 done, 2 the input cannot be used, 1 our failure. 'splitknit VERB --help' tells more.",
+    )
+    parser.add_argument("--version", action="version", version=f"splitknit {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
+    _add_demo(verbs)
+    _add_simulate(verbs)
+    _add_reconstruct(verbs)
+    return parser
+
+
+def _add_demo(verbs: Any) -> None:
+    verb = _verb(verbs, "demo", "simulate a finger, reconstruct it, compare it with the truth", run_demo)
+    verb.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write (default: demo)")
+    verb.add_argument("--seed", type=_natural, default=1, help="which finger (default: 1)")
+    verb.add_argument(
+        "--scale", type=_scale, default=0.5, help="size of the images, 1 = 3200 x 2200 pixels (default: 0.5)"
+    )
+
+
+def _add_simulate(verbs: Any) -> None:
+    verb = _verb(verbs, "simulate", "photograph a simulated finger: a capture folder with truth", run_simulate)
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
+    verb.add_argument("--seed", type=_natural, default=0, help="which finger (default: 0)")
+    verb.add_argument(
+        "--pattern", default=None, help="loop, whorl, arch or another master print the twin knows (default: drawn)"
+    )
+    verb.add_argument(
+        "--scale", type=_scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
+    )
+    _add_settings(verb)
+
+
+def _add_reconstruct(verbs: Any) -> None:
+    verb = _verb(verbs, "reconstruct", "turn a capture folder into a 3D fingerprint in millimetres", run_reconstruct)
+    verb.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder (with capture.json)")
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
+    verb.add_argument(
+        "--preset",
+        choices=PRESETS,
+        default="metric",
+        help="metric (ours, the default), or the thesis's snk (whole algorithm), pr (direct light, no split), ea (plain)",
+    )
+    _add_settings(verb)
+
+
+def _verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
+    verb: argparse.ArgumentParser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+    verb.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+    verb.add_argument("--traceback", action="store_true", help="show where an error came from")
+    verb.set_defaults(run=run)
+    return verb
+
+
+def _add_settings(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="STAGE.FIELD=VALUE",
+        dest="assignments",
+        help="change one setting; may be repeated and wins over --settings",
+    )
+    verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
+
+
+def run_demo(options: argparse.Namespace) -> Outcome:
+    """Simulate, reconstruct, compare."""
+    from splitknit.apps.demo import demo  # noqa: PLC0415 - verbs import what they need, so that --help is quick
+
+    with _Progress(options) as progress:
+        facts = demo(options.out, seed=options.seed, scale=options.scale, progress=progress.update)
+    figures = facts["comparison"]
+    lines = [
+        f"A simulated finger was photographed, reconstructed and compared with the truth in {facts['total_s']:.0f} s."
+    ]
+    for preset, figure in figures.items():
+        lines.append(
+            f"  {preset:7s} surface rms {figure['surface_rms_mm']:.3f} mm, "
+            f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}"
+        )
+    lines += [f"Open {options.out / 'report.html'} in a browser. Also written:"]
+    lines += [f"  {options.out / name}: {what}" for name, what in facts["written"].items()]
+    return facts, lines
+
+
+def run_simulate(options: argparse.Namespace) -> Outcome:
+    """Write a simulated capture."""
+    from splitknit.apps.commands import simulate_to_folder  # noqa: PLC0415
+    from splitknit.apps.options import read_changes  # noqa: PLC0415
+
+    changes = read_changes(options.settings, options.assignments)
+    with _Progress(options) as progress:
+        facts = simulate_to_folder(
+            options.out,
+            seed=options.seed,
+            pattern=options.pattern,
+            scale=options.scale,
+            changes=changes,
+            progress=progress.update,
+        )
+    rows, columns = facts["image_size"]
+    lines = [
+        f"Simulated capture of a {facts['pattern']} written to {options.out}: "
+        f"{facts['images']} images of {columns} x {rows} pixels, with truth.",
+        f"Next: splitknit reconstruct {options.out} --out RESULT",
+    ]
+    return facts, lines
+
+
+def run_reconstruct(options: argparse.Namespace) -> Outcome:
+    """Write a reconstruction."""
+    from splitknit.apps.commands import reconstruct_to_folder  # noqa: PLC0415
+    from splitknit.apps.options import read_changes  # noqa: PLC0415
+
+    changes = read_changes(options.settings, options.assignments)
+    with _Progress(options) as progress:
+        facts = reconstruct_to_folder(
+            options.capture, options.out, preset=options.preset, changes=changes, progress=progress.update
+        )
+    lines = [
+        f"{facts['area_mm2']:.0f} mm² of skin reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
+        f"Written to {options.out}: {', '.join(facts['files'])}.",
+    ]
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    for preset, figure in facts["comparison"].items():
+        lines.append(
+            f"Against the truth ({preset}): surface rms {figure['surface_rms_mm']:.3f} mm, "
+            f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}."
+        )
+    lines.append(f"Open {options.out / 'report.html'} in a browser.")
+    return facts, lines
+
+
+def _guarded(options: argparse.Namespace) -> int:
+    """Run the verb; turn what goes wrong into one line and an exit code."""
+    try:
+        facts, lines = options.run(options)
+        _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
+    except BadInput as error:
+        return _fail(options, f"splitknit: error: {_one_line(error)}", BAD_INPUT)
+    except KeyboardInterrupt:
+        return _fail(options, "splitknit: interrupted; nothing was left half-written.", INTERRUPTED)
+    except BrokenPipeError:
+        # the reader of stdout has gone (`splitknit ... | head`): the work is done, so this is no error
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except MemoryError:
+        message = "splitknit: error: not enough memory for this capture; use smaller images or more memory."
+        return _fail(options, message, OUR_FAILURE)
+    except Exception as error:
+        message = (
+            f"splitknit: {type(error).__name__}: {_one_line(error)} (this is our failure; --traceback shows where)"
+        )
+        return _fail(options, message, OUR_FAILURE)
+    return DONE
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _fail(options: argparse.Namespace, message: str, code: int) -> int:
+    if options.traceback:
+        traceback.print_exc()
+    print(message, file=sys.stderr)
+    return code
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or "no further words"
+
+
+def _natural(text: str) -> int:
+    value = int(text) if text.isascii() and text.isdigit() else -1
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 0 to 2^63 - 1")
+    return value
+
+
+def _scale(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.05 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a number from 0.05 to 1")
+    return value
+
+
+class _Progress:
+    """A bar on a terminal; silence in a pipe and with ``--json``."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._bar: Any = None
+        self._wanted = sys.stderr.isatty() and not options.json
+
+    def __enter__(self) -> _Progress:
+        if self._wanted:
+            from tqdm import tqdm  # noqa: PLC0415
+
+            self._bar = tqdm(
+                total=100,
+                leave=False,
+                bar_format="{desc:24.24s} |{bar}| {percentage:3.0f} % {elapsed}",
+                file=sys.stderr,
+            )
+        return self
+
+    def update(self, stage: str, share: float) -> None:
+        """Say that `stage` is at work and `share` (0 to 1) of everything is done."""
+        if self._bar is not None:
+            self._bar.set_description_str(stage, refresh=False)
+            self._bar.n = min(100.0, round(100.0 * share, 1))
+            self._bar.refresh()
+
+    def __exit__(self, *unused: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""Settings as users write them: ``--set stage.field=value`` and ``--settings FILE``."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from splitknit.check import BadInput, require
+from splitknit.settings import flatten
+
+
+def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:
+    """Return all changed settings as ``stage.field`` and value; assignments win over the file.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read or an assignment is not ``stage.field=value``.
+    """
+    changes = {} if file is None else read_settings_file(file)
+    for assignment in assignments:
+        name, value = parse_assignment(assignment)
+        changes[name] = value
+    return changes
+
+
+def parse_assignment(text: str) -> tuple[str, Any]:
+    """Split ``stage.field=value``; the value is JSON or a TOML value, and plain words are text.
+
+    Examples
+    --------
+    >>> parse_assignment("normals.iterations=3")
+    ('normals.iterations', 3)
+    >>> parse_assignment("knit.mode=crossover")
+    ('knit.mode', 'crossover')
+    """
+    name, equals, value = text.partition("=")
+    name = name.strip()
+    parts = name.split(".")
+    sound = bool(equals) and all(part.isidentifier() for part in parts)
+    require(sound, f"--set {text!r} is not of the form stage.field=value, for example normals.method=robust.")
+    return name, _scalar(value.strip())
+
+
+def _scalar(text: str) -> Any:
+    """Return the value that `text` stands for; NaN and infinity are left to the settings to refuse."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        pass
+    try:
+        return tomllib.loads(f"value = {text}")["value"] if "\n" not in text else text
+    except (ValueError, RecursionError):
+        return text
+
+
+def read_settings_file(path: Path) -> dict[str, Any]:
+    """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted names."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a text file"
+        raise BadInput(f"the settings file '{path}' cannot be read: {reason}.") from error
+    try:
+        tree = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        raise BadInput(f"the settings file '{path}' is not sound {kind}: {error}.") from error
+    require(isinstance(tree, dict), f"the settings file '{path}' must hold a table of settings by stage.")
+    return flatten(tree)
