@@ -1,0 +1,235 @@
+"""The smooth finger: an implicit body, and the chart that lays its skin flat.
+
+Finger frame, mm: y along the finger, 0 at the first flexion crease and `length_mm` at the tip; z out of the pad; x to
+the right as a camera above the pad sees it. The body is where ``body(...) <= 0``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FingerShape:
+    """Size and form of a distal phalanx and the middle phalanx below it (one finger, without pose or ridges).
+
+    The cross-section is a superellipse-like curve ``h(X^2) + h(Z^2) = 1`` with ``h(q) = (1 - k) q + k q^2``; towards the
+    tip the same curve is revolved about the pad's top, so the cap is smooth.
+    """
+
+    length_mm: float = 25.0
+    """Tip to first crease; people: 22-28."""
+    width_mm: float = 16.8
+    """Breadth of the pad; people: 14-20."""
+    thickness_mm: float = 13.5
+    """Twice the height of the pad over the widest line of the section."""
+    squareness: float = 0.2
+    """k of the cross-section: 0 an ellipse, towards 0.45 a flatter pad with rounder shoulders."""
+    tip_length_mm: float = 8.5
+    """Length of the rounded cap; short is blunt."""
+    tip_squareness: float = 0.15
+    """0 an elliptic outline of the tip, towards 0.5 a squarer one."""
+    taper: float = 0.06
+    """Relative growth of the breadth from the crease to 20 mm further proximal."""
+    pad_bulge: float = 0.05
+    """Relative rise of the pad over its neck, in thickness; half of it in breadth."""
+    pad_center: float = 0.5
+    """Where the bulge is highest, as a fraction of the length."""
+    neck: float = 0.03
+    """Relative dip of the palmar side at the first crease."""
+    arching_per_mm: float = 0.0015
+    """Curvature of the finger's axis in the vertical plane."""
+    sideways_mm: float = 0.0
+    """How far the axis bends to the side over 25 mm."""
+    skew: float = 0.0
+    """Shear of the sections: the pad's top lies off the middle by this fraction of the height."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("length_mm", 15.0, 40.0),
+            ("width_mm", 8.0, 30.0),
+            ("thickness_mm", 6.0, 30.0),
+            ("squareness", 0.0, 0.6),
+            ("tip_length_mm", 4.0, 14.0),
+            ("tip_squareness", 0.0, 0.6),
+            ("pad_center", 0.2, 0.8),
+        ):
+            value = getattr(self, name)
+            require(low <= value <= high, f"finger.{name} must lie in [{low}, {high}], but it is {value}.")
+        for name in ("taper", "pad_bulge", "neck", "arching_per_mm", "skew"):
+            value = getattr(self, name)
+            require(abs(value) <= 0.2, f"finger.{name} must lie in [-0.2, 0.2], but it is {value}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerBody:
+    """A :class:`FingerShape` ready to be evaluated."""
+
+    shape: FingerShape
+    _arc: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_arc", _arc_coefficients(self.shape.squareness))
+
+    def value(self, x: Array, y: Array, z: Array) -> Array:
+        """Return the implicit function: negative inside, zero on the skin."""
+        form = self._sections(y)
+        side, reach, up = self._scaled(form, x, z)
+        return np.asarray(self._h(self._radius2(side, reach)) + self._h(up * up) - 1.0, dtype=np.float64)
+
+    def value_and_gradient(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the implicit function and its derivatives along x, y and z."""
+        shape = self.shape
+        form = self._sections(y)
+        side, reach, up = self._scaled(form, x, z)
+        radius2, up2 = self._radius2(side, reach), up * up
+        k, t = shape.squareness, shape.tip_squareness
+        outer = (1.0 - k) + 2.0 * k * radius2
+        inner = ((1.0 - k) + 2.0 * k * up2) * 2.0 * up
+        on_side = outer * 2.0 * side * (1.0 - t * reach * reach)
+        on_reach = outer * 2.0 * reach * (1.0 - t * side * side)
+        half, half_slope, rise, rise_slope, axis_slope, drop_slope, cap_slope = (
+            form.half, form.half_slope, form.rise, form.rise_slope, form.axis_slope, form.drop_slope, form.cap_slope,
+        )  # fmt: skip
+        along_x = on_side / half
+        along_z = inner / rise - on_side * shape.skew / half
+        along_y = (
+            on_side * ((shape.skew * drop_slope - axis_slope) - side * half_slope) / half
+            + on_reach * cap_slope / shape.tip_length_mm
+            - inner * (drop_slope + up * rise_slope) / rise
+        )
+        return self._h(radius2) + self._h(up2) - 1.0, along_x, along_y, along_z
+
+    def distance_and_chart(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        """Return the distance from the smooth skin (mm, positive outside) and the chart (u, v) in arc length, mm.
+
+        The distance is the first-order one, value over length of gradient. The chart is exact on the middle line and
+        around the straight part of the finger; on the rounded cap it is azimuthal about the pad's top.
+        """
+        shape = self.shape
+        value, gx, gy, gz = self.value_and_gradient(x, y, z)
+        distance = value / np.sqrt(gx * gx + gy * gy + gz * gz)
+        form = self._sections(y)
+        side, reach, up = self._scaled(form, x, z)
+        lateral, forward = side * form.half, reach * shape.tip_length_mm
+        physical = np.sqrt(lateral * lateral + forward * forward)
+        radius = np.sqrt(np.maximum(self._radius2(side, reach), 1e-24))
+        axis = physical / radius  # half axis of the section through the pad's top and this point
+        ratio = axis / form.rise
+        angle = np.arctan2(radius, up)
+        norm = 1.0 / (radius * radius + up * up)
+        double_sine, double_cosine = 2.0 * radius * up * norm, (up * up - radius * radius) * norm
+        c = [((p[3] * ratio + p[2]) * ratio + p[1]) * ratio + p[0] for p in self._arc]
+        quad_sine = 2.0 * double_sine * double_cosine
+        six_sine = double_sine * (4.0 * double_cosine * double_cosine - 1.0)
+        arc = form.rise * (c[0] * angle + c[1] * double_sine + c[2] * quad_sine + c[3] * six_sine)
+        stretch = arc / np.maximum(physical, 1e-12)
+        return distance, stretch * lateral, (y - forward) + stretch * forward
+
+    def top(self, x: Array, y: Array) -> Array:
+        """Return z of the palmar skin over (x, y) of an unskewed section frame; NaN beside the finger."""
+        form = self._sections(y)
+        side, reach = x / form.half, form.cap / self.shape.tip_length_mm
+        k = self.shape.squareness
+        rest = 1.0 - self._h(self._radius2(side, reach))
+        up2 = 2.0 * rest / ((1.0 - k) + np.sqrt((1.0 - k) ** 2 + 4.0 * k * np.maximum(rest, 0.0)))
+        return np.asarray(np.where(rest >= 0, form.drop + form.rise * np.sqrt(np.maximum(up2, 0.0)), np.nan))
+
+    def axis_line(self, y: Array) -> tuple[Array, Array]:
+        """Return x and z of the finger's axis over `y`."""
+        form = self._sections(y)
+        return form.axis, form.drop
+
+    def axis_point(self, y: float) -> Array:
+        """Return (3,) the point of the finger's axis at `y`."""
+        form = self._sections(np.array([y]))
+        return np.array([form.axis[0], y, form.drop[0]])
+
+    def _h(self, q: Array) -> Array:
+        k = self.shape.squareness
+        return q * ((1.0 - k) + k * q)
+
+    def _radius2(self, side: Array, reach: Array) -> Array:
+        side2, reach2 = side * side, reach * reach
+        return side2 + reach2 - self.shape.tip_squareness * side2 * reach2
+
+    def _scaled(self, form: _Sections, x: Array, z: Array) -> tuple[Array, Array, Array]:
+        above = z - form.drop
+        side = (x - form.axis - self.shape.skew * above) / form.half
+        return side, form.cap / self.shape.tip_length_mm, above / form.rise
+
+    def _sections(self, y: Array) -> _Sections:
+        """Half breadth, rise and axis of the section at `y`, with their slopes."""
+        s = self.shape
+        pad = np.exp(-0.5 * ((y - s.pad_center * s.length_mm) / (0.27 * s.length_mm)) ** 2)
+        pad_slope = -pad * (y - s.pad_center * s.length_mm) / (0.27 * s.length_mm) ** 2
+        neck = np.exp(-0.5 * (y / 2.6) ** 2)
+        neck_slope = -neck * y / 2.6**2
+        joint = np.exp(-0.5 * ((y + 3.0) / 4.0) ** 2)
+        joint_slope = -joint * (y + 3.0) / 4.0**2
+        grown, grown_slope = _softplus(-(y - 1.0), 3.0)
+        grown, grown_slope = grown / 20.0, -grown_slope / 20.0
+        a, b = 0.5 * s.width_mm, 0.5 * s.thickness_mm
+        half = a * (1.0 + s.taper * grown + 0.5 * s.pad_bulge * (pad - 0.8) + 0.02 * joint)
+        half_slope = a * (s.taper * grown_slope + 0.5 * s.pad_bulge * pad_slope + 0.02 * joint_slope)
+        rise = b * (1.0 + s.taper * grown + s.pad_bulge * (pad - 0.8) - s.neck * neck)
+        rise_slope = b * (s.taper * grown_slope + s.pad_bulge * pad_slope - s.neck * neck_slope)
+        turn = s.sideways_mm / 25.0**2
+        lean = y - 8.0
+        width = 0.12 * s.tip_length_mm
+        cap, cap_slope = _softplus(y - s.length_mm + s.tip_length_mm - width * width / s.tip_length_mm, width)
+        return _Sections(
+            half, half_slope, rise, rise_slope,
+            turn * y * y, 2.0 * turn * y,
+            -0.5 * s.arching_per_mm * lean * lean, -s.arching_per_mm * lean,
+            cap, cap_slope,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sections:
+    half: Array
+    half_slope: Array
+    rise: Array
+    rise_slope: Array
+    axis: Array
+    axis_slope: Array
+    drop: Array
+    drop_slope: Array
+    cap: Array
+    cap_slope: Array
+
+
+def _softplus(x: Array, width: float) -> tuple[Array, Array]:
+    """Return a smooth max(x, 0) that turns within about `width`, and its slope."""
+    root = np.sqrt(x * x + 4.0 * width * width)
+    return 0.5 * (x + root), 0.5 * (1.0 + x / root)
+
+
+def _arc_coefficients(squareness: float) -> Array:
+    """(4, 4) polynomials in the ratio A / b of the Fourier coefficients of the arc length over the angle.
+
+    Arc length of a section from its top, over its rise b: ``c0 t + c1 sin 2t + c2 sin 4t + c3 sin 6t`` with
+    ``tan t = X / Z`` in scaled coordinates; fitted by least squares for ratios of 0.6 to 2.
+    """
+    t = np.linspace(0.0, np.pi / 2, 721)
+    sine2, cosine2 = np.sin(t) ** 2, np.cos(t) ** 2
+    k = squareness
+    quartic = k * (sine2**2 + cosine2**2)
+    radius = np.sqrt(2.0 / ((1.0 - k) + np.sqrt((1.0 - k) ** 2 + 4.0 * quartic)))
+    side, up = radius * np.sin(t), radius * np.cos(t)
+    basis = np.stack([t, np.sin(2 * t), np.sin(4 * t), np.sin(6 * t)], 1)
+    ratios = np.linspace(0.6, 2.0, 15)
+    fits = []
+    for ratio in ratios:
+        steps = np.hypot(ratio * np.diff(side), np.diff(up))
+        arc = np.concatenate([[0.0], np.cumsum(steps)])
+        fits.append(np.linalg.lstsq(basis, arc, rcond=None)[0])
+    return np.stack([np.polynomial.polynomial.polyfit(ratios, c, 3) for c in np.array(fits).T])

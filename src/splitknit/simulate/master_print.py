@@ -1,0 +1,220 @@
+"""Master prints: one finger's ridges on an unrolled map, before depth, skin or pose.
+
+The map lies in the skin frame of :mod:`splitknit.simulate.orientation_field`: as a camera sees the pad, tip up, in arc
+length. :func:`ink_print` shows it as ink on paper does, mirrored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.simulate.orientation_field import PATTERNS, OrientationField, orientation_field, smooth_noise
+from splitknit.simulate.pores import scatter_pores
+from splitknit.simulate.ridge_growth import grow_ridges, phase_singularities
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class MasterPrintSettings:
+    """How a master print is drawn."""
+
+    period_mm: float = 0.43
+    """Mean ridge period of the population: 23 ridges per cm."""
+    period_spread: float = 0.07
+    """Standard deviation between fingers, relative to `period_mm`."""
+    period_variation: float = 0.05
+    """Standard deviation within a finger, relative, over distances of about 5 mm."""
+    proximal_widening: float = 0.14
+    """How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer per area)."""
+    half_width_mm: float = 15.0
+    """The map spans u in [-half_width_mm, half_width_mm]."""
+    distal_mm: float = 33.0
+    """The map's extent from the first crease towards the tip."""
+    proximal_mm: float = 24.0
+    """The map's extent from the first crease towards the palm."""
+    pitch_mm: float = 0.04
+    """Grid pitch of the map."""
+    iterations: int = 12
+    """Passes of the growth filter; fewer leave more minutiae."""
+    roughness: float = 0.06
+    """Standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude."""
+    pore_spacing_mm: float = 0.65
+    """Mean distance of the pores along a ridge (9 to 18 a centimetre)."""
+    pore_diameter_mm: float = 0.13
+    """Mean full width at half depth of a pore."""
+
+    def __post_init__(self) -> None:
+        for name in ("period_mm", "half_width_mm", "distal_mm", "proximal_mm", "pitch_mm", "pore_spacing_mm"):
+            value = getattr(self, name)
+            require(np.isfinite(value) and value > 0, f"master_print.{name} must be positive, but it is {value}.")
+        require(
+            self.pitch_mm <= self.period_mm / 8,
+            f"master_print.pitch_mm must be an eighth of the ridge period or less, but it is {self.pitch_mm}.",
+        )
+        require(self.iterations >= 1, f"master_print.iterations must be at least 1, but it is {self.iterations}.")
+        for name in ("period_spread", "period_variation"):
+            value = getattr(self, name)
+            require(0 <= value <= 0.15, f"master_print.{name} must lie in [0, 0.15], but it is {value}.")
+        require(
+            0.08 <= self.pore_diameter_mm <= 0.3,
+            f"master_print.pore_diameter_mm must lie in [0.08, 0.3], but it is {self.pore_diameter_mm}.",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MasterPrint:
+    """Ridges of one finger in the skin frame: u to the right, v towards the tip, v = 0 on the first crease."""
+
+    pattern: str
+    seed: int
+    ridge: Array32
+    """(H, W) skin height without pores: 0 in valleys, 1 on the flat tops of ridges."""
+    pores: Array32
+    """(H, W) 1 at the bottom of a pore, 0 on plain skin."""
+    u_mm: Array
+    """(W,) coordinate of the columns."""
+    v_mm: Array
+    """(H,) coordinate of the rows; falls with the row."""
+    period_mm: float
+    """This finger's mean ridge period around the core."""
+    cores_mm: tuple[tuple[float, float], ...]
+    """(u, v) of the cores."""
+    deltas_mm: tuple[tuple[float, float], ...]
+    """(u, v) of the deltas."""
+    minutiae: Array
+    """(N, 3) u_mm, v_mm and direction (rad, counter-clockwise from u) towards the side that has one more ridge."""
+
+
+def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None = None) -> MasterPrint:
+    """Draw one finger's master print.
+
+    Parameters
+    ----------
+    pattern
+        ``arch``, ``tented_arch``, ``left_loop``, ``right_loop``, ``whorl``, ``twin_loop``, or ``loop`` (the seed
+        decides its side). Sides are those of the inked print.
+    seed
+        Everything follows from it: the same seed gives the same bytes whatever the number of threads.
+
+    Raises
+    ------
+    BadInput
+        If `pattern` is not known.
+
+    Examples
+    --------
+    >>> small = MasterPrintSettings(half_width_mm=5, distal_mm=20, proximal_mm=2)
+    >>> master_print("whorl", seed=1, settings=small).ridge.shape
+    (552, 252)
+    """
+    settings = settings or MasterPrintSettings()
+    draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0x9A17]).spawn(6)]
+    if pattern == "loop":
+        pattern = str(draws[5].choice(("left_loop", "right_loop")))
+    require(pattern in PATTERNS, f"pattern '{pattern}' is not known; choose one of loop, {', '.join(PATTERNS)}.")
+    coarse = 2 * settings.pitch_mm
+    u_mm, v_mm = _axes(settings, coarse)
+    field = orientation_field(pattern, draws[0], u_mm, v_mm)
+    mean_period, period = _periods(draws[1], settings, field, u_mm, v_mm)
+    noise = draws[2].standard_normal((v_mm.size, u_mm.size)).astype(np.float32)
+    wave = grow_ridges(noise, field.angle_rad, period / coarse, iterations=settings.iterations)
+    minutiae = phase_singularities(wave, field.angle_rad)
+    minutiae[:, 0] = u_mm[0] + coarse * minutiae[:, 0]
+    minutiae[:, 1] = v_mm[0] - coarse * minutiae[:, 1]
+    fine = _twice_as_fine(wave)
+    fine_u = u_mm[0] + settings.pitch_mm * np.arange(fine.shape[1])
+    fine_v = v_mm[0] - settings.pitch_mm * np.arange(fine.shape[0])
+    return MasterPrint(
+        pattern,
+        seed,
+        _profile(draws[3], fine, settings),
+        scatter_pores(
+            draws[4], fine, settings.pitch_mm, mean_period, settings.pore_spacing_mm, settings.pore_diameter_mm
+        ),
+        fine_u,
+        fine_v,
+        mean_period,
+        field.cores_mm,
+        field.deltas_mm,
+        minutiae,
+    )
+
+
+def _axes(settings: MasterPrintSettings, pitch: float) -> tuple[Array, Array]:
+    """Coarse axes whose lengths suit the Fourier transform; the nominal extent is covered."""
+    columns = scipy.fft.next_fast_len(int(np.ceil(2 * settings.half_width_mm / pitch)) + 1, real=True)
+    rows = scipy.fft.next_fast_len(int(np.ceil((settings.distal_mm + settings.proximal_mm) / pitch)) + 1, real=True)
+    return (np.arange(columns) - (columns - 1) / 2) * pitch, settings.distal_mm - np.arange(rows) * pitch
+
+
+def _periods(
+    rng: np.random.Generator, settings: MasterPrintSettings, field: OrientationField, u_mm: Array, v_mm: Array
+) -> tuple[float, Array]:
+    """Mean period around the core and (H, W) local periods, mm."""
+    mean = settings.period_mm * float(np.exp(settings.period_spread * np.clip(rng.standard_normal(), -2.2, 2.2)))
+    center = field.cores_mm[0][1] if field.cores_mm else 14.0
+    shape = (v_mm.size, u_mm.size)
+    widening = settings.proximal_widening * rng.uniform(0.4, 1.6)
+    logs = settings.period_variation * smooth_noise(rng, shape, 4.0 / float(u_mm[1] - u_mm[0]))
+    logs = np.clip(logs, -0.14, 0.14)
+    logs += (widening * 0.5 * (1.0 - np.tanh((v_mm - 0.45 * center) / 4.0)))[:, None]
+    logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u_mm) / 10.0, 0.0, 1.5) ** 2)[None, :]
+    return mean, mean * np.exp(logs)
+
+
+def _twice_as_fine(wave: Array32) -> Array32:
+    """Band-limited interpolation to half the pitch (the wave is periodic on its grid)."""
+    rows, columns = wave.shape
+    spectrum = scipy.fft.rfft2(wave)
+    padded = np.zeros((2 * rows, columns + 1), dtype=spectrum.dtype)
+    half_row, half_column = (rows + 1) // 2, (columns + 1) // 2
+    padded[:half_row, :half_column] = spectrum[:half_row, :half_column]
+    padded[-(rows - half_row) :, :half_column] = spectrum[half_row:, :half_column]
+    return np.asarray(4.0 * scipy.fft.irfft2(padded, s=(2 * rows, 2 * columns)), dtype=np.float32)
+
+
+def _profile(rng: np.random.Generator, wave: Array32, settings: MasterPrintSettings) -> Array32:
+    """Flat ridges and narrower valleys: a soft step of the wave, its duty varying over the finger."""
+    pitch = settings.pitch_mm
+    duty = rng.uniform(0.15, 0.5) + 0.1 * smooth_noise(rng, wave.shape, 2.5 / pitch)
+    rough = smooth_noise(rng, wave.shape, 0.09 / pitch)
+    steep = rng.uniform(1.5, 2.2)
+    level = steep * (wave + duty + settings.roughness * rough)
+    low, high = np.tanh(steep * (-0.9 + duty)), np.tanh(steep * (0.9 + duty))
+    return np.asarray(np.clip((np.tanh(level) - low) / (high - low), -0.05, 1.05), dtype=np.float32)
+
+
+def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 9.0) -> NDArray[np.uint8]:
+    """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit.
+
+    The contact patch is an ellipse from 1 mm above the first crease to about the tip.
+
+    Parameters
+    ----------
+    resolution_ppi
+        Pixels per inch of the image.
+    half_width_mm
+        Half the width of the contact patch.
+    """
+    step = 25.4 / resolution_ppi
+    top, bottom = 25.0, 1.0
+    rows, columns = round((top - bottom) / step), round(2 * half_width_mm / step)
+    v = top - (np.arange(rows) + 0.5) * step
+    u = half_width_mm - (np.arange(columns) + 0.5) * step  # mirrored
+    pitch = float(master.u_mm[1] - master.u_mm[0])
+    x, y = np.meshgrid((u - master.u_mm[0]) / pitch, (master.v_mm[0] - v) / pitch)
+    skin = np.clip(master.ridge - 0.6 * master.pores, 0.0, 1.0)
+    blurred = cv2.GaussianBlur(skin, (0, 0), max(0.4 * step / pitch, 0.3))
+    ink = cv2.remap(blurred, x.astype(np.float32), y.astype(np.float32), cv2.INTER_CUBIC)
+    shape = np.hypot(u[None, :] / half_width_mm, (v[:, None] - 0.5 * (top + bottom)) / (0.5 * (top - bottom)))
+    contact = 1.0 / (1.0 + np.exp((shape - 0.97) / 0.015))
+    dark = contact / (1.0 + np.exp(-(ink - 0.55) / 0.12))
+    return np.asarray(np.round(255.0 * (1.0 - 0.92 * dark)), dtype=np.uint8)

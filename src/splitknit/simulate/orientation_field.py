@@ -1,0 +1,174 @@
+"""Orientation fields of fingerprint classes: where ridges run, before any ridge exists.
+
+Frame of all master prints (the *skin frame*): the finger pad as a camera above it sees it, tip up, arc length in
+millimetres. u points right, v towards the tip, v = 0 lies on the first flexion crease. An inked print is the mirror
+image of that view, and classes are named after the print: the legs of a ``left_loop`` leave to the left on the
+print, so towards u > 0 here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+
+Array = NDArray[np.float64]
+Point = tuple[float, float]
+
+PATTERNS = ("arch", "tented_arch", "left_loop", "right_loop", "whorl", "twin_loop")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientationField:
+    """Ridge directions on a grid, and the singular points they turn about."""
+
+    angle_rad: Array
+    """(H, W) direction of the ridges, counter-clockwise from u, defined up to pi."""
+    cores_mm: tuple[Point, ...]
+    """(u, v) of the cores: the direction turns by +pi around each."""
+    deltas_mm: tuple[Point, ...]
+    """(u, v) of the deltas: the direction turns by -pi around each."""
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:
+    """Return (H, W) Gaussian noise, blurred by `sigma_px`, with unit standard deviation in expectation.
+
+    It is drawn on a grid of about sigma/2 and interpolated, so its cost does not grow with `sigma_px`.
+    """
+    step = max(sigma_px / 2.0, 1.0)
+    coarse = (int(np.ceil(shape[0] / step)) + 8, int(np.ceil(shape[1] / step)) + 8)
+    white = rng.standard_normal(coarse)
+    sigma = sigma_px / step
+    blurred = cv2.GaussianBlur(white, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    blurred *= 2.0 * np.sqrt(np.pi) * sigma
+    if step > 1.0:
+        size = (int(round(coarse[1] * step)), int(round(coarse[0] * step)))
+        blurred = cv2.resize(blurred, size, interpolation=cv2.INTER_CUBIC)
+    offset = int(3 * step)
+    return np.asarray(blurred[offset : offset + shape[0], offset : offset + shape[1]], dtype=np.float64)
+
+
+def orientation_field(pattern: str, rng: np.random.Generator, u_mm: Array, v_mm: Array) -> OrientationField:
+    """Draw the orientation field of one finger.
+
+    The zero-pole model places cores and deltas; each singularity bends its own angle (after Vizcaya and Gerhardt),
+    an envelope lays the upper ridges along the outline of the tip, and smooth noise warps the plane and the angle.
+    Below the first crease the field relaxes to the slightly oblique transverse ridges of the middle phalanx.
+
+    Parameters
+    ----------
+    pattern
+        One of `PATTERNS`.
+    rng
+        Source of all draws.
+    u_mm, v_mm
+        (W,) and (H,) regular coordinates of the grid in the skin frame; v falls with the row.
+
+    Raises
+    ------
+    BadInput
+        If `pattern` is not known.
+
+    References
+    ----------
+    Sherlock and Monro 1993, A model for interpreting fingerprint topology, eq. 5.
+    Vizcaya and Gerhardt 1996, A nonlinear orientation model for global description of fingerprints.
+    """
+    require(pattern in PATTERNS, f"pattern '{pattern}' is not known; choose one of {', '.join(PATTERNS)}.")
+    pitch = float(u_mm[1] - u_mm[0])
+    shape = (v_mm.size, u_mm.size)
+    u, v = np.meshgrid(u_mm, v_mm)
+    warp = rng.uniform(0.4, 1.1)
+    wu = u + warp * smooth_noise(rng, shape, 5.0 / pitch)
+    wv = v + warp * smooth_noise(rng, shape, 5.0 / pitch)
+    center = (rng.uniform(-1.2, 1.2), rng.uniform(11.5, 16.5))
+    cores, deltas = _singularities(pattern, rng, center)
+    angle = _arch(rng, wu, wv, center) if pattern == "arch" else _zero_pole(rng, wu, wv, cores, deltas)
+    angle += _envelope(rng, wu - center[0], wv - center[1], pattern)
+    angle += rng.uniform(0.04, 0.12) * smooth_noise(rng, shape, 3.0 / pitch)
+    angle += rng.uniform(-0.12, 0.12)
+    angle = _relax_below_crease(rng, angle, u, v, pitch)
+    return OrientationField(
+        angle,
+        tuple(_unwarp(point, wu, wv, u_mm, v_mm) for point in cores),
+        tuple(_unwarp(point, wu, wv, u_mm, v_mm) for point in deltas),
+    )
+
+
+def _singularities(
+    pattern: str, rng: np.random.Generator, center: Point
+) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
+    """Cores and deltas (u, v) in the skin frame."""
+    cu, cv = center
+    if pattern == "arch":
+        return (), ()
+    if pattern == "tented_arch":
+        cv -= rng.uniform(1.0, 4.0)
+        return ((cu, cv),), ((cu + rng.uniform(-0.8, 0.8), cv - rng.uniform(2.0, 5.0)),)
+    if pattern in ("left_loop", "right_loop"):
+        side = -1.0 if pattern == "left_loop" else 1.0  # where the delta lies: across from the open legs
+        return ((cu, cv),), ((cu + side * rng.uniform(2.5, 8.0), cv - rng.uniform(4.0, 10.0)),)
+    left = (cu - rng.uniform(4.0, 8.5), cv - rng.uniform(4.0, 9.5))
+    right = (cu + rng.uniform(4.0, 8.5), cv - rng.uniform(4.0, 9.5))
+    if pattern == "whorl":
+        gap, lean = rng.uniform(0.4, 4.0), rng.uniform(-0.5, 0.5)
+    else:
+        gap, lean = rng.uniform(3.5, 6.5), rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 1.15)
+    du, dv = 0.5 * gap * np.sin(lean), 0.5 * gap * np.cos(lean)
+    return ((cu + du, cv + dv - 0.4 * gap), (cu - du, cv - dv - 0.4 * gap)), (left, right)
+
+
+def _zero_pole(
+    rng: np.random.Generator, u: Array, v: Array, cores: tuple[Point, ...], deltas: tuple[Point, ...]
+) -> Array:
+    angle = np.zeros(u.shape)
+    for sign, points in ((0.5, cores), (-0.5, deltas)):
+        for pu, pv in points:
+            about = np.arctan2(v - pv, u - pu)
+            bend = rng.uniform(-0.28, 0.28, 2)
+            phase = rng.uniform(-np.pi, np.pi, 2)
+            bent = about + bend[0] * np.sin(about + phase[0]) + 0.5 * bend[1] * np.sin(2 * about + phase[1])
+            angle += sign * bent
+    return angle
+
+
+def _arch(rng: np.random.Generator, u: Array, v: Array, center: Point) -> Array:
+    """Ridges that rise and fall across the finger: the steepness peaks at some height and dies at the crease."""
+    width = rng.uniform(3.0, 6.0)
+    steep = rng.uniform(0.5, 1.5)
+    peak = center[1] - rng.uniform(1.0, 5.0)
+    spread = rng.uniform(3.5, 6.5)
+    skew = rng.uniform(-0.06, 0.06)
+    x = (u - center[0] - skew * (v - peak)) / width
+    profile = np.exp(-0.5 * ((v - peak) / spread) ** 2)
+    return np.asarray(np.arctan(-steep * profile * 1.65 * x * np.exp(-0.5 * x * x)), dtype=np.float64)
+
+
+def _envelope(rng: np.random.Generator, u: Array, v: Array, pattern: str) -> Array:
+    """Extra fall of the ridges towards both sides above the core, where they follow the outline of the tip."""
+    strength = rng.uniform(0.1, 0.5) + (0.35 if pattern in ("arch", "tented_arch") else 0.0)
+    width = rng.uniform(4.0, 8.0)
+    onset = rng.uniform(-6.0, 0.0)
+    reach = rng.uniform(3.0, 6.0)
+    skew = rng.uniform(-0.8, 0.8)
+    return np.asarray(
+        -strength * np.tanh((u + skew) / width) / (1.0 + np.exp(-(v - onset) / (0.5 * reach))), dtype=np.float64
+    )
+
+
+def _relax_below_crease(rng: np.random.Generator, angle: Array, u: Array, v: Array, pitch: float) -> Array:
+    tilt = rng.uniform(-0.35, 0.35)
+    wave = tilt + 0.18 * smooth_noise(rng, angle.shape, 4.0 / pitch) + rng.uniform(-0.03, 0.03) * u
+    weight = 1.0 / (1.0 + np.exp(-(v - 1.0) / 0.7))
+    doubled = weight * np.exp(2j * angle) + (1.0 - weight) * np.exp(2j * wave)
+    return np.asarray(0.5 * np.angle(doubled), dtype=np.float64)
+
+
+def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Point:
+    """Grid position whose warped coordinates are nearest to `point`."""
+    row, column = np.unravel_index(int(np.argmin((wu - point[0]) ** 2 + (wv - point[1]) ** 2)), wu.shape)
+    return float(u_mm[column]), float(v_mm[row])
