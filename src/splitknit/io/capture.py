@@ -1,0 +1,236 @@
+"""Capture folders, format ``splitknit-capture`` version 1: read with every check, written whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import BadInput, check_mask, require
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture_file import BANDS, CAPTURE_FORMAT, CAPTURE_VERSION, BandPlan, CapturePlan, read_plan
+from splitknit.io.content import ContentSettings, check_content, mask_from_image
+from splitknit.io.images import ImageSettings, StackReader, encode_image
+from splitknit.io.npz import write_npz
+from splitknit.io.provenance import JsonValue, plain_json
+from splitknit.io.rig import rig_to_json
+from splitknit.types import Band, Capture, PixelArray
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """How a capture folder is read."""
+
+    images: ImageSettings = field(default_factory=ImageSettings)
+    """Limits on files, and threads."""
+    content: ContentSettings = field(default_factory=ContentSettings)
+    """When an image is refused as black or overexposed."""
+
+
+DEFAULTS = ReadSettings()
+
+
+def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS) -> Capture:
+    """Read a capture folder.
+
+    Parameters
+    ----------
+    path : the folder, or the ``capture.json`` in it
+
+    Returns
+    -------
+    Capture
+        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.radiance.linear_stack` makes light of them.
+
+    Raises
+    ------
+    BadInput
+        With one sentence that names the file and the remedy: missing, truncated or damaged files, images that differ
+        in size from each other or from the rig's camera, black or overexposed images, too few images, LEDs that are
+        missing, of the wrong band, coplanar or duplicate, broken JSON, and paths that leave the folder.
+    """
+    plan = read_plan(_document(path))
+    folder = _document(path).parent
+    size, rig_name = plan.rig.camera.image_size, f"{plan.rig_file} (is the rig for another camera?)"
+    with StackReader(settings.images) as reader:
+        stacks = {key: reader.start(band.files, size, rig_name) for key, band in plan.bands.items()}
+        ambients = {
+            key: reader.start([band.ambient], size, rig_name)[0]
+            for key, band in plan.bands.items()
+            if band.ambient is not None
+        }
+        mask_pixels = None if plan.mask is None else reader.start([plan.mask], size, rig_name)[0]
+        hashes = reader.finish()
+    bands = {key: _band(key, band, stacks[key], ambients.get(key)) for key, band in plan.bands.items()}
+    for band in bands.values():
+        check_content(band, settings.content)
+    hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
+    return Capture(
+        rig=plan.rig,
+        bands=bands,
+        encoding=plan.encoding,
+        material=plan.material,
+        tip_direction_deg=plan.tip_direction_deg,
+        mask=None if mask_pixels is None else mask_from_image(mask_pixels, str(plan.mask)),
+        subject=plan.subject,
+        captured_at=plan.captured_at,
+        truth=plan.truth,
+        hashes={Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)},
+    )
+
+
+def write_capture(
+    capture: Capture,
+    folder: str | os.PathLike[str],
+    truth: Mapping[str, Any] | None = None,
+    image_format: str = "png",
+    overwrite: bool = False,
+) -> None:
+    """Write `capture` as a folder that :func:`read_capture` reads back, pixel for pixel.
+
+    Files are named ``white_0.png``, ``ambient_white.png``, ``mask.png``, ``rig.json``, ``truth.npz``, whatever the
+    capture's own files were called. The folder appears when it is complete.
+
+    Parameters
+    ----------
+    truth : arrays for ``truth.npz``; where None, a truth file that the capture names is copied
+    image_format : ``png`` or ``tiff``
+    overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty is refused
+
+    Raises
+    ------
+    BadInput
+        If the capture's parts do not fit each other or the folder cannot be written.
+    """
+    require(image_format in ("png", "tiff"), f"image_format must be 'png' or 'tiff', but it is '{image_format}'.")
+    _check_parts(capture)
+    suffix = "." + image_format
+    with atomic_folder(folder, overwrite=overwrite) as target:
+        images: list[tuple[str, PixelArray]] = []
+        document: dict[str, JsonValue] = {
+            "format": CAPTURE_FORMAT,
+            "version": CAPTURE_VERSION,
+            "rig": "rig.json",
+            "bands": {key: _band_json(capture.bands[key], suffix, images) for key in BANDS if key in capture.bands},
+            "encoding": capture.encoding,
+            "material": capture.material,
+        }
+        if capture.tip_direction_deg is not None:
+            document["tip_direction_deg"] = float(capture.tip_direction_deg)
+        if capture.mask is not None:
+            images.append(("mask.png", np.asarray(capture.mask, dtype=np.uint8) * np.uint8(255)))
+            document["mask"] = "mask.png"
+        if capture.subject:
+            document["subject"] = plain_json(capture.subject, "subject")
+        if capture.captured_at is not None:
+            document["captured_at"] = capture.captured_at
+        if truth is not None:
+            write_npz(target / "truth.npz", truth)
+        elif capture.truth is not None:
+            require(capture.truth.is_file(), f"{capture.truth}, the truth of the capture, does not exist.")
+            shutil.copyfile(capture.truth, target / "truth.npz")
+        if truth is not None or capture.truth is not None:
+            document["truth"] = "truth.npz"
+        _write_images(target, images)
+        for name, content in (("rig.json", rig_to_json(capture.rig)), ("capture.json", document)):
+            text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+            (target / name).write_text(text, encoding="ascii")
+
+
+def _document(path: str | os.PathLike[str]) -> Path:
+    """Return the path of ``capture.json``."""
+    try:
+        given = Path(path)
+        if given.is_dir():
+            file = given / "capture.json"
+            require(file.is_file(), f"{given} is not a capture folder: it holds no capture.json.")
+            return file
+        require(given.is_file(), f"{given} does not exist; name a capture folder.")
+        require(given.suffix == ".json", f"{given} is not a capture; name its folder or the capture.json in it.")
+        return given
+    except BadInput:
+        raise
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
+
+
+def _band(key: str, plan: BandPlan, pixels: PixelArray, ambient: PixelArray | None) -> Band:
+    scale = int(np.iinfo(pixels.dtype).max)
+    for name, black in zip(plan.names, plan.black_level, strict=True):
+        require(black < scale, f"{name} has the black level {black:g}, but its full scale is {scale}.")
+    return Band(
+        name=key,
+        pixels=pixels,
+        leds=plan.leds,
+        exposure=plan.exposure,
+        black_level=plan.black_level,
+        ambient=ambient,
+        ambient_exposure=plan.ambient_exposure,
+        ambient_black_level=plan.ambient_black_level,
+        files=plan.names,
+    )
+
+
+def _check_parts(capture: Capture) -> None:
+    size = capture.rig.camera.image_size
+    require("white" in capture.bands, "a capture needs a band 'white'.")
+    for key, band in capture.bands.items():
+        require(key in BANDS, f"a capture's bands are 'white' and 'nir', not '{key}'.")
+        shape = band.pixels.shape
+        require(
+            len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= 3,
+            f"the pixels of the band '{key}' have the shape {shape}; "
+            f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
+        )
+        require(
+            band.ambient is None or band.ambient.shape[:2] == size,
+            f"the ambient image of the band '{key}' has another size than the rig's camera.",
+        )
+        require(
+            len(band.leds) == len(band.exposure) == len(band.black_level) == shape[0],
+            f"the band '{key}' has {shape[0]} images but {len(band.leds)} LEDs, {len(band.exposure)} exposures "
+            f"and {len(band.black_level)} black levels.",
+        )
+    if capture.mask is not None:
+        check_mask(capture.mask, size)
+
+
+def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]]) -> JsonValue:
+    """Return the band's entry in the document, and add its files to `images`."""
+    entries: list[JsonValue] = []
+    plain = bool((band.exposure == 1.0).all() and (band.black_level == 0.0).all())
+    plain = plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
+
+    def entry(name: str, pixels: PixelArray, exposure: float, black_level: float) -> JsonValue:
+        images.append((name, pixels))
+        return name if plain else {"file": name, "exposure_s": exposure, "black_level": black_level}
+
+    for k, pixels in enumerate(band.pixels):
+        name = f"{band.name}_{k}{suffix}"
+        entries.append(entry(name, pixels, float(band.exposure[k]), float(band.black_level[k])))
+    leds: list[JsonValue] = [group[0] if len(group) == 1 else list(group) for group in band.leds]
+    result: dict[str, JsonValue] = {"images": entries, "leds": leds}
+    if band.ambient is not None:
+        name = f"ambient_{band.name}{suffix}"
+        result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
+    return result
+
+
+def _write_images(folder: Path, images: list[tuple[str, PixelArray]]) -> None:
+    def write(item: tuple[str, PixelArray]) -> None:
+        name, pixels = item
+        (folder / name).write_bytes(encode_image(pixels, Path(name).suffix))
+
+    with ThreadPoolExecutor(ImageSettings().workers) as pool:
+        list(pool.map(write, images))
+
+
+__all__ = ["CapturePlan", "ReadSettings", "read_capture", "write_capture"]

@@ -1,0 +1,198 @@
+"""The document ``capture.json``: what it says, before any image is opened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.io.content import check_light_list
+from splitknit.io.fields import Fields, inside, read_json
+from splitknit.io.rig import rig_from_json
+from splitknit.types import Rig
+
+CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
+BANDS = ("white", "nir")
+ENCODINGS = ("linear", "srgb")
+MATERIALS = ("skin", "opaque")
+
+
+@dataclass(frozen=True, slots=True)
+class BandPlan:
+    """One band as the document describes it."""
+
+    files: tuple[Path, ...]
+    names: tuple[str, ...]
+    """The same relative to the folder."""
+    leds: tuple[tuple[int, ...], ...]
+    exposure: NDArray[np.float64]
+    black_level: NDArray[np.float64]
+    ambient: Path | None
+    ambient_exposure: float
+    ambient_black_level: float
+
+
+@dataclass(frozen=True, slots=True)
+class CapturePlan:
+    """A whole capture as the document describes it; all paths lie inside the folder."""
+
+    rig: Rig
+    rig_file: Path
+    bands: dict[str, BandPlan]
+    encoding: str
+    material: str
+    tip_direction_deg: float | None
+    mask: Path | None
+    subject: dict[str, Any]
+    captured_at: str | None
+    truth: Path | None
+    documents: dict[Path, bytes]
+    """The JSON files and what was read from them."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """An image: its file, and how it was exposed where the document says so."""
+
+    file: Path
+    name: str
+    exposure: float | None
+    black_level: float | None
+
+
+def read_plan(document_file: Path) -> CapturePlan:
+    """Read ``capture.json`` and its rig file.
+
+    Raises
+    ------
+    BadInput
+        Naming the file and the field.
+    """
+    folder, name = document_file.parent, str(document_file)
+    document, data = read_json(document_file)
+    fields = Fields(document, name)
+    fields.format(CAPTURE_FORMAT, CAPTURE_VERSION)
+    rig_file = inside(folder, fields.get("rig"), name, "rig")
+    rig_document, rig_data = read_json(rig_file)
+    rig = rig_from_json(rig_document, str(rig_file))
+    truth = inside(folder, fields.get("truth"), name, "truth") if fields.has("truth") else None
+    require(
+        truth is None or truth.is_file(),
+        f"{truth}, the truth that {name} names, does not exist; add it or remove the field.",
+    )
+    return CapturePlan(
+        rig=rig,
+        rig_file=rig_file,
+        bands=_bands(fields, folder, rig),
+        encoding=_choice(fields, "encoding", ENCODINGS),
+        material=_choice(fields, "material", MATERIALS),
+        tip_direction_deg=(
+            fields.number("tip_direction_deg", -360.0, 360.0) if fields.has("tip_direction_deg") else None
+        ),
+        mask=inside(folder, fields.get("mask"), name, "mask") if fields.has("mask") else None,
+        subject=fields.mapping("subject"),
+        captured_at=fields.text("captured_at") if fields.has("captured_at") else None,
+        truth=truth,
+        documents={document_file: data, rig_file: rig_data},
+    )
+
+
+def _choice(fields: Fields, key: str, choices: tuple[str, ...]) -> str:
+    """Return one of `choices`; the first where the field is absent."""
+    value = fields.text(key, choices[0])
+    if value not in choices:
+        fields.refuse(key, " or ".join(f'"{choice}"' for choice in choices))
+    return value
+
+
+def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
+    bands = fields.child("bands")
+    for key in bands.keys():  # noqa: SIM118 - not a dict
+        require(key in BANDS, f"{fields.name}: bands has '{ascii(key)[1:-1]}'; the bands are named white and nir.")
+    require(bands.has("white"), f"{fields.name}: bands.white is missing; every capture has images under white light.")
+    return {key: _band(bands.child(key), folder, rig, key) for key in BANDS if bands.has(key)}
+
+
+def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
+    images = fields.items("images")
+    require(
+        len(images) >= 3,
+        f"{fields.name}: {fields.path('images')} names {len(images)} images, but at least three are needed.",
+    )
+    leds = tuple(_group(fields, item, k) for k, item in enumerate(fields.items("leds")))
+    require(
+        len(leds) == len(images),
+        f"{fields.name}: {fields.where} has {len(images)} images but {len(leds)} entries in leds; "
+        f"name the LEDs of every image.",
+    )
+    check_light_list(rig, band, leds, f"{fields.name}: {fields.path('leds')}")
+    entries = [_entry(fields, item, folder, f"{fields.path('images')}[{k}]") for k, item in enumerate(images)]
+    names = [entry.name for entry in entries]
+    for k, name in enumerate(names):
+        require(names.index(name) == k, f"{fields.name}: {fields.path('images')} names {name!a} twice.")
+    ambient = None
+    if fields.has("ambient"):
+        ambient = _entry(fields, fields.get("ambient"), folder, fields.path("ambient"))
+    return BandPlan(
+        files=tuple(entry.file for entry in entries),
+        names=tuple(names),
+        leds=leds,
+        exposure=np.array([1.0 if entry.exposure is None else entry.exposure for entry in entries]),
+        black_level=np.array([0.0 if entry.black_level is None else entry.black_level for entry in entries]),
+        ambient=None if ambient is None else ambient.file,
+        ambient_exposure=_ambient_value(fields, ambient, [entry.exposure for entry in entries], "exposure_s", 1.0),
+        ambient_black_level=_ambient_value(
+            fields, ambient, [entry.black_level for entry in entries], "black_level", 0.0
+        ),
+    )
+
+
+def _ambient_value(
+    fields: Fields, ambient: _Entry | None, images: list[float | None], key: str, default: float
+) -> float:
+    """Exposure or black level of the ambient image.
+
+    Where the document does not give it, it is that of the band's images if they all have the same, or the default if
+    the document leaves it out for some of the images too. Otherwise it is unknown.
+    """
+    if ambient is None:
+        return default
+    own = ambient.exposure if key == "exposure_s" else ambient.black_level
+    if own is not None:
+        return own
+    if None in images:
+        return default
+    common = {value for value in images if value is not None}
+    require(
+        len(common) == 1,
+        f"{fields.name}: {fields.path('ambient')} needs its own {key}, as the images of the band differ in theirs; "
+        f'write {{"file": ..., "{key}": ...}}.',
+    )
+    return common.pop()
+
+
+def _entry(fields: Fields, item: Any, folder: Path, where: str) -> _Entry:
+    if not isinstance(item, dict):
+        return _Entry(inside(folder, item, fields.name, where), str(item), None, None)
+    entry = Fields(item, fields.name, where)
+    file = inside(folder, entry.get("file"), fields.name, entry.path("file"))
+    exposure = None
+    if entry.has("exposure_s") or entry.has("gain"):
+        exposure = entry.number("exposure_s", 1e-9, 1e6, 1.0) * entry.number("gain", 1e-6, 1e6, 1.0)
+    black_level = entry.number("black_level", 0.0, 65535.0) if entry.has("black_level") else None
+    return _Entry(file, str(item["file"]), exposure, black_level)
+
+
+def _group(fields: Fields, item: Any, k: int) -> tuple[int, ...]:
+    group = item if isinstance(item, list) else [item]
+    good = 0 < len(group) <= 10_000 and all(type(index) is int and 0 <= index < 1 << 31 for index in group)
+    require(
+        good and len(set(group)) == len(group),
+        f"{fields.name}: {fields.path('leds')}[{k}] must be the number of an LED in the rig (from 0), "
+        f"or a list of different ones.",
+    )
+    return tuple(group)

@@ -1,0 +1,178 @@
+"""Strict access to JSON documents written by people: every refusal names the file, the field and what it holds."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any, NoReturn
+
+from splitknit.check import BadInput, require
+from splitknit.io.images import ImageSettings, read_bytes
+
+MAX_JSON_BYTES = 16_000_000
+
+
+def read_json(path: Path) -> tuple[Any, bytes]:
+    """Read a UTF-8 JSON file strictly; return the document and the bytes it was read from.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity or a key twice in one object.
+    """
+    data = read_bytes(path, ImageSettings(max_bytes=MAX_JSON_BYTES))
+    return parse_json(data, str(path)), data
+
+
+def parse_json(data: bytes, name: str) -> Any:
+    """Parse the bytes of a JSON file; see :func:`read_json`."""
+
+    def constant(word: str) -> NoReturn:
+        raise BadInput(f"{name} contains {word}, which is not a JSON number; correct the file.")
+
+    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        result = dict(items)
+        if len(result) < len(items):
+            raise BadInput(f"{name} gives a field twice in one object; correct the file.")
+        return result
+
+    try:
+        return json.loads(data.decode("utf-8-sig"), parse_constant=constant, object_pairs_hook=pairs)
+    except BadInput:
+        raise
+    except RecursionError:
+        raise BadInput(f"{name} is nested too deeply to be one of our files; correct the file.") from None
+    except ValueError as error:  # JSON, UTF-8, and integers of thousands of digits
+        raise BadInput(f"{name} is not valid JSON: {error}.") from error
+
+
+def shown(value: Any) -> str:
+    """Return `value` short and printable."""
+    if isinstance(value, (dict, list)):
+        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**20:
+        return "a huge integer"
+    text = "null" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+class Fields:
+    """One JSON object of a file, and where in the file it is."""
+
+    def __init__(self, value: Any, name: str, where: str = "") -> None:  # noqa: D107 - the class says it
+        self.name, self.where = name, where
+        if not isinstance(value, dict):
+            raise BadInput(f"{name}: {where or 'the document'} must be an object, but it is {shown(value)}.")
+        self._value: dict[str, Any] = value
+
+    def path(self, key: str) -> str:
+        """Return the field's name as messages give it, such as ``camera.px_per_mm``."""
+        return f"{self.where}.{key}" if self.where else key
+
+    def refuse(self, key: str, expected: str) -> NoReturn:
+        """Raise that field `key` is not `expected`."""
+        raise BadInput(f"{self.name}: {self.path(key)} must be {expected}, but it is {shown(self._value.get(key))}.")
+
+    def has(self, key: str) -> bool:
+        """Whether the field is there and not null."""
+        return self._value.get(key) is not None
+
+    def keys(self) -> list[str]:
+        """Names of all fields."""
+        return list(self._value)
+
+    def get(self, key: str) -> Any:
+        """Return a field that must be there."""
+        require(self.has(key), f"{self.name}: {self.path(key)} is missing.")
+        return self._value[key]
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Return a string; `default` where the field is absent."""
+        if default is not None and not self.has(key):
+            return default
+        value = self.get(key)
+        if not isinstance(value, str):
+            self.refuse(key, "a string")
+        return value
+
+    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
+        """Return a finite number from `low` to `high`; `default` where the field is absent."""
+        if default is not None and not self.has(key):
+            return default
+        value = as_number(self.get(key))
+        if value is None or not low <= value <= high:
+            self.refuse(key, f"a number from {low:g} to {high:g}")
+        return value
+
+    def numbers(self, key: str, counts: tuple[int, ...], limit: float = 1e6) -> tuple[float, ...]:
+        """Return a list of one of `counts` finite numbers, none beyond `limit`."""
+        value = self.get(key)
+        numbers = [as_number(item) for item in value] if isinstance(value, list) else []
+        good = tuple(item for item in numbers if item is not None and abs(item) <= limit)
+        if len(numbers) not in counts or len(good) != len(numbers):
+            self.refuse(key, f"a list of {' or '.join(map(str, counts))} finite numbers, none beyond {limit:g}")
+        return good
+
+    def items(self, key: str) -> list[Any]:
+        """Return a list."""
+        value = self.get(key)
+        if not isinstance(value, list):
+            self.refuse(key, "a list")
+        return value
+
+    def child(self, key: str) -> Fields:
+        """Return an object within this one."""
+        return Fields(self.get(key), self.name, self.path(key))
+
+    def mapping(self, key: str) -> dict[str, Any]:
+        """Return an object as it is, empty where the field is absent."""
+        return dict(self.child(key)._value) if self.has(key) else {}
+
+    def format(self, expected: str, version: int) -> None:
+        """Require this file's ``format`` and ``version``."""
+        if self.text("format") != expected:
+            self.refuse("format", f'"{expected}"')
+        if type(self.get("version")) is not int or self.get("version") != version:
+            self.refuse("version", f"{version} (the only one this software reads)")
+
+
+def as_number(value: Any) -> float | None:
+    """Return `value` as a finite float, or None if it is no number; true and false are no numbers."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def inside(folder: Path, value: Any, file: str, field: str) -> Path:
+    """Return the path that `value`, a relative path in field `field` of `file`, names inside `folder`.
+
+    Raises
+    ------
+    BadInput
+        If it is no string, absolute, or leaves the folder, by ``..`` or by a symbolic link.
+    """
+    what = f"{file}: {field}"
+    if not isinstance(value, str) or not value.strip():
+        raise BadInput(f"{what} must be the name of a file, but it is {shown(value)}.")
+    leaves = f"{what} leaves the capture folder: {shown(value)}; name a file inside it."
+    parts = value.replace("\\", "/").split("/")
+    require(not value.startswith(("/", "\\", "~")) and ":" not in parts[0], leaves)
+    depth = 0
+    for part in parts:
+        depth += {"..": -1, ".": 0, "": 0}.get(part, 1)
+        require(depth >= 0, leaves)
+    try:
+        os.fsencode(value)
+        path = folder / value
+        require(path.resolve().is_relative_to(folder.resolve()), leaves)
+    except BadInput:
+        raise
+    except (OSError, ValueError, RuntimeError) as error:
+        raise BadInput(f"{what} is not a usable file name: {shown(value)}.") from error
+    return path

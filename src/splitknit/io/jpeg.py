@@ -1,0 +1,113 @@
+"""JPEG files: the structure is checked before the decoder sees them.
+
+JPEG has no checksums, so a changed byte inside the image data cannot be told from a picture; what can be found is
+a file that ends early, has a damaged header, or is of a kind that is not supported.
+
+References
+----------
+ITU-T T.81 (1992), annex B: markers and segments.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.io.png import copy_rgb
+from splitknit.types import PixelArray
+
+SIGNATURE = b"\xff\xd8\xff"
+_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
+_FRAMES = frozenset({0xC0, 0xC1, 0xC2})
+_OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
+
+
+@dataclass(frozen=True, slots=True)
+class JpegHeader:
+    """The facts of the frame header."""
+
+    rows: int
+    columns: int
+    channels: int
+
+
+def jpeg_header(data: bytes, name: str) -> JpegHeader:
+    """Walk all segments of a JPEG file to its end marker and return the frame's size.
+
+    Raises
+    ------
+    BadInput
+        If the file ends early, has no frame, or is CMYK, 12-bit, lossless or arithmetic-coded.
+    """
+    truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
+    frame: JpegHeader | None = None
+    position, scanned = 2, False
+    while True:
+        require(position + 2 <= len(data), truncated)
+        require(data[position] == 0xFF, f"{name} is damaged: a JPEG marker is missing; copy it again.")
+        marker = data[position + 1]
+        if marker == 0xFF:  # a fill byte
+            position += 1
+            continue
+        if marker == 0xD9:
+            break
+        require(position + 4 <= len(data), truncated)
+        length = int.from_bytes(data[position + 2 : position + 4], "big")
+        require(length >= 2, f"{name} is damaged: a JPEG segment has an impossible length; copy it again.")
+        require(position + 2 + length <= len(data), truncated)
+        require(marker not in _OTHER_FRAMES, f"{name} is a kind of JPEG that is not supported; save it as PNG.")
+        if marker in _FRAMES:
+            require(frame is None, f"{name} is damaged: it has two JPEG frames.")
+            frame = _frame(data[position + 4 : position + 2 + length], name)
+        position += 2 + length
+        if marker == 0xDA:
+            scanned = True
+            found = _MARKER_IN_SCAN.search(data, position)
+            if found is None:
+                raise BadInput(truncated)
+            position = found.end() - 2
+    if frame is None or not scanned:
+        raise BadInput(f"{name} is damaged: the JPEG file holds no image; copy it again.")
+    return frame
+
+
+def decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
+    """Decode a JPEG file to (H, W, C) uint8 in RGB order, C = 1 or 3, as stored: EXIF orientation is ignored.
+
+    Raises
+    ------
+    BadInput
+        If the file is truncated, damaged or of a kind that is not supported.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    header = jpeg_header(data, name)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise BadInput(f"{name} cannot be decoded: {error.err}.") from error
+    if image is None or image.shape[:2] != (header.rows, header.columns):
+        raise BadInput(f"{name} cannot be decoded; capture or export it again.")
+    if out is None:
+        out = np.empty((header.rows, header.columns, header.channels), dtype=np.uint8)
+    require(image.ndim == (2 if header.channels == 1 else 3), f"{name} cannot be decoded; export it again.")
+    if header.channels == 1:
+        out[..., 0] = image
+    else:
+        copy_rgb(image, out)
+    return out
+
+
+def _frame(body: bytes, name: str) -> JpegHeader:
+    require(len(body) >= 6, f"{name} is damaged: its JPEG frame header is incomplete; copy it again.")
+    rows, columns = int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big")
+    require(body[0] == 8, f"{name} has {body[0]} bits a sample; a JPEG file must have 8.")
+    require(
+        body[5] in (1, 3),
+        f"{name} has {body[5]} channels (CMYK?); save it as grey or RGB.",
+    )
+    require(rows > 0 and columns > 0, f"{name} is damaged: its JPEG frame header gives no size; copy it again.")
+    return JpegHeader(rows, columns, body[5])

@@ -1,0 +1,154 @@
+"""Binary PLY: vertices in mm with normals, quality as intensity.
+
+``quality`` is the per-vertex scalar that MeshLab, CloudCompare and trimesh know by that name; here it is the albedo's
+intensity from 0 (black) to 1 (white).
+
+References
+----------
+G. Turk, The PLY Polygon File Format, 1994.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.images import read_bytes
+from splitknit.types import FloatArray
+
+_VERTEX = np.dtype([("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")])
+_FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
+_CHUNK = 1 << 16
+_VERTEX_LINES = tuple(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "quality"))
+_FACE_LINES = ("property list uchar int vertex_indices",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """What a PLY file of ours holds."""
+
+    vertices_mm: FloatArray
+    """(N, 3)."""
+    normals: FloatArray
+    """(N, 3)."""
+    quality: FloatArray
+    """(N,) in [0, 1]."""
+    faces: NDArray[np.int32]
+    """(M, 3), M = 0 for a cloud of points."""
+    comments: tuple[str, ...]
+
+
+def write_ply(  # noqa: PLR0917 - a mesh is these arrays
+    path: str | os.PathLike[str],
+    vertices_mm: FloatArray,
+    normals: FloatArray,
+    intensity: NDArray[np.uint8] | FloatArray,
+    faces: NDArray[np.int32] | None = None,
+    comments: Sequence[str] = (),
+) -> None:
+    """Write a surface as binary little-endian PLY.
+
+    Parameters
+    ----------
+    vertices_mm : (N, 3), mm
+    normals : (N, 3), unit length
+    intensity : (N,) uint8 in [0, 255], or float in [0, 1]; stored as the property ``quality`` in [0, 1]
+    faces : (M, 3) indices of vertices, counter-clockwise seen from outside, or None for a cloud of points
+    comments : single lines for the header (units, provenance)
+
+    Raises
+    ------
+    BadInput
+        If the shapes do not fit, a face refers to a vertex that is not there, a comment has more than one line, or the
+        file cannot be written.
+    """
+    corners = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
+    count = len(vertices_mm)
+    shade: NDArray[Any] = np.asarray(intensity)
+    require(np.shape(vertices_mm) == (count, 3), f"vertices_mm must be (N, 3), but it is {np.shape(vertices_mm)}.")
+    require(np.shape(normals) == (count, 3), f"normals must be ({count}, 3), but it is {np.shape(normals)}.")
+    require(shade.shape == (count,), f"intensity must be ({count},), but it is {shade.shape}.")
+    require(corners.ndim == 2 and corners.shape[1] == 3, f"faces must be (M, 3), but it is {corners.shape}.")
+    require(
+        corners.size == 0 or (int(corners.min()) >= 0 and int(corners.max()) < count),
+        f"faces refer to vertices that are not there (0 to {count - 1}).",
+    )
+    require(
+        all(text.isascii() and text.isprintable() for text in comments),
+        "a comment in a PLY file must be one line of printable ASCII.",
+    )
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {text}" for text in comments),
+        f"element vertex {count}",
+        *_VERTEX_LINES,
+        f"element face {len(corners)}",
+        *_FACE_LINES,
+        "end_header",
+    ]
+    scale = np.float32(1.0 / 255.0) if shade.dtype == np.uint8 else np.float32(1.0)
+    with atomic_file(path) as stream:
+        stream.write(("\n".join(header) + "\n").encode("ascii"))
+        buffer = np.empty(min(_CHUNK, count), dtype=_VERTEX)
+        for start in range(0, count, _CHUNK):
+            part = slice(start, min(start + _CHUNK, count))
+            chunk = buffer[: part.stop - start]
+            chunk["place"] = vertices_mm[part]
+            chunk["normal"] = normals[part]
+            chunk["quality"] = shade[part] * scale
+            stream.write(chunk.data)
+        _write_faces(stream, corners)
+
+
+def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
+    buffer = np.empty(min(_CHUNK, len(corners)), dtype=_FACE)
+    buffer["count"] = 3
+    for start in range(0, len(corners), _CHUNK):
+        part = corners[start : start + _CHUNK]
+        buffer["corners"][: len(part)] = part
+        stream.write(buffer[: len(part)].data)
+
+
+def read_ply(path: str | os.PathLike[str]) -> Mesh:
+    """Read a PLY file that :func:`write_ply` wrote.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, truncated, or laid out in another way.
+    """
+    data = read_bytes(path)
+    name = os.fspath(path)
+    end = data.find(b"end_header\n")
+    require(data.startswith(b"ply\n") and end > 0, f"{name} is not a PLY file.")
+    lines = data[:end].decode("ascii", "replace").splitlines()
+    comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
+    layout = [line for line in lines[1:] if not line.startswith("comment ")]
+    counts = [line.split()[-1] for line in layout if line.startswith("element ")]
+    if len(counts) != 2 or not all(count.isdigit() and len(count) < 12 for count in counts):
+        raise BadInput(f"{name} is not a PLY file of vertices and faces.")
+    vertices, faces = int(counts[0]), int(counts[1])
+    expected = [
+        "format binary_little_endian 1.0",
+        f"element vertex {vertices}",
+        *_VERTEX_LINES,
+        f"element face {faces}",
+        *_FACE_LINES,
+    ]
+    require(layout == expected, f"{name} is a PLY file of another layout than splitknit writes.")
+    start = end + len(b"end_header\n")
+    split = start + vertices * _VERTEX.itemsize
+    require(len(data) == split + faces * _FACE.itemsize, f"{name} is truncated; write it again.")
+    points = np.frombuffer(data, dtype=_VERTEX, count=vertices, offset=start)
+    corners = np.frombuffer(data, dtype=_FACE, count=faces, offset=split)
+    return Mesh(
+        points["place"].copy(), points["normal"].copy(), points["quality"].copy(), corners["corners"].copy(), comments
+    )

@@ -1,0 +1,87 @@
+"""Where a file came from: software, version, parameters, input hashes; and the JSON in which that is written."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+
+JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
+
+
+def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) -> dict[str, JsonValue]:
+    """Return the facts that every written file carries.
+
+    Parameters
+    ----------
+    settings : dataclass, mapping or None
+        All parameters that shaped the result.
+    hashes : mapping or None
+        SHA-256 of every input file by its name.
+
+    Returns
+    -------
+    dict with ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``; equal input gives an equal
+    result (no date, no host).
+    """
+    import splitknit  # noqa: PLC0415 - the package may import us
+
+    plain = plain_json({} if settings is None else settings)
+    return {
+        "software": "splitknit",
+        "version": splitknit.__version__,
+        "settings": plain,
+        "settings_sha256": settings_hash(plain),
+        "inputs": dict(sorted((hashes or {}).items())),
+    }
+
+
+def settings_hash(settings: Any) -> str:
+    """SHA-256 (hex) of the canonical JSON of `settings`."""
+    return hashlib.sha256(canonical_json(settings).encode("ascii")).hexdigest()
+
+
+def canonical_json(value: Any) -> str:
+    """Return `value` as ASCII JSON with sorted keys, no spaces, and floats in their shortest exact form.
+
+    Dataclasses, mappings, sequences, numpy scalars and arrays, and paths are converted.
+
+    Raises
+    ------
+    BadInput
+        If a number is NaN or infinite, a key is not a string, or a value has no JSON form.
+    """
+    return json.dumps(plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+
+
+def plain_json(value: Any, where: str = "value") -> JsonValue:  # noqa: PLR0911 - one line for each JSON type
+    """Return `value` rebuilt from dict, list, str, int, float, bool and None alone; see :func:`canonical_json`."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, np.generic):
+        return plain_json(value.item(), where)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        require(bool(np.isfinite(value)), f"{where} is {value!r}, which has no form in JSON; use null.")
+        return value
+    if isinstance(value, PurePath):
+        return value.as_posix()
+    if isinstance(value, np.ndarray):
+        return plain_json(value.tolist(), where)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain_json(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        require(all(isinstance(key, str) for key in value), f"{where} has a key that is not a string.")
+        return {str(key): plain_json(value[key], str(key)) for key in value}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        items = sorted(value) if isinstance(value, (set, frozenset)) else value
+        return [plain_json(item, where) for item in items]
+    raise BadInput(f"{where} has the type {type(value).__name__}, which has no form in JSON.")

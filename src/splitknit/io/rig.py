@@ -1,0 +1,181 @@
+"""The rig file: camera and lights as JSON, format ``splitknit-rig`` version 1."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import Fields, as_number, read_json
+from splitknit.io.provenance import JsonValue, plain_json
+from splitknit.types import Camera, Led, Rig
+
+RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
+_MAX_PIXELS = 200_000_000
+_DISTORTION_COUNTS = (4, 5, 8, 12, 14)
+
+
+def read_rig(path: str | os.PathLike[str]) -> Rig:
+    """Read a rig file.
+
+    Raises
+    ------
+    BadInput
+        Naming the file and the field, if anything in it is missing, of the wrong type or impossible.
+    """
+    document, _ = read_json(Path(path))
+    return rig_from_json(document, str(path))
+
+
+def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
+    """Write a rig file; equal rigs give equal bytes."""
+    text = json.dumps(rig_to_json(rig), indent=2, allow_nan=False) + "\n"
+    with atomic_file(path) as stream:
+        stream.write(text.encode("ascii"))
+
+
+def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
+    """Return the rig as the document that :func:`rig_from_json` reads.
+
+    Raises
+    ------
+    BadInput
+        If LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
+    """
+    camera = rig.camera
+    leds: list[JsonValue] = []
+    for index, led in enumerate(rig.leds):
+        require(not led.also, f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.")
+        place = "position_mm" if led.position_mm is not None else "direction"
+        entry: dict[str, Any] = {place: plain_json(getattr(led, place)), "intensity": led.intensity, "band": led.band}
+        if led.lobe_exponent:
+            entry["lobe_exponent"] = led.lobe_exponent
+        leds.append(plain_json(entry))
+    return {
+        "format": RIG_FORMAT,
+        "version": RIG_VERSION,
+        "camera": {
+            "model": camera.model,
+            "px_per_mm": float(camera.px_per_mm),
+            "image_size": [int(camera.image_size[0]), int(camera.image_size[1])],
+            "height_mm": float(camera.height_mm),
+            "matrix": plain_json(camera.matrix),
+            "distortion": plain_json(camera.distortion),
+        },
+        "leds": leds,
+        "provenance": plain_json(rig.provenance),
+    }
+
+
+def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
+    """Build a rig from its JSON document; `name` is the file's name for messages.
+
+    ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
+    ``intensity`` (1) and ``lobe_exponent`` (0). Fields that the format does not know are ignored.
+
+    Raises
+    ------
+    BadInput
+        Naming the file and the field.
+    """
+    fields = Fields(document, name)
+    fields.format(RIG_FORMAT, RIG_VERSION)
+    camera = _camera(fields.child("camera"))
+    entries = fields.items("leds")
+    if not 1 <= len(entries) <= 10_000:
+        fields.refuse("leds", "a list of at least one LED")
+    leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
+    return Rig(camera, leds, fields.mapping("provenance"))
+
+
+def _camera(fields: Fields) -> Camera:
+    model = fields.text("model", "orthographic")
+    if model not in ("orthographic", "perspective"):
+        fields.refuse("model", '"orthographic" or "perspective"')
+    perspective = model == "perspective"
+    size = fields.items("image_size")
+    if len(size) != 2 or not all(type(item) is int and 0 < item <= 1_000_000 for item in size):
+        fields.refuse("image_size", "two positive whole numbers, rows and columns")
+    require(
+        size[0] * size[1] <= _MAX_PIXELS,
+        f"{fields.name}: camera.image_size is {size[0]} x {size[1]}, more than the {_MAX_PIXELS} pixels that are read.",
+    )
+    distortion = fields.numbers("distortion", _DISTORTION_COUNTS) if fields.has("distortion") else None
+    if perspective and distortion is None:
+        fields.refuse("distortion", "given for a perspective camera (zeros if there is none)")
+    return Camera(
+        px_per_mm=fields.number("px_per_mm", 1e-3, 1e5),
+        image_size=(size[0], size[1]),
+        height_mm=fields.number("height_mm", 1e-3, 1e6, None if perspective else 140.0),
+        model=model,
+        matrix=_matrix(fields) if perspective or fields.has("matrix") else None,
+        distortion=distortion,
+    )
+
+
+def _matrix(fields: Fields) -> np.ndarray[Any, np.dtype[np.float64]]:
+    rows = fields.items("matrix")
+    values = [as_number(item) for row in rows if isinstance(row, list) and len(row) == 3 for item in row]
+    numbers = [item for item in values if item is not None and abs(item) <= 1e7]
+    if len(rows) != 3 or len(numbers) != 9:
+        fields.refuse("matrix", "3 x 3 finite numbers (the camera matrix in pixels)")
+    matrix = np.array(numbers, dtype=np.float64).reshape(3, 3)
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])):
+        fields.refuse("matrix", "a camera matrix: positive focal lengths, last row 0 0 1")
+    return matrix
+
+
+def _led(fields: Fields) -> Led:
+    band = fields.text("band")
+    if not band.strip():
+        fields.refuse("band", 'the name of a band ("white" or "nir")')
+    near, distant = fields.has("position_mm"), fields.has("direction")
+    require(
+        near != distant,
+        f"{fields.name}: {fields.where} must have either position_mm (near) or direction (distant), "
+        f"but it has {'both' if near else 'neither'}.",
+    )
+    try:
+        return Led(
+            band=band,
+            position_mm=_position(fields) if near else None,
+            direction=_direction(fields) if distant else None,
+            intensity=fields.number("intensity", 1e-9, 1e9, 1.0),
+            lobe_exponent=fields.number("lobe_exponent", 0.0, 1000.0, 0.0),
+        )
+    except BadInput as error:
+        if str(error).startswith(fields.name):
+            raise
+        raise BadInput(f"{fields.name}: {fields.where}: {error}") from error
+
+
+def _position(fields: Fields) -> tuple[float, float, float]:
+    x, y, z = fields.numbers("position_mm", (3,))
+    if not z >= 1e-3:
+        fields.refuse("position_mm", "a place above the finger plane (the third number positive)")
+    return x, y, z
+
+
+def _direction(fields: Fields) -> tuple[float, float, float]:
+    """Return the unit vector: 2 % of rounding in a hand-written file are forgiven and taken off."""
+    x, y, z = fields.numbers("direction", (3,))
+    length = math.sqrt(x * x + y * y + z * z)
+    require(
+        0.98 <= length <= 1.02,
+        f"{fields.name}: {fields.path('direction')} must be a unit vector towards the light, but its length is "
+        f"{length:.4g}; divide it by its length, or use position_mm for a place in mm.",
+    )
+    require(
+        z > 0,
+        f"{fields.name}: {fields.path('direction')} points away from the camera's side (z = {z:g}); "
+        f"it must point towards the light, z towards the camera.",
+    )
+    if abs(length - 1.0) > 1e-9:
+        return x / length, y / length, z / length
+    return x, y, z
