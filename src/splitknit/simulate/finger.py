@@ -12,7 +12,7 @@ from splitknit.check import require
 from splitknit.simulate.finger_shape import FingerBody, FingerShape
 from splitknit.simulate.landmarks import find_landmarks
 from splitknit.simulate.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulate.raycast import Placement, cast_rows, hits
+from splitknit.simulate.raycast import Placement, cast_block, hits
 from splitknit.simulate.skin_map import Crease, SkinSettings, skin_map
 from splitknit.simulate.surface import Surface
 from splitknit.types import Camera
@@ -205,7 +205,7 @@ def finger_surface(
 
     def fill(top: int) -> None:
         part = slice(top, min(top + 16, box[0].stop))
-        for target, values in zip(targets, cast_rows(body, skin, placement, camera, part, box[1]), strict=True):
+        for target, values in zip(targets, cast_block(body, skin, placement, camera, (part, box[1])), strict=True):
             target[part, box[1]] = values
 
     with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
@@ -213,7 +213,7 @@ def finger_surface(
     mask = np.isfinite(height)
     return Surface(
         camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
-        find_landmarks(finger, pose, mask, chart, skin, master, camera),
+        find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """The smooth finger: an implicit body, and the chart that lays its skin flat.
 
 Finger frame, mm: y along the finger, 0 at the first flexion crease and `length_mm` at the tip; z out of the pad; x to
-the right as a camera above the pad sees it. The body is where ``body(...) <= 0``.
+the right as a camera above the pad sees it. The body is where its implicit function is not positive.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 class FingerShape:
     """Size and form of a distal phalanx and the middle phalanx below it (one finger, without pose or ridges).
 
-    The cross-section is a superellipse-like curve ``h(X^2) + h(Z^2) = 1`` with ``h(q) = (1 - k) q + k q^2``; towards the
-    tip the same curve is revolved about the pad's top, so the cap is smooth.
+    The cross-section is a superellipse-like curve ``h(X^2) + h(Z^2) = 1`` with ``h(q) = (1 - k) q + k q^2``; towards
+    the tip the same curve is revolved about the pad's top, so the cap is smooth.
     """
 
     length_mm: float = 25.0
@@ -78,34 +78,10 @@ class FingerBody:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_arc", _arc_coefficients(self.shape.squareness))
 
-    def value(self, x: Array, y: Array, z: Array) -> Array:
-        """Return the implicit function: negative inside, zero on the skin."""
-        form = self._sections(y)
-        side, reach, up = self._scaled(form, x, z)
-        return np.asarray(self._h(self._radius2(side, reach)) + self._h(up * up) - 1.0, dtype=np.float64)
-
     def value_and_gradient(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Array]:
         """Return the implicit function and its derivatives along x, y and z."""
-        shape = self.shape
         form = self._sections(y)
-        side, reach, up = self._scaled(form, x, z)
-        radius2, up2 = self._radius2(side, reach), up * up
-        k, t = shape.squareness, shape.tip_squareness
-        outer = (1.0 - k) + 2.0 * k * radius2
-        inner = ((1.0 - k) + 2.0 * k * up2) * 2.0 * up
-        on_side = outer * 2.0 * side * (1.0 - t * reach * reach)
-        on_reach = outer * 2.0 * reach * (1.0 - t * side * side)
-        half, half_slope, rise, rise_slope, axis_slope, drop_slope, cap_slope = (
-            form.half, form.half_slope, form.rise, form.rise_slope, form.axis_slope, form.drop_slope, form.cap_slope,
-        )  # fmt: skip
-        along_x = on_side / half
-        along_z = inner / rise - on_side * shape.skew / half
-        along_y = (
-            on_side * ((shape.skew * drop_slope - axis_slope) - side * half_slope) / half
-            + on_reach * cap_slope / shape.tip_length_mm
-            - inner * (drop_slope + up * rise_slope) / rise
-        )
-        return self._h(radius2) + self._h(up2) - 1.0, along_x, along_y, along_z
+        return self._gradient(form, *self._scaled(form, x, z))
 
     def distance_and_chart(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Return the distance from the smooth skin (mm, positive outside) and the chart (u, v) in arc length, mm.
@@ -113,24 +89,20 @@ class FingerBody:
         The distance is the first-order one, value over length of gradient. The chart is exact on the middle line and
         around the straight part of the finger; on the rounded cap it is azimuthal about the pad's top.
         """
-        shape = self.shape
-        value, gx, gy, gz = self.value_and_gradient(x, y, z)
-        distance = value / np.sqrt(gx * gx + gy * gy + gz * gz)
         form = self._sections(y)
         side, reach, up = self._scaled(form, x, z)
-        lateral, forward = side * form.half, reach * shape.tip_length_mm
+        value, gx, gy, gz = self._gradient(form, side, reach, up)
+        distance = value / np.sqrt(gx * gx + gy * gy + gz * gz)
+        lateral, forward = side * form.half, reach * self.shape.tip_length_mm
         physical = np.sqrt(lateral * lateral + forward * forward)
         radius = np.sqrt(np.maximum(self._radius2(side, reach), 1e-24))
-        axis = physical / radius  # half axis of the section through the pad's top and this point
-        ratio = axis / form.rise
+        ratio = physical / (radius * form.rise)  # half axis of the section through the pad's top and this point
         angle = np.arctan2(radius, up)
         norm = 1.0 / (radius * radius + up * up)
         double_sine, double_cosine = 2.0 * radius * up * norm, (up * up - radius * radius) * norm
         c = [((p[3] * ratio + p[2]) * ratio + p[1]) * ratio + p[0] for p in self._arc]
-        quad_sine = 2.0 * double_sine * double_cosine
-        six_sine = double_sine * (4.0 * double_cosine * double_cosine - 1.0)
-        arc = form.rise * (c[0] * angle + c[1] * double_sine + c[2] * quad_sine + c[3] * six_sine)
-        stretch = arc / np.maximum(physical, 1e-12)
+        bend = double_sine * (c[1] + double_cosine * (2.0 * c[2] + 4.0 * c[3] * double_cosine) - c[3])
+        stretch = form.rise * (c[0] * angle + bend) / np.maximum(physical, 1e-12)
         return distance, stretch * lateral, (y - forward) + stretch * forward
 
     def top(self, x: Array, y: Array) -> Array:
@@ -151,6 +123,23 @@ class FingerBody:
         """Return (3,) the point of the finger's axis at `y`."""
         form = self._sections(np.array([y]))
         return np.array([form.axis[0], y, form.drop[0]])
+
+    def _gradient(self, form: _Sections, side: Array, reach: Array, up: Array) -> tuple[Array, Array, Array, Array]:
+        s = self.shape
+        side2, reach2, up2 = side * side, reach * reach, up * up
+        radius2 = side2 + reach2 - s.tip_squareness * side2 * reach2
+        flat = 1.0 - s.squareness
+        outer = 2.0 * flat + 4.0 * s.squareness * radius2
+        on_up = (2.0 * flat + 4.0 * s.squareness * up2) * up / form.rise
+        on_side = outer * side * (1.0 - s.tip_squareness * reach2) / form.half
+        on_reach = outer * reach * (1.0 - s.tip_squareness * side2) / s.tip_length_mm
+        value = radius2 * (flat + s.squareness * radius2) + up2 * (flat + s.squareness * up2) - 1.0
+        along_y = (
+            on_side * (s.skew * form.drop_slope - form.axis_slope - side * form.half_slope)
+            + on_reach * form.cap_slope
+            - on_up * (form.drop_slope + up * form.rise_slope)
+        )
+        return value, on_side, along_y, on_up - on_side * s.skew
 
     def _h(self, q: Array) -> Array:
         k = self.shape.squareness

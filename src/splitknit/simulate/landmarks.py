@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 def find_landmarks(
     finger: Finger,
     pose: Pose,
+    *,
     mask: BoolArray,
     chart: NDArray[np.float32],
     skin: SkinMap,

@@ -137,7 +137,12 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
         seed,
         _profile(draws[3], fine, settings),
         scatter_pores(
-            draws[4], fine, settings.pitch_mm, mean_period, settings.pore_spacing_mm, settings.pore_diameter_mm
+            draws[4],
+            fine,
+            pitch_mm=settings.pitch_mm,
+            period_mm=mean_period,
+            spacing_mm=settings.pore_spacing_mm,
+            diameter_mm=settings.pore_diameter_mm,
         ),
         fine_u,
         fine_v,
@@ -152,7 +157,8 @@ def _axes(settings: MasterPrintSettings, pitch: float) -> tuple[Array, Array]:
     """Coarse axes whose lengths suit the Fourier transform; the nominal extent is covered."""
     columns = scipy.fft.next_fast_len(int(np.ceil(2 * settings.half_width_mm / pitch)) + 1, real=True)
     rows = scipy.fft.next_fast_len(int(np.ceil((settings.distal_mm + settings.proximal_mm) / pitch)) + 1, real=True)
-    return (np.arange(columns) - (columns - 1) / 2) * pitch, settings.distal_mm - np.arange(rows) * pitch
+    u_mm = (np.arange(columns, dtype=np.float64) - (columns - 1) / 2) * pitch
+    return u_mm, settings.distal_mm - np.arange(rows, dtype=np.float64) * pitch
 
 
 def _periods(

@@ -46,7 +46,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: flo
     blurred = cv2.GaussianBlur(white, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     blurred *= 2.0 * np.sqrt(np.pi) * sigma
     if step > 1.0:
-        size = (int(round(coarse[1] * step)), int(round(coarse[0] * step)))
+        size = (round(coarse[1] * step), round(coarse[0] * step))
         blurred = cv2.resize(blurred, size, interpolation=cv2.INTER_CUBIC)
     offset = int(3 * step)
     return np.asarray(blurred[offset : offset + shape[0], offset : offset + shape[1]], dtype=np.float64)

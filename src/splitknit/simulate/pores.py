@@ -14,6 +14,7 @@ Array32 = NDArray[np.float32]
 def scatter_pores(
     rng: np.random.Generator,
     wave: Array32,
+    *,
     pitch_mm: float,
     period_mm: float,
     spacing_mm: float,
@@ -34,10 +35,10 @@ def scatter_pores(
     jitter = rng.uniform(-0.5, 0.5, (2, *grid_x.shape)) * cell
     x = np.clip((grid_x + jitter[0]).ravel(), 2, columns - 3)
     y = np.clip((grid_y + jitter[1]).ravel(), 2, rows - 3)
-    smooth = cv2.GaussianBlur(wave, (0, 0), 0.12 * period_mm / pitch_mm)
-    slope_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125)
-    slope_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
-    gain = 0.25 * (period_mm / pitch_mm) ** 2 / (2 * np.pi) ** 2 * 4.0
+    smooth = np.asarray(cv2.GaussianBlur(wave, (0, 0), 0.12 * period_mm / pitch_mm), dtype=np.float32)
+    slope_x = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), dtype=np.float32)
+    slope_y = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125), dtype=np.float32)
+    gain = (period_mm / pitch_mm / (2 * np.pi)) ** 2  # one Newton step on a cosine's crest
     for _ in range(12):
         x = np.clip(x + gain * _sample(slope_x, x, y), 2, columns - 3)
         y = np.clip(y + gain * _sample(slope_y, x, y), 2, rows - 3)

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.finger_shape import FingerBody
+from splitknit.simulate.rootfind import first_root, polish
 from splitknit.simulate.skin_map import SkinMap
 from splitknit.types import Camera
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
 Triple = tuple[Array, Array, Array]
 
 
@@ -47,7 +49,7 @@ def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice,
     step = max(1, int(0.4 * camera.px_per_mm))
     some_rows, some_columns = np.arange(0, rows + step, step), np.arange(0, columns + step, step)
     x, y = _pixel_grid(camera, some_rows, some_columns)
-    _, hit = _meet_body(body, placement, x.ravel(), y.ravel())
+    _, hit = _meet_body(body, placement, x.ravel(), y.ravel(), np.full(x.size, _above(body, placement)))
     seen = hit.reshape(x.shape)
     require(bool(seen.any()), "the camera sees nothing of the finger; change the pose or the image size.")
     margin = 2 * step
@@ -59,30 +61,36 @@ def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice,
     )
 
 
-def cast_rows(
-    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, rows: slice, columns: slice
-) -> tuple[NDArray[np.float32], ...]:
+def cast_block(
+    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, block: tuple[slice, slice]
+) -> tuple[Array32, ...]:
     """Height, shape height, normals, shape normals, relief (um), pigment and chart of a block of pixels."""
-    x, y = _pixel_grid(camera, np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop))
-    block = x.shape
-    z_shape, hit = _meet_body(body, placement, x.ravel(), y.ravel())
+    grid_x, grid_y = _pixel_grid(camera, _range(block[0]), _range(block[1]))
+    shape = grid_x.shape
+    z_shape, hit = _meet_body(
+        body, placement, grid_x.ravel(), grid_y.ravel(), _first_guess(body, placement, camera, block)
+    )
     index = np.nonzero(hit)[0]
-    x, y, z_shape = x.ravel()[index], y.ravel()[index], z_shape[index]
+    x, y, z_shape = grid_x.ravel()[index], grid_y.ravel()[index], z_shape[index]
     _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(x, y, z_shape))
     shape_normals = placement.normal_to_camera(gx, gy, gz)
     z, valid = _meet_skin(body, skin, placement, (x, y, z_shape), shape_normals[:, 2])
-    index, x, y, z, z_shape, shape_normals = (part[valid] for part in (index, x, y, z, z_shape, shape_normals))
+    index, x, y, z = index[valid], x[valid], y[valid], z[valid]
     normals, relief, u, v = _skin_normals(body, skin, placement, (x, y, z))
 
-    def spread(values: Array | NDArray[np.float32], empty: float) -> NDArray[np.float32]:
-        full = np.full((block[0] * block[1], *values.shape[1:]), empty, dtype=np.float32)
+    def spread(values: Array | Array32, empty: float) -> Array32:
+        full = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=np.float32)
         full[index] = values
-        return full.reshape(*block, *values.shape[1:])
+        return full.reshape(*shape, *values.shape[1:])
 
     return (
-        spread(z, np.nan), spread(z_shape, np.nan), spread(normals, 0.0), spread(shape_normals, 0.0),
+        spread(z, np.nan), spread(z_shape[valid], np.nan), spread(normals, 0.0), spread(shape_normals[valid], 0.0),
         spread(1e3 * relief, 0.0), spread(skin.pigment_at(u, v), 1.0), spread(np.stack([u, v], -1), np.nan),
     )  # fmt: skip
+
+
+def _range(part: slice) -> NDArray[np.intp]:
+    return np.arange(part.start, part.stop)
 
 
 def _pixel_grid(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -92,20 +100,49 @@ def _pixel_grid(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp
     return grid_x, grid_y
 
 
-def _meet_body(body: FingerBody, placement: Placement, x: Array, y: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _above(body: FingerBody, placement: Placement) -> float:
+    """A height over every point of the finger."""
+    return float(placement.shift[2]) + 0.62 * body.shape.thickness_mm + 2.0
+
+
+def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: tuple[slice, slice]) -> Array:
+    """Heights to start from, (N,): the body met on every fourth pixel, interpolated; from above near the outline."""
+    step = 4
+    rows, columns = _range(block[0]), _range(block[1])
+    some_rows = np.arange(rows[0], rows[-1] + step + 1, step)
+    some_columns = np.arange(columns[0], columns[-1] + step + 1, step)
+    x, y = _pixel_grid(camera, some_rows, some_columns)
+    high = _above(body, placement)
+    z, hit = _meet_body(body, placement, x.ravel(), y.ravel(), np.full(x.size, high))
+    z = np.where(hit, z, np.nan).reshape(x.shape)
+    i, fi = np.divmod(rows - rows[0], step)
+    j, fj = np.divmod(columns - columns[0], step)
+    down, right = (fi / step)[:, None], (fj / step)[None, :]
+    corners = [z[np.ix_(i + di, j + dj)] for di in (0, 1) for dj in (0, 1)]
+    guess = (1 - down) * ((1 - right) * corners[0] + right * corners[1])
+    guess += down * ((1 - right) * corners[2] + right * corners[3])
+    rough = ~(np.ptp(np.stack(corners), axis=0) < 4.0 * step / camera.px_per_mm)
+    guess[rough] = high
+    return np.asarray(guess.ravel(), dtype=np.float64)
+
+
+def _meet_body(
+    body: FingerBody, placement: Placement, x: Array, y: Array, start: Array
+) -> tuple[Array, NDArray[np.bool_]]:
     """Newton from above: the front intersection with a body that is convex along every ray."""
     ray = placement.rotation[2]
-    z = np.full(x.shape, placement.shift[2] + 0.62 * body.shape.thickness_mm + 2.0)
+    z = start.copy()
     settled = np.zeros(x.shape, dtype=np.bool_)
     active = np.arange(x.size)
     for _ in range(24):
         value, gx, gy, gz = body.value_and_gradient(*placement.to_finger(x[active], y[active], z[active]))
         slope = gx * ray[0] + gy * ray[1] + gz * ray[2]
         step = value / np.maximum(slope, 1e-12)
-        z[active] -= np.where(slope > 0, step, 0.0)
-        done = (np.abs(step) < 1e-8) & (slope > 0)
+        ahead = slope > 1e-4
+        z[active] -= np.where(ahead, step, 0.0)
+        done = (np.abs(step) < 2e-6) & ahead  # Newton: the step after this one is below a nanometre
         settled[active[done]] = True
-        active = active[~done & (slope > 1e-4) & (np.abs(step) < 50.0)]
+        active = active[~done & ahead & (np.abs(step) < 50.0)]
         if active.size == 0:
             break
     return z, settled
@@ -114,45 +151,45 @@ def _meet_body(body: FingerBody, placement: Placement, x: Array, y: Array) -> tu
 def _meet_skin(
     body: FingerBody, skin: SkinMap, placement: Placement, start: Triple, facing: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Go down every ray from the smooth skin to the displaced one.
+    """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met it.
 
-    Careful steps that cannot pass the first intersection (the displacement's slope is bounded), then secants.
+    The search for the first intersection runs on a quadratic model of distance and chart along the ray; a last
+    iteration uses the exact ones. Where the skin is steep, the first steps are too short to pass an intersection.
     """
     x, y, z0 = start
+    model = _ray_model(body, placement, start, facing)
+    bound = np.where(facing < 0.75, facing + 0.9 * np.sqrt(1.0 - np.minimum(facing, 1.0) ** 2), facing)
 
-    def gap(which: NDArray[np.intp], z: Array) -> Array:
-        distance, u, v = body.distance_and_chart(*placement.to_finger(x[which], y[which], z))
-        return distance - skin.displacement(u, v)
+    def along_model(which: NDArray[np.intp], depth: Array) -> Array:
+        d, u, v = (c[0][which] + depth * (c[1][which] + depth * c[2][which]) for c in model)
+        return d - skin.displacement(u, v)
 
-    everything = np.arange(x.size)
-    z = z0.copy()
-    value = gap(everything, z)
-    steep = np.nonzero(facing < 0.75)[0]
-    bound = facing[steep] + 0.9 * np.sqrt(1.0 - np.minimum(facing[steep], 1.0) ** 2)
-    for _ in range(5):
-        z[steep] -= value[steep] / bound
-        value[steep] = gap(steep, z[steep])
-    before, value_before = z, value
-    z = z - value / np.maximum(facing, 0.05)
-    active = everything
-    z_now, previous, previous_value = z, before, value_before
-    final = z.copy()
-    valid = np.zeros(x.size, dtype=np.bool_)
-    for _ in range(10):
-        now = gap(active, z_now)
-        done = np.abs(now) < 2e-6
-        final[active] = z_now
-        valid[active[done]] = True
-        slope = (now - previous_value) / np.where(z_now == previous, 1.0, z_now - previous)
-        least = 0.25 * np.maximum(facing[active], 0.02)
-        step = np.clip(now / np.maximum(slope, least), -0.1, 0.1)
-        keep = ~done
-        previous, previous_value = z_now[keep], now[keep]
-        z_now = z_now[keep] - step[keep]
-        active = active[keep]
-        if active.size == 0:
-            break
-    return final, valid
+    def exact(which: NDArray[np.intp], depth: Array) -> Array:
+        d, u, v = body.distance_and_chart(*placement.to_finger(x[which], y[which], z0[which] - depth))
+        return d - skin.displacement(u, v)
+
+    clearance = -0.003 / np.maximum(facing, 0.02)
+    depth, met = first_root(along_model, clearance, bound, careful=5)
+    refined, close = polish(exact, depth, facing, met)
+    lost = np.nonzero(~close)[0]
+    if lost.size:  # deep grooves and grazing rays, where the model is too coarse
+        again, met_again = first_root(lambda which, at: exact(lost[which], at), clearance[lost], bound[lost], careful=8)
+        refined[lost], close[lost] = again, met_again
+    return z0 - refined, close
+
+
+def _ray_model(
+    body: FingerBody, placement: Placement, start: Triple, facing: Array
+) -> list[tuple[Array, Array, Array]]:
+    """Quadratics in the depth under the smooth skin for distance, u and v along every ray."""
+    x, y, z0 = start
+    step = 0.05 / np.maximum(facing, 0.2)
+    samples = [body.distance_and_chart(*placement.to_finger(x, y, z0 - k * step)) for k in range(3)]
+    model = []
+    for first, second, third in zip(*samples, strict=True):
+        curve = (0.5 * (third - 2.0 * second + first)) / (step * step)
+        model.append((first, (second - first) / step - curve * step, curve))
+    return model
 
 
 def _skin_normals(

@@ -122,7 +122,7 @@ def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinM
     shade = np.zeros(master.ridge.shape)
     lines = []
     for crease in settings.creases:
-        lines.append(_cut(draws[1], crease, master.u_mm, master.v_mm, groove, shade))
+        lines.append(_cut(draws[1], crease, (master.u_mm, master.v_mm), groove, shade))
     flatten = np.exp(-((groove / 0.15) ** 2))
     displacement = (
         -groove
@@ -141,8 +141,9 @@ def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinM
     )
 
 
-def _cut(rng: np.random.Generator, crease: Crease, u: Array, v: Array, groove: Array, shade: Array) -> Array:
+def _cut(rng: np.random.Generator, crease: Crease, axes: tuple[Array, Array], groove: Array, shade: Array) -> Array:
     """Add one crease to `groove` (depth, mm) and `shade` in place; return its main line (N, 2)."""
+    u, v = axes
     waves = [(rng.uniform(0.05, 0.2), rng.uniform(5.0, 12.0), rng.uniform(0, 2 * np.pi)) for _ in range(2)]
     main = crease.v_mm + crease.tilt * u + crease.bow_per_mm * u * u
     main = main + sum(a * np.sin(2 * np.pi * u / length + phase) for a, length, phase in waves)
