@@ -1,5 +1,67 @@
-"""splitknit: metric 3D fingerprints from one camera."""
+"""splitknit: metric 3D fingerprints from one camera.
+
+The surface of the package is imported when it is first used, so that ``import splitknit`` is quick.
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from splitknit.check import BadInput as BadInput
+    from splitknit.io import read_capture as read_capture
+    from splitknit.io import write_capture as write_capture
+    from splitknit.pipeline import preset_settings as preset_settings
+    from splitknit.pipeline import reconstruct as reconstruct
+    from splitknit.simulate.twin import simulate_capture as simulate_capture
+    from splitknit.types import Camera as Camera
+    from splitknit.types import Capture as Capture
+    from splitknit.types import Led as Led
+    from splitknit.types import Reconstruction as Reconstruction
+    from splitknit.types import Rig as Rig
+
+_HOMES = {
+    "BadInput": "splitknit.check",
+    "Camera": "splitknit.types",
+    "Capture": "splitknit.types",
+    "Led": "splitknit.types",
+    "Reconstruction": "splitknit.types",
+    "Rig": "splitknit.types",
+    "preset_settings": "splitknit.pipeline",
+    "read_capture": "splitknit.io",
+    "reconstruct": "splitknit.pipeline",
+    "simulate_capture": "splitknit.simulate.twin",
+    "write_capture": "splitknit.io",
+}
+
+__all__ = [  # noqa: RUF022 - what a user needs first comes first
+    "read_capture",
+    "reconstruct",
+    "write_capture",
+    "simulate_capture",
+    "preset_settings",
+    "BadInput",
+    "Camera",
+    "Capture",
+    "Led",
+    "Reconstruction",
+    "Rig",
+    "__version__",
+]
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'splitknit' has no attribute {name!r}")
+    import importlib  # noqa: PLC0415
+
+    value = getattr(importlib.import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

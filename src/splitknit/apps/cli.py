@@ -83,7 +83,7 @@ def _add_reconstruct(verbs: Any) -> None:
         "--preset",
         choices=PRESETS,
         default="metric",
-        help="metric (ours, the default), or the thesis's snk (whole algorithm), pr (direct light, no split), ea (plain)",
+        help="metric (ours, the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain)",
     )
     _add_settings(verb)
 

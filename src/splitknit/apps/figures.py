@@ -25,12 +25,13 @@ from splitknit.apps.pictures import (
     to_frame,
     upright_frame,
 )
-from splitknit.apps.shading import oblique_view, top_view
+from splitknit.apps.shading import oblique_view, top_view, upright_surface
 from splitknit.types import Capture, FloatArray, Reconstruction
 
-LONGEST_PX = 620
+LONGEST_PX = 700
 _NO_LEGEND = Markup("")
 RELIEF_EXAGGERATION = 2.0
+TILT_DEG = 56.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,24 +210,40 @@ def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
     )
 
 
-def views(result: Reconstruction, frame: Frame) -> list[Picture]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The shaded surface from three sides."""
+
+    above: ColourArray
+    left: ColourArray
+    right: ColourArray
+    pitch_mm: float
+    """Size of one pixel of `above`."""
+
+
+def render_views(result: Reconstruction, frame: Frame) -> Views:
+    """Render the surface from above and from two sides."""
+    surface = upright_surface(result, frame, RELIEF_EXAGGERATION)
+    left, right = (oblique_view(surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
+    return Views(top_view(surface), left, right, frame.pitch_mm)
+
+
+def view_pictures(views: Views) -> list[Picture]:
     """Show the surface from above and from two sides."""
     stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
-    pictures = [
+    oblique = f"The same surface at {TILT_DEG:g} deg from the camera's axis. {stated}"
+    return [
         _picture(
             "From above",
-            top_view(result, frame, RELIEF_EXAGGERATION),
-            f"Measured surface, lit from the upper left. {stated}",
-            pitch_mm=frame.pitch_mm,
+            views.above,
+            f"Measured surface, lit from the upper left. {stated} "
+            "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves.",
+            pitch_mm=views.pitch_mm,
             photo=True,
-        )
+        ),
+        _picture("From the left", views.left, oblique, photo=True),
+        _picture("From the right", views.right, oblique, photo=True),
     ]
-    for title, turn in (("From the left", 38.0), ("From the right", -38.0)):
-        view = oblique_view(result, frame, turn_deg=turn, tilt_deg=56.0, exaggeration=RELIEF_EXAGGERATION)
-        pictures.append(
-            _picture(title, view, f"The same surface at 56 deg from the camera's axis. {stated}", photo=True)
-        )
-    return pictures
 
 
 def print_picture(prints: NDArray[np.uint8]) -> Picture:

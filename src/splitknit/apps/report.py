@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps import charts, figures
 from splitknit.apps.compare import Comparison, compare
-from splitknit.apps.figures import Picture
+from splitknit.apps.figures import Picture, Views
 from splitknit.apps.pictures import upright_frame
 from splitknit.types import Capture, FloatArray, Reconstruction
 
@@ -53,10 +53,11 @@ def make_report(
     result: Reconstruction,
     capture: Capture,
     prints: NDArray[np.uint8],
+    views: Views | None = None,
     *,
     truth: Truth | None = None,
     others: Sequence[Reconstruction] = (),
-    files: Mapping[str, str] | None = None,
+    files: Sequence[str] = (),
     title: str = "3D fingerprint",
 ) -> Report:
     """Build the report of `result`.
@@ -68,15 +69,17 @@ def make_report(
         What it was made from; only small previews of the images enter the page.
     prints : (h, w) uint8
         The relief as a print.
+    views : Views, optional
+        The shaded surface, where it has been rendered already.
     truth : mapping, optional
         A simulator's arrays; `result` and `others` are then compared with it, side by side.
     others : sequence of Reconstruction
         The same capture by other presets.
-    files : mapping, optional
-        SHA-256 of the files written beside the report, by name.
+    files : sequence of str
+        Names of the files written beside the report.
     """
     comparisons = [] if truth is None else [compare(each, truth) for each in (result, *others)]
-    facts = _facts(result, capture, comparisons, files or {})
+    facts = _facts(result, capture, comparisons, files)
     frame = upright_frame(result, figures.LONGEST_PX)
     uncertainty = figures.uncertainty_picture(result, frame)
     maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
@@ -92,7 +95,7 @@ def make_report(
         title=title,
         facts=facts,
         summary=_summary(result),
-        views=figures.views(result, frame),
+        views=figures.view_pictures(views or figures.render_views(result, frame)),
         prints=figures.print_picture(prints),
         maps=maps + ([uncertainty] if uncertainty is not None else []),
         profiles=_profiles(result, truth),
@@ -113,7 +116,7 @@ def make_report(
 
 
 def _facts(
-    result: Reconstruction, capture: Capture, comparisons: Sequence[Comparison], files: Mapping[str, str]
+    result: Reconstruction, capture: Capture, comparisons: Sequence[Comparison], files: Sequence[str]
 ) -> dict[str, Any]:
     import splitknit  # noqa: PLC0415 - the version, without an import cycle
 
@@ -144,7 +147,7 @@ def _facts(
         "settings": plain(result.settings),
         "timings_s": plain(result.timings_s),
         "inputs_sha256": dict(sorted(result.hashes.items())),
-        "files_sha256": dict(sorted(files.items())),
+        "files": list(files),
         "comparison": {each.preset: plain(each.figures) for each in comparisons},
     }
 

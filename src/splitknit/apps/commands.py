@@ -1,0 +1,95 @@
+"""What the verbs do, without the command line: files in, files and facts out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from splitknit.apps.outputs import FILES, write_results
+from splitknit.io import read_capture, read_npz, write_capture
+from splitknit.pipeline import reconstruct
+from splitknit.settings import override
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.types import Capture
+
+Progress = Callable[[str, float], None]
+
+TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
+
+
+def no_progress(stage: str, share: float) -> None:
+    """Say nothing."""
+
+
+def reconstruct_to_folder(
+    capture_folder: Path,
+    out: Path,
+    *,
+    preset: str = "metric",
+    changes: Mapping[str, Any] | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more."""
+    started = time.perf_counter()
+    progress("reading", 0.0)
+    capture = read_capture(capture_folder)
+    read_s = time.perf_counter() - started
+    result = reconstruct(
+        capture, preset, dict(changes or {}), progress=lambda stage, share: progress(stage, 0.15 + 0.65 * share)
+    )
+    result = replace(result, timings_s={"reading": read_s, **result.timings_s})
+    progress("writing", 0.8)
+    facts = write_results(result, capture, out, truth_of(capture))
+    progress("done", 1.0)
+    return {
+        **facts,
+        "out": str(out),
+        "files": list(FILES),
+        "area_mm2": facts["result"]["area_mm2"],
+        "total_s": time.perf_counter() - started,
+    }
+
+
+def truth_of(capture: Capture) -> dict[str, Any] | None:
+    """Read a simulator's truth, if the capture names one, and only what is compared."""
+    if capture.truth is None:
+        return None
+    arrays = read_npz(capture.truth)
+    return {name: arrays[name] for name in TRUTH_ARRAYS if name in arrays}
+
+
+def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
+    """Return the twin's settings with `scale` and single fields replaced."""
+    settings = override(TwinSettings(), dict(changes or {}))
+    return settings if scale is None else replace(settings, scale=scale)
+
+
+def simulate_to_folder(
+    out: Path,
+    *,
+    seed: int = 0,
+    pattern: str | None = None,
+    scale: float | None = None,
+    changes: Mapping[str, Any] | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Simulate a capture and write its folder with the truth; return what was made."""
+    started = time.perf_counter()
+    progress("simulating", 0.0)
+    capture, truth = simulate_capture(seed, pattern, twin_settings(scale, changes))
+    progress("writing", 0.8)
+    write_capture(capture, out, truth, overwrite=True)
+    progress("done", 1.0)
+    rows, columns = capture.shape
+    return {
+        "out": str(out),
+        "seed": seed,
+        "pattern": str(truth.get("landmark_pattern", pattern or "finger")),
+        "images": sum(len(band.leds) for band in capture.bands.values()),
+        "image_size": [rows, columns],
+        "px_per_mm": capture.rig.camera.px_per_mm,
+        "total_s": time.perf_counter() - started,
+    }

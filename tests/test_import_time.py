@@ -1,0 +1,42 @@
+"""``import splitknit`` and ``splitknit --help`` load none of the heavy packages (and so stay far below 0.3 s)."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("numpy", "cv2", "scipy", "tifffile", "jinja2", "tqdm", "torch", "onnxruntime", "mitsuba", "matplotlib")
+REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
+
+
+def _loaded_after(code: str) -> list[str]:
+    run = subprocess.run(
+        [sys.executable, "-c", code + "\n" + REPORT.format(heavy=HEAVY)], capture_output=True, text=True, check=True
+    )
+    return list(json.loads(run.stdout.splitlines()[-1]))
+
+
+def test_import_loads_nothing_heavy() -> None:
+    assert _loaded_after("import splitknit; splitknit.__version__; dir(splitknit)") == []
+
+
+def test_help_needs_no_numerics() -> None:
+    loaded = _loaded_after("from splitknit.apps.cli import main\nassert main(['reconstruct', '--help']) == 0")
+    assert not set(loaded) & {"cv2", "scipy", "tifffile", "jinja2", "tqdm"}
+
+
+def test_types_need_numpy_only() -> None:
+    assert _loaded_after("from splitknit import Capture, BadInput") == ["numpy"]
+
+
+def test_every_public_name_resolves() -> None:
+    import splitknit
+
+    for name in splitknit.__all__:
+        assert getattr(splitknit, name) is not None
+    assert set(splitknit.__all__) - {"__version__"} == set(splitknit._HOMES)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        splitknit.nothing  # noqa: B018
