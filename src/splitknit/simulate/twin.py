@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -15,6 +15,7 @@ from splitknit.check import require
 from splitknit.simulate.background import BackgroundSettings, background_albedo, hand_shadow
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.diffusion import WalkTable, load_walks
+from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulate.renderer import (
     BandLight,
     RenderSettings,
@@ -27,9 +28,51 @@ from splitknit.simulate.rig import default_rig
 from splitknit.simulate.sensor import SensorSettings, record
 from splitknit.simulate.skin import BAND_CHANNELS, CHANNELS, SkinRanges, SkinSettings
 from splitknit.simulate.surface import Surface
-from splitknit.types import Band, Capture, FloatArray, PixelArray, Rig
+from splitknit.types import Band, Camera, Capture, FloatArray, Led, PixelArray, Rig
 
 FULL_PX_PER_MM = 75.7
+
+
+@dataclass(frozen=True, slots=True)
+class PoseRanges:
+    """Ranges from which a finger's pose is drawn, evenly."""
+
+    yaw_deg: tuple[float, float] = (-10.0, 10.0)
+    pitch_deg: tuple[float, float] = (-4.0, 4.0)
+    roll_deg: tuple[float, float] = (-8.0, 8.0)
+    x_mm: tuple[float, float] = (-2.5, 2.5)
+    """Where the middle of the distal phalanx lies beside the image centre."""
+    insertion_mm: tuple[float, float] = (25.0, 28.0)
+    """From the lower image border to the tip; cut to what the picture holds."""
+    height_mm: tuple[float, float] = (-0.5, 0.5)
+    """z of the highest point of the pad."""
+
+    def __post_init__(self) -> None:
+        for name in ("yaw_deg", "pitch_deg", "roll_deg", "x_mm", "insertion_mm", "height_mm"):
+            low, high = getattr(self, name)
+            require(bool(np.isfinite([low, high]).all()) and low <= high, f"pose range {name} must be (low, high).")
+
+    def draw(self, rng: np.random.Generator, camera: Camera) -> Pose:
+        """Return one pose; every range takes one number from `rng`, in a fixed order."""
+        yaw, pitch, roll, x, insertion, height = (
+            float(low + (high - low) * rng.random())
+            for low, high in (
+                self.yaw_deg,
+                self.pitch_deg,
+                self.roll_deg,
+                self.x_mm,
+                self.insertion_mm,
+                self.height_mm,
+            )
+        )
+        return Pose(
+            yaw_rad=float(np.deg2rad(yaw)),
+            pitch_rad=float(np.deg2rad(pitch)),
+            roll_rad=float(np.deg2rad(roll)),
+            x_mm=x,
+            insertion_mm=min(insertion, camera.image_size[0] / camera.px_per_mm - 0.6),
+            height_mm=height,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +87,55 @@ class TwinSettings:
     """Standard deviation of the LEDs' intensities."""
     skin: SkinSettings | SkinRanges = field(default_factory=SkinRanges)
     """The skin itself, or the ranges from which each finger's is drawn."""
+    pose: Pose | PoseRanges = field(default_factory=PoseRanges)
+    """The pose itself, or the ranges from which each impression's is drawn."""
     render: RenderSettings = field(default_factory=RenderSettings)
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
     sensor: SensorSettings = field(default_factory=SensorSettings)
+
+
+def simulate_capture(
+    seed: int,
+    pattern: str | None = None,
+    settings: TwinSettings | None = None,
+    *,
+    impression: int = 0,
+    finger: Finger | None = None,
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Simulate one capture of one person's finger.
+
+    Parameters
+    ----------
+    seed : of the person: finger, print and skin follow from it
+    pattern : class of the print (``arch``, ``left_loop``, ``whorl``, ...); None draws it
+    settings : of the twin
+    impression : number of the capture of this finger: pose, dust and noise change with it
+    finger : photographed instead of the one that `seed` draws
+
+    Returns
+    -------
+    capture : 8-bit (or 16-bit) images of both bands with ambient frames, and the rig
+    truth : arrays by name, see ``docs/twin.md``
+
+    Notes
+    -----
+    The same arguments give the same bytes, whatever the number of workers.
+    """
+    settings = settings or TwinSettings()
+    require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
+    rig = default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
+    finger = finger or draw_finger(seed, pattern)
+    person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
+    pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
+    skin = settings.skin if isinstance(settings.skin, SkinSettings) else settings.skin.draw(person)
+    if isinstance(settings.pose, Pose):
+        pose = settings.pose
+    else:
+        pose = settings.pose.draw(np.random.default_rng(pose_seed), rig.camera)
+    surface = finger_surface(finger, pose, rig.camera, workers=settings.render.workers)
+    capture, truth = photograph(surface, rig, skin, photo_seed, settings=settings)
+    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
+    return replace(capture, subject=subject), truth
 
 
 def photograph(
@@ -66,7 +155,7 @@ def photograph(
     rig : LEDs of the bands ``white`` and ``nir``; each lights one image
     skin : optics of the finger
     seed : of background and noise
-    settings : `scale`, `rig_seed`, `intensity_spread` and `skin` are not used here
+    settings : only `render`, `background` and `sensor` are used here
     walks : table of random walks; None loads the shipped one
 
     Returns
@@ -137,7 +226,9 @@ class _Scene:
         glare = np.zeros((len(leds), height, width), dtype=np.float16)
 
         def shoot(k: int) -> PixelArray:
-            frame = ambient + self._frame(light, k, white_card(self.rig.camera, leds[k], -self._depth()))
+            frame = ambient + self._frame(
+                light, k, white_card(self.rig.camera, leds[k], -self.settings.background.depth_mm)
+            )
             glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
             return self._record(frame * exposure, name, seeds[k])
 
@@ -164,7 +255,7 @@ class _Scene:
         frame *= self.shade[..., None]
         return frame
 
-    def _ambient(self, name: str, leds: list[Any]) -> FloatArray:
+    def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
         """(H, W, 3) radiance of the frame with all LEDs off."""
         settings = self.settings.background
         level = settings.ambient * float(np.mean([white_card(self.rig.camera, led, step=10**6).mean() for led in leds]))
@@ -176,9 +267,6 @@ class _Scene:
             for c in range(3):
                 frame[light.window][..., c] += light.diffuse[0, min(c, skin.shape[0] - 1)]
         return frame
-
-    def _depth(self) -> float:
-        return self.settings.background.depth_mm
 
     def _blur(self) -> FloatArray | None:
         """(H, W) defocus in pixels, or None where it is switched off."""
@@ -238,16 +326,14 @@ def _optics_truth(skin: SkinSettings) -> dict[str, NDArray[Any]]:
 
 
 def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """One array for each entry; mappings inside mappings get longer names."""
+    """One array for each entry; what is inside mappings and lists of arrays gets longer names."""
     result: dict[str, NDArray[Any]] = {}
     for key, value in values.items():
+        name = f"{prefix}_{key}"
         if isinstance(value, Mapping):
-            result |= _flat(f"{prefix}_{key}", value)
+            result |= _flat(name, value)
+        elif isinstance(value, list):
+            result |= _flat(name, {str(k): one for k, one in enumerate(value)})
         elif value is not None:
-            result[f"{prefix}_{key}"] = np.asarray(value)
+            result[name] = np.asarray(value)
     return result
-
-
-def draw_rig(settings: TwinSettings) -> Rig:
-    """The rig of `settings`."""
-    return default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)

@@ -1,0 +1,60 @@
+"""Analytic surfaces for the twin's optics: no finger needed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splitknit.simulate.surface import Surface
+from splitknit.types import Camera
+
+PX_PER_MM = 37.85
+
+
+def plane(size: tuple[int, int] = (96, 128), px_per_mm: float = 10.0) -> Surface:
+    """A flat sheet that fills the picture at z = 0."""
+    zero = np.zeros(size, dtype=np.float32)
+    up = np.zeros((*size, 3), dtype=np.float32)
+    up[..., 2] = 1.0
+    mask = np.ones(size, dtype=np.bool_)
+    return Surface(Camera(px_per_mm, size), zero, zero, up, up, zero, mask, np.ones(size, dtype=np.float32))
+
+
+def ridged_egg(
+    size: tuple[int, int] = (550, 480), px_per_mm: float = PX_PER_MM, depth_um: float = 75.0, period_mm: float = 0.43
+) -> Surface:
+    """A finger-sized half ellipsoid with concentric ridges; its normals are those of the ridged height, exactly."""
+    camera = Camera(px_per_mm, size)
+    x = ((np.arange(size[1]) - (size[1] - 1) / 2) / px_per_mm)[None, :]
+    y = (((size[0] - 1) / 2 - np.arange(size[0])) / px_per_mm)[:, None]
+    width, length, height = 5.8, 6.8, 5.0
+    inside = 1.0 - (x / width) ** 2 - (y / length) ** 2
+    mask = inside > 0.03
+    root = np.sqrt(np.clip(inside, 0.03, 1.0))
+    shape = height * root
+    radius = np.hypot(x - 0.3, y - 1.0) + 1e-9
+    phase = 2.0 * np.pi * radius / period_mm
+    # ridges fade towards the outline so that the height stays a single-valued, smooth function
+    fade = np.clip(inside, 0.0, 1.0)
+    relief = -depth_um * (0.5 - 0.5 * np.cos(phase)) * fade
+    slope = -depth_um * 0.5 * np.sin(phase) * 2.0 * np.pi / period_mm * fade * 1e-3
+    ripple = -depth_um * (0.5 - 0.5 * np.cos(phase)) * 1e-3
+    sx, sy = -height * x / (width**2 * root), -height * y / (length**2 * root)
+    gx = sx + slope * (x - 0.3) / radius - ripple * 2.0 * x / width**2
+    gy = sy + slope * (y - 1.0) / radius - ripple * 2.0 * y / length**2
+    return Surface(
+        camera=camera,
+        height_mm=np.where(mask, shape + relief * 1e-3, np.nan).astype(np.float32),
+        shape_mm=np.where(mask, shape, np.nan).astype(np.float32),
+        normals=_unit(gx, gy, mask),
+        shape_normals=_unit(sx, sy, mask),
+        relief_um=np.where(mask, relief, 0.0).astype(np.float32),
+        mask=mask,
+        pigment=np.ones(size, dtype=np.float32),
+        landmarks={"tip": (0.0, 6.8), "pattern": "rings", "pose": {"yaw_deg": 0.0}},
+    )
+
+
+def _unit(gx: np.ndarray, gy: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    normals = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(mask[..., None], normals, 0.0).astype(np.float32)
