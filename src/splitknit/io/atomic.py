@@ -113,7 +113,7 @@ def _check_replaceable(target: Path, overwrite: bool) -> None:
             return
         require(target.is_dir(), f"'{target}' is a file; name a folder to write into.")
         require(not os.path.ismount(target), f"'{target}' is a mounted disk; name a folder inside it.")
-        names = sorted(path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir())
+        names = _files(target)
     if not names:
         return
     require(overwrite, f"'{target}' exists and is not empty; remove it or name another folder.")
@@ -125,9 +125,14 @@ def _check_replaceable(target: Path, overwrite: bool) -> None:
         )
 
 
+def _files(folder: Path) -> list[str]:
+    """Names of everything in `folder` that is not a folder itself; a link to a folder counts."""
+    found = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    return sorted(path.relative_to(folder).as_posix() for path in found)
+
+
 def _write_manifest(folder: Path) -> None:
-    names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
-    document = {"format": "splitknit-folder", "version": 1, "files": names}
+    document = {"format": "splitknit-folder", "version": 1, "files": _files(folder)}
     (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
