@@ -6,9 +6,14 @@ joins (i, j) and (i + 1, j). The last column of `right` and the last row of `dow
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.types import BoolArray, FloatArray
+
+Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 
 
 def difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -19,7 +24,7 @@ def difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right, down
 
 
-def difference_adjoint(right: FloatArray, down: FloatArray) -> FloatArray:
+def difference_adjoint(right: Floats, down: Floats) -> Floats:
     """Adjoint of :func:`difference`: what flows into a pixel less what flows out of it."""
     result = -right - down
     result[:, 1:] += right[:, :-1]

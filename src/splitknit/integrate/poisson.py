@@ -8,6 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 import scipy.fft
+import scipy.linalg
+from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.integrate.edges import difference, difference_adjoint, edge_weights, predicted_differences
@@ -25,8 +27,8 @@ class PoissonSettings:
 
     tolerance: float = 1e-5
     """Stop when the estimated rms error of the solver falls below this part of the rms height."""
-    max_iterations: int = 60
-    """Conjugate-gradient iterations at most; a finger needs about five."""
+    max_iterations: int = 300
+    """Conjugate-gradient iterations at most; a finger needs three to five, a maze a few dozen."""
     weight_floor: float = 1e-3
     """Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
     quadrature: str = "trapezoidal"
@@ -82,7 +84,8 @@ def poisson(
     References
     ----------
     B. K. P. Horn and M. J. Brooks, "The variational approach to shape from shading", CVGIP 33 (1986); Y. Queau,
-    J.-D. Durou and J.-F. Aujol, "Normal integration: a survey", JMIV 60 (2018), section 3; the thesis, (3.35) to (3.39).
+    J.-D. Durou and J.-F. Aujol, "Normal integration: a survey", JMIV 60 (2018), section 3; the thesis, (3.35) to
+    (3.39).
 
     Examples
     --------
@@ -154,38 +157,66 @@ def _solve_masked(
     height = grid.solve_nested(difference_adjoint(weight_right * target_right, weight_down * target_down))
     # The residual of edges, not of heights: differences of neighbouring heights are exact in single precision.
     step_right, step_down = difference(height)
-    residual = difference_adjoint(weight_right * (target_right - step_right), weight_down * (target_down - step_down))
+    residual = difference_adjoint(
+        (weight_right * (target_right - step_right)).astype(np.float64),
+        (weight_down * (target_down - step_down)).astype(np.float64),
+    )
     height += _conjugate_gradients(grid, residual, _rms(height), settings)
     return height[:rows, :columns]
 
 
-def _conjugate_gradients(grid: Grid, residual: FloatArray, scale: float, settings: PoissonSettings) -> FloatArray:
-    """Solve for the correction; stop when the preconditioned residual, an estimate of the error, is small."""
+def _conjugate_gradients(
+    grid: Grid, residual: NDArray[np.float64], scale: float, settings: PoissonSettings
+) -> FloatArray:
+    """Solve for the correction until the estimated rms error is small.
+
+    Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few
+    pixels shift against each other by the rounding of the residual, divided by a very small stiffness. For the same
+    reason the preconditioned residual is divided by the smallest eigenvalue that the iteration has met (Lanczos).
+    """
     correction = np.zeros_like(residual)
     direction = np.zeros_like(residual)
+    lengths: list[float] = []
+    ratios: list[float] = []
     energy = 1.0
     for _ in range(settings.max_iterations):
-        estimate = grid.cycle(residual)
-        if _rms(estimate) <= settings.tolerance * scale:
-            return correction + estimate
+        estimate = grid.cycle(residual.astype(np.float32))
         previous, energy = energy, _dot(residual, estimate)
         if energy <= 0:
             break
-        direction = estimate + np.float32(energy / previous) * direction
+        ratios.append(energy / previous)
+        if lengths and _rms(estimate) <= settings.tolerance * scale * _smallest_eigenvalue(lengths, ratios):
+            correction += estimate
+            break
+        direction *= ratios[-1]
+        direction += estimate
         image = grid.apply(direction)
         curvature = _dot(direction, image)
         if curvature <= 0:
             break
-        length = np.float32(energy / curvature)
-        correction += length * direction
-        residual = residual - length * image
-    return correction
+        lengths.append(energy / curvature)
+        correction += lengths[-1] * direction
+        image *= lengths[-1]
+        residual -= image
+    return correction.astype(np.float32)
 
 
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    """Inner product whose bytes do not depend on threads: rows in single, their sum in double precision."""
+def _smallest_eigenvalue(lengths: list[float], ratios: list[float]) -> float:
+    """Smallest Ritz value of the preconditioned operator, from the coefficients of conjugate gradients so far.
+
+    The tridiagonal Lanczos matrix has 1 / a_k + b_k / a_(k-1) on its diagonal and sqrt(b_k) / a_(k-1) beside it (Y.
+    Saad, "Iterative methods for sparse linear systems", 2nd edition, eq. 6.82).
+    """
+    step, ratio = np.array(lengths), np.array(ratios[1 : len(lengths)])
+    diagonal = 1 / step
+    diagonal[1:] += ratio / step[:-1]
+    return float(scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(ratio) / step[:-1])[0])
+
+
+def _dot(a: NDArray[Any], b: NDArray[Any]) -> float:
+    """Inner product whose bytes do not depend on threads: along the rows, then their sum in double precision."""
     return float(np.sum(np.einsum("ij,ij->i", a, b), dtype=np.float64))
 
 
-def _rms(a: FloatArray) -> float:
+def _rms(a: NDArray[Any]) -> float:
     return float(np.sqrt(_dot(a, a) / a.size))

@@ -183,15 +183,16 @@ Field = tuple[FloatArray, bool, bool]
 
 
 def _fields(slope_x: FloatArray, slope_y: FloatArray, variant: str) -> list[Field]:
-    steepness = np.hypot(slope_x, slope_y)
+    steepness: FloatArray = np.hypot(slope_x, slope_y).astype(np.float32)
     if variant == "slant_only":
         return [(steepness, False, False)]
     safe = np.maximum(steepness, np.float32(1e-12))
-    cos, sin = slope_x / safe, slope_y / safe
+    cos: FloatArray = (slope_x / safe).astype(np.float32)
+    sin: FloatArray = (slope_y / safe).astype(np.float32)
     if variant == "tilt_only":
         return [(cos, True, False), (sin, False, True)]
-    cos_double = (slope_x * cos - slope_y * sin).astype(np.float32)
-    sin_double = 2 * slope_x * sin
+    cos_double: FloatArray = (slope_x * cos - slope_y * sin).astype(np.float32)
+    sin_double: FloatArray = (2 * slope_x * sin).astype(np.float32)
     return [(cos_double, False, False), (sin_double, True, True), (steepness, False, False)]
 
 
@@ -217,9 +218,7 @@ def _kernels(size: tuple[int, int], settings: ShapeletSettings) -> list[FloatArr
     return [part.astype(np.float32) for part in parts]
 
 
-def _pad(  # noqa: PLR0917
-    field: FloatArray, size: tuple[int, int], padding: str, odd_x: bool, odd_y: bool
-) -> FloatArray:
+def _pad(field: FloatArray, size: tuple[int, int], padding: str, odd_x: bool, odd_y: bool) -> FloatArray:
     """Centre `field` in a rectangle of `size`; mirrored copies of an odd field change sign."""
     spare = (size[0] - field.shape[0], size[1] - field.shape[1])
     widths = [(n // 2, n - n // 2) for n in spare]

@@ -27,7 +27,7 @@ WORKERS = 2
 """Threads of the transforms; the result does not depend on it."""
 
 
-def integrate_spectrum(  # noqa: PLR0917
+def integrate_spectrum(
     gradient_x: FloatArray,
     gradient_y: FloatArray,
     transfer: Transfer | None,
@@ -107,8 +107,8 @@ def _radial_factor(
 def sample_radially(transfer: Transfer, square: NDArray[np.float64], samples: int = 8192) -> NDArray[np.float64]:
     """T at the radii whose squares are given, by linear interpolation in a table over the radius.
 
-    Frequencies end at sqrt(2) pi, where 8192 samples are 0.0005 rad/px apart: the error of a smooth transfer function is
-    below 1e-6. One pass over a table is ten times faster than exponentials of every scale at every frequency.
+    Frequencies end at sqrt(2) pi, where 8192 samples are 0.0005 rad/px apart: the error of a smooth transfer function
+    is below 1e-6. One pass over a table is ten times faster than exponentials of every scale at every frequency.
     """
     top = float(np.sqrt(2.0) * np.pi * 1.001)
     radii = np.linspace(0.0, top, samples)

@@ -101,6 +101,6 @@ def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit normals (3, n) and albedo (n,); a pixel without any light faces the camera and has albedo zero."""
     albedo = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     dark = albedo <= 0
-    normals = g / np.where(dark, np.float32(1.0), albedo)
+    normals = np.asarray(g / np.where(dark, np.float32(1.0), albedo), dtype=np.float32)
     normals[2][dark] = 1.0
     return normals, albedo

@@ -70,11 +70,8 @@ def _perspective(camera: Camera) -> View:
     distortion = np.asarray(camera.distortion if camera.distortion is not None else (0.0, 0.0, 0.0, 0.0, 0.0))
     assert camera.matrix is not None
     rays = cv2.undistortPoints(pixels, np.asarray(camera.matrix, dtype=np.float64), distortion)[:, 0]
-    return View(
-        (rays[:, 0] * camera.height_mm).reshape(rows, columns),
-        (-rays[:, 1] * camera.height_mm).reshape(rows, columns),
-        camera.height_mm,
-    )
+    on_plane = np.asarray(rays * camera.height_mm, dtype=np.float64)
+    return View(on_plane[:, 0].reshape(rows, columns), -on_plane[:, 1].reshape(rows, columns), camera.height_mm)
 
 
 def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from splitknit.types import BoolArray, FloatArray, Rig
 class NearLightSettings:
     """Near-light photometric stereo."""
 
-    robust: RobustSettings | None = RobustSettings()
+    robust: RobustSettings | None = field(default_factory=RobustSettings)
     """Weights for shadowed and glossy lights where none are given; None uses all lights alike."""
 
 
@@ -43,7 +43,7 @@ class _Scene:
         return here, lights, self.images[:, :, chunk][:, :, here]
 
 
-def near_light(
+def near_light(  # noqa: PLR0917
     stack: Any,
     rig: Rig,
     surface_mm: Any,
@@ -133,9 +133,10 @@ def pseudo_normals(  # noqa: PLR0917
     array = np.asarray(stack)
     channels = array.ndim == 4
     images = check_stack(array.reshape(-1, *array.shape[-2:]) if channels else array, least=3)
-    grouped = images.reshape(array.shape if channels else (1, *array.shape))
+    colours = array.shape[0] if channels else 1
+    count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
+    grouped = images.reshape(colours, count, rows, columns)
     scene = _scene(grouped, rig, surface_mm, mask, x_mm, y_mm)
-    colours, count, rows, columns = grouped.shape
     given = None if weights is None else _check_weights(weights, (count, rows, columns))
     result = np.zeros((colours, rows, columns, 3), dtype=np.float32)
 
@@ -194,13 +195,9 @@ def _scene(  # noqa: PLR0917
         "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels out of the mask.",
     )
     view = view_of(rig.camera, shape, x_mm, y_mm)
-    lowest = (
-        min(led.position_mm[2] for led in rig.leds if led.position_mm is not None)
-        if any(led.position_mm is not None for led in rig.leds)
-        else np.inf
-    )
+    heights = [led.position_mm[2] for led in rig.leds if led.position_mm is not None]
     require(
-        float(surface.max(where=inside, initial=-np.inf)) < lowest,
+        float(surface.max(where=inside, initial=-np.inf)) < min(heights, default=np.inf),
         "surface_mm reaches the LEDs; it must be in mm above the finger plane.",
     )
     return _Scene(images, rig, surface, inside, view)

@@ -66,7 +66,9 @@ def _run(
     chosen = settings if settings is not None else RobustSettings()
     images = check_stack(stack, least=3)
     count, rows, columns = images.shape
-    vectors = check_lights(lights, count).astype(np.float32)
+    checked = check_lights(lights, count)
+    scale = float(np.linalg.norm(checked, axis=1).mean())
+    vectors = (checked / scale).astype(np.float32)
     inside = check_mask(mask, (rows, columns))
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
     albedo = np.full((rows, columns), np.nan, dtype=np.float32)
@@ -78,7 +80,7 @@ def _run(
         g, used = robust_fit(images[:, chunk][:, here], vectors, chosen)
         unit, length = unit_normals(g)
         normals[chunk][here] = unit.T
-        albedo[chunk][here] = length
+        albedo[chunk][here] = length / np.float32(scale)
         if weights is not None:
             weights[:, chunk][:, here] = used
 
