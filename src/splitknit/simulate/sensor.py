@@ -15,6 +15,7 @@ from splitknit.types import FloatArray, PixelArray
 RESPONSE: Mapping[str, tuple[float, float, float]] = {"white": (0.90, 1.00, 0.47), "nir": (1.00, 0.98, 0.97)}
 """Signal of the red, green and blue pixels, relative: a white card under a white LED of 5000 K (CIE LED-B3 through the
 IMX219's quantum efficiency), and under 850 nm, where the colour filters are transparent."""
+ROWS_AT_A_TIME = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,29 +76,51 @@ def record(
     """
     settings = settings or SensorSettings()
     require(light.ndim == 3 and light.shape[2] == 3, f"light must have the shape (H, W, 3), but it has {light.shape}.")
-    pixels = 1.0 / scale**2 if settings.binned else 1.0
-    full = np.float32(settings.full_well_e * pixels)
-    read = np.float32(settings.read_noise_e**2 * pixels)
-    response = np.asarray(RESPONSE[band], dtype=np.float32)
-    signal = light * (response * full)
-    if settings.noise:
-        deviation = np.random.default_rng(seed).standard_normal(light.shape, dtype=np.float32)
-        deviation *= np.sqrt(np.maximum(signal, np.float32(0.0)) + read)
-        signal += deviation
-    levels = float(2**settings.raw_bits - 1)
-    raw = np.clip(np.rint(signal * np.float32(levels / full)), 0.0, levels)
+    rng = np.random.default_rng(seed) if settings.noise else None
+    raw = np.empty(light.shape, dtype=np.uint16)
+    for top in range(0, light.shape[0], ROWS_AT_A_TIME):
+        part = slice(top, top + ROWS_AT_A_TIME)
+        raw[part] = _expose(light[part], RESPONSE[band], rng, settings, scale)
     if settings.demosaic:
         raw = _demosaic(raw)
-    return _encode(raw / (np.float32(levels) * response), settings)
+    stored = np.empty(light.shape, dtype=np.uint8 if settings.bits == 8 else np.uint16)
+    levels = 2**settings.raw_bits
+    for c, response in enumerate(RESPONSE[band]):
+        values = np.arange(levels) / ((levels - 1) * response)
+        stored[..., c] = _encode(values.astype(np.float32), settings)[raw[..., c]]
+    return stored
 
 
-def _demosaic(raw: FloatArray) -> FloatArray:
+def _expose(
+    light: FloatArray,
+    response: tuple[float, float, float],
+    rng: np.random.Generator | None,
+    settings: SensorSettings,
+    scale: float,
+) -> NDArray[np.uint16]:
+    """Raw levels of some rows, which `rng` gives noise in their order."""
+    pixels = 1.0 / scale**2 if settings.binned else 1.0
+    full = settings.full_well_e * pixels
+    signal = light * (np.asarray(response, dtype=np.float32) * np.float32(full))
+    if rng is not None:
+        spread = np.maximum(signal, np.float32(0.0))
+        spread += np.float32(settings.read_noise_e**2 * pixels)
+        np.sqrt(spread, out=spread)
+        spread *= rng.standard_normal(light.shape, dtype=np.float32)
+        signal += spread
+    levels = 2**settings.raw_bits - 1
+    signal *= np.float32(levels / full)
+    np.rint(signal, out=signal)
+    return np.clip(signal, 0.0, np.float32(levels), out=signal).astype(np.uint16)
+
+
+def _demosaic(raw: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """Keep one colour a pixel, in the order red green / green blue, and interpolate the others bilinearly."""
     mosaic = np.empty(raw.shape[:2], dtype=np.uint16)
     for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
         mosaic[row::2, column::2] = raw[row::2, column::2, channel]
     # OpenCV names a pattern by its second row and column: red green / green blue is "BayerBG", and RGB its order
-    return cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB).astype(np.float32)
+    return np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB), dtype=np.uint16)
 
 
 def _encode(light: NDArray[np.float32], settings: SensorSettings) -> PixelArray:
