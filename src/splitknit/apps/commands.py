@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.outputs import FILES, write_results
-from splitknit.io import read_capture, read_npz, write_capture
+from splitknit.apps.outputs import FILES, write_files
+from splitknit.check import require
+from splitknit.io import atomic_folder, read_capture, read_npz, write_capture
 from splitknit.pipeline import reconstruct
 from splitknit.settings import override
 from splitknit.simulate.twin import TwinSettings, simulate_capture
@@ -34,15 +35,17 @@ def reconstruct_to_folder(
 ) -> dict[str, Any]:
     """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more."""
     started = time.perf_counter()
-    progress("reading", 0.0)
-    capture = read_capture(capture_folder)
-    read_s = time.perf_counter() - started
-    result = reconstruct(
-        capture, preset, dict(changes or {}), progress=lambda stage, share: progress(stage, 0.15 + 0.65 * share)
-    )
-    result = replace(result, timings_s={"reading": read_s, **result.timings_s})
-    progress("writing", 0.8)
-    facts = write_results(result, capture, out, truth_of(capture))
+    check_target(out, "height.npz", "an earlier result", keep=capture_folder)
+    with atomic_folder(out) as target:
+        progress("reading", 0.0)
+        capture = read_capture(capture_folder)
+        read_s = time.perf_counter() - started
+        result = reconstruct(
+            capture, preset, dict(changes or {}), progress=lambda stage, share: progress(stage, 0.15 + 0.65 * share)
+        )
+        result = replace(result, timings_s={"reading": read_s, **result.timings_s})
+        progress("writing", 0.8)
+        facts = write_files(result, capture, target, truth_of(capture))
     progress("done", 1.0)
     return {
         **facts,
@@ -51,6 +54,21 @@ def reconstruct_to_folder(
         "area_mm2": facts["result"]["area_mm2"],
         "total_s": time.perf_counter() - started,
     }
+
+
+def check_target(out: Path, marker: str, words: str, keep: Path | None = None) -> None:
+    """Refuse to replace a folder that is not empty unless it holds `marker`, or to replace what is read from (`keep`).
+
+    :func:`splitknit.io.atomic_folder` refuses files that are not ours; this keeps one kind of ours from replacing
+    another, such as a result a capture.
+    """
+    out = out.expanduser()
+    if keep is not None and out.exists():
+        source = keep.expanduser().resolve()
+        inside = out.resolve() in (source, *source.parents)
+        require(not inside, f"'{out}' holds the capture itself; name another folder to write into.")
+    if out.is_dir() and any(out.iterdir()):
+        require((out / marker).is_file(), f"'{out}' is not empty and holds not {words}; name another folder.")
 
 
 def truth_of(capture: Capture) -> dict[str, Any] | None:
@@ -78,10 +96,13 @@ def simulate_to_folder(
 ) -> dict[str, Any]:
     """Simulate a capture and write its folder with the truth; return what was made."""
     started = time.perf_counter()
-    progress("simulating", 0.0)
-    capture, truth = simulate_capture(seed, pattern, twin_settings(scale, changes))
-    progress("writing", 0.8)
-    write_capture(capture, out, truth, overwrite=True)
+    settings = twin_settings(scale, changes)
+    check_target(out, "truth.npz", "an earlier simulated capture")
+    with atomic_folder(out) as target:
+        progress("simulating", 0.0)
+        capture, truth = simulate_capture(seed, pattern, settings)
+        progress("writing", 0.8)
+        write_capture(capture, target, truth, overwrite=True)
     progress("done", 1.0)
     rows, columns = capture.shape
     return {

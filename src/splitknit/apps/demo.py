@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.commands import TRUTH_ARRAYS, Progress, no_progress, twin_settings
+from splitknit.apps.commands import TRUTH_ARRAYS, Progress, check_target, no_progress, twin_settings
 from splitknit.apps.outputs import PRINT_PPI, write_report, write_results
 from splitknit.apps.report import make_report
 from splitknit.flatten import relief_print
@@ -34,6 +34,7 @@ def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = n
         The facts of the report, with ``out``, ``written`` (name to words) and ``total_s``.
     """
     started = time.perf_counter()
+    check_target(out, "capture/truth.npz", "an earlier demonstration")
     with atomic_folder(out) as target:
         progress("simulating a finger", 0.02)
         simulated, truth = simulate_capture(seed, None, twin_settings(scale, None))
