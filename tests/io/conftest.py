@@ -1,19 +1,16 @@
-"""A small capture folder, and the means to damage it."""
+"""A small capture folder."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from io_shared import Build
 
 from splitknit.io import write_capture
 from splitknit.types import Band, Camera, Capture, Led, Rig
-
-Build = Callable[..., Capture]
 
 
 def ring(band: str, count: int = 4) -> list[Led]:
@@ -55,10 +52,3 @@ def folder(tmp_path: Path, build_capture: Build) -> Path:
     path = tmp_path / "capture"
     write_capture(build_capture(), path)
     return path
-
-
-def edit(file: Path, change: Callable[[Any], None]) -> None:
-    """Change a JSON file."""
-    document = json.loads(file.read_text())
-    change(document)
-    file.write_text(json.dumps(document))

@@ -93,7 +93,15 @@ def _pack(row: np.ndarray, depth: int) -> bytes:
 def test_interlaced() -> None:
     image = np.arange(5 * 7, dtype=np.uint8).reshape(5, 7)
     lines = b""
-    for r, c, dr, dc in ((0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1)):
+    for r, c, dr, dc in (
+        (0, 0, 8, 8),
+        (0, 4, 8, 8),
+        (4, 0, 8, 4),
+        (0, 2, 4, 4),
+        (2, 0, 4, 2),
+        (0, 1, 2, 2),
+        (1, 0, 2, 1),
+    ):
         for row in image[r::dr, c::dc]:
             lines += b"\0" + row.tobytes() if row.size else b""
     data = make((7, 5, 8, 0, 0, 0, 1), lines)

@@ -90,17 +90,18 @@ def check_content(band: Band, settings: ContentSettings = DEFAULTS) -> None:
         Naming the file and its LED.
     """
     peaks = np.array([_check_image(band, k, settings) for k in range(len(band.pixels))])
-    median = float(np.median(peaks))
-    for k, peak in enumerate(peaks):
+    scaled = peaks / band.exposure
+    share = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
+    for k in range(len(peaks)):
         require(
-            peak >= settings.relative_dark * median,
+            bool(share[k] >= settings.relative_dark),
             f"{_name(band, k)} is almost black beside the other images (its bright pixels reach "
-            f"{100 * peak / median:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
+            f"{100 * share[k]:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
         )
 
 
 def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
-    """Return the light of the bright pixels of image k, at the exposure 1, as a fraction of the full scale."""
+    """Return the light of the bright pixels of image k as a fraction of the full scale."""
     scale = float(np.iinfo(band.pixels.dtype).max)
     sample = _sample(band.pixels[k], settings)
     light = sample.astype(np.float32) - np.float32(band.black_level[k])
@@ -131,7 +132,7 @@ def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
         f"{' above the ambient image' if band.ambient is not None else ''}; did {_leds(band, k)} light? "
         f"Capture it again (or, if data of fewer bits were stored unscaled, scale them).",
     )
-    return peak / float(band.exposure[k])
+    return peak
 
 
 def _ambient_light(band: Band, k: int, scale: float, settings: ContentSettings) -> NDArray[np.float32]:

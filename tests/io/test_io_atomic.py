@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.io import atomic_file, atomic_folder
+
+
+def fill(out: Path, **files: str) -> None:
+    with atomic_folder(out) as folder:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+
+
+def visible(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir() if path.name != ".splitknit"}
+
+
+def test_a_folder_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b" / "result"
+    with atomic_folder(out) as folder:
+        (folder / "one").write_text("1")
+        (folder / "sub").mkdir()
+        (folder / "sub" / "two").write_text("2")
+        assert not out.exists()
+        assert folder.parent == out.parent
+    assert (out / "sub" / "two").read_text() == "2"
+    assert os.listdir(out.parent) == ["result"]  # noqa: PTH208
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_after_a_failure_everything_is_as_before(tmp_path: Path, error: type[BaseException]) -> None:
+    def fail(out: Path) -> None:
+        with pytest.raises(error), atomic_folder(out) as folder:
+            (folder / "half").write_text("x")
+            raise error
+
+    fail(tmp_path / "new" / "result")
+    assert list(tmp_path.iterdir()) == []
+    fill(tmp_path / "result", one="1")
+    fail(tmp_path / "result")
+    assert visible(tmp_path / "result") == {"one": "1"}
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_a_failing_rename_brings_the_earlier_result_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fill(tmp_path / "result", one="1")
+    rename = Path.rename
+
+    def broken(self: Path, target: Path) -> Path:
+        if self.name.endswith(".tmp") and target.name == "result" and (self / "new").exists():
+            raise OSError(28, "No space left on device")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", broken)
+    with pytest.raises(BadInput, match="No space left on device"):
+        fill(tmp_path / "result", new="2")
+    assert visible(tmp_path / "result") == {"one": "1"}
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_an_earlier_result_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    fill(tmp_path / "result", one="1", two="2")
+    (tmp_path / "result" / ".DS_Store").touch()
+    fill(tmp_path / "result", two="new")
+    assert visible(tmp_path / "result") == {"two": "new"}
+    (tmp_path / "empty").mkdir()
+    fill(tmp_path / "empty", one="1")
+    assert visible(tmp_path / "empty") == {"one": "1"}
+
+
+def test_files_of_others_are_never_deleted(tmp_path: Path) -> None:
+    mine = tmp_path / "photos"
+    mine.mkdir()
+    (mine / "holiday.png").write_text("dear")
+    with pytest.raises(BadInput, match=r"'holiday\.png', which splitknit did not write"):
+        fill(mine, one="1")
+    fill(tmp_path / "result", one="1")
+    (tmp_path / "result" / "link").symlink_to(mine)
+    with pytest.raises(BadInput, match="'link', which splitknit did not write"):
+        fill(tmp_path / "result", one="2")
+    for text in ("[]", "{", '{"format": "other", "files": ["holiday.png"]}', '{"format": "splitknit-folder"}'):
+        (mine / ".splitknit").write_text(text)
+        with pytest.raises(BadInput, match="did not write"):
+            fill(mine, one="1")
+    assert (mine / "holiday.png").read_text() == "dear"
+
+
+def test_a_file_that_someone_adds_meanwhile_is_kept(tmp_path: Path) -> None:
+    fill(tmp_path / "result", one="1")
+    with pytest.raises(BadInput, match="did not write"), atomic_folder(tmp_path / "result") as folder:
+        (folder / "one").write_text("2")
+        (tmp_path / "result" / "notes").write_text("mine")
+    assert visible(tmp_path / "result") == {"one": "1", "notes": "mine"}
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(BadInput, match="is a file"):
+        fill(tmp_path / "file", one="1")
+    with pytest.raises(BadInput, match="cannot write"):
+        fill(tmp_path / "file" / "result", one="1")
+    with pytest.raises(BadInput, match="cannot write"):
+        fill(tmp_path / ("x" * 300), one="1")
+    with pytest.raises(BadInput, match="not a usable path"):
+        fill(Path("a\0b"), one="1")
+    with pytest.raises(BadInput, match="exists and is not empty"), atomic_folder(tmp_path, overwrite=False):
+        pass
+    with pytest.raises(BadInput, match="mounted disk"), atomic_folder("/"):
+        pass
+    assert visible(tmp_path) == {"file": "x"}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission(tmp_path: Path) -> None:
+    (tmp_path / "locked").mkdir(mode=0o500)
+    with pytest.raises(BadInput, match="Permission denied"):
+        fill(tmp_path / "locked" / "result", one="1")
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "file.bin"
+    with atomic_file(path) as stream:
+        stream.write(b"one")
+        assert not path.exists()
+    with pytest.raises(RuntimeError), atomic_file(path) as stream:
+        stream.write(b"two")
+        raise RuntimeError
+    assert path.read_bytes() == b"one"
+    with pytest.raises(KeyboardInterrupt), atomic_file(tmp_path / "b" / "file.bin") as stream:
+        raise KeyboardInterrupt
+    assert not (tmp_path / "b").exists()
+    with pytest.raises(BadInput, match="is a folder"), atomic_file(tmp_path):
+        pass
+    assert [entry.name for entry in path.parent.iterdir()] == ["file.bin"]
+
+
+def test_the_usual_permissions(tmp_path: Path) -> None:
+    fill(tmp_path / "result", one="1")
+    (tmp_path / "plain").mkdir()
+    assert (tmp_path / "result").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    with atomic_file(tmp_path / "file"):
+        pass
+    (tmp_path / "touched").touch()
+    assert (tmp_path / "file").stat().st_mode == (tmp_path / "touched").stat().st_mode
