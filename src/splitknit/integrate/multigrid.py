@@ -32,6 +32,8 @@ _STEPS = (0.5618, 1.3894)
 """Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum."""
 _COARSEST = 4
 _COARSEST_SWEEPS = 24
+_LONG = 16
+"""A coarsest grid with a longer side is too much for sweeps."""
 _WELDED = 0.02
 """Share of coarse pixels that may join what is not joined inside them."""
 _DIRECT = 100_000
@@ -166,26 +168,30 @@ def build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
     finest = Grid(right, down, unit)
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
-        if np.count_nonzero(grid.inside) <= _DIRECT and _welded_share(grid) > _WELDED:
-            grid.direct = DirectSolver(grid)
-            break
         coarse = Grid(
             np.float32(0.5) * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
             np.float32(0.5) * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
             unit=False,
         )
+        small = np.count_nonzero(grid.inside) <= _DIRECT
+        if small and max(_welded_share(grid), _welded_share(coarse)) > _WELDED:
+            grid.direct = DirectSolver(grid)
+            break
         cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
         grid.share = np.where(cover > 0, grid.inside / np.maximum(cover, np.float32(1e-6)), 0).astype(np.float32)
         grid.coarser = coarse
         grid = coarse
+    if grid.direct is None and max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
+        grid.direct = DirectSolver(grid)
     return finest
 
 
 def _welded_share(grid: Grid) -> float:
     """Share of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
-    inside = grid.inside
+    rows, columns = (side // 2 * 2 for side in grid.inside.shape)
+    inside = grid.inside[:rows, :columns]
     members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]
-    right, down = grid.right > 0, grid.down > 0
+    right, down = grid.right[:rows, :columns] > 0, grid.down[:rows, :columns] > 0
     edges = np.add(right[::2, ::2], right[1::2, ::2], dtype=np.float32)
     edges += down[::2, ::2]
     edges += down[::2, 1::2]

@@ -77,7 +77,7 @@ def shapelet_response(omega: Any, settings: ShapeletSettings | None = None) -> N
     """Gain of the height at the radial frequency `omega` (rad/px, any shape), one in the pass band.
 
     (ln(m^2) / 2) sum_s x_s exp(-x_s / 2), x_s = (sigma_s omega)^2, m the factor between scales: an infinite bank has a
-    mean gain of exactly one over the logarithm of the frequency (its ripple is below 0.1 % for m = 2).
+    mean gain of exactly one over the logarithm of the frequency (its ripple is 1 % for m = 2).
 
     References
     ----------

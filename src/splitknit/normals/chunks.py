@@ -6,20 +6,22 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-_PIXELS = 16384
-"""Pixels a chunk: a dozen float32 vectors of it stay in a core's cache."""
 
-
-def row_chunks(rows: int, columns: int, pixels: int = _PIXELS) -> Iterator[slice]:
-    """Slices of whole rows, about `pixels` pixels each; they depend on the image size alone."""
-    step = max(1, pixels // columns)
+def row_chunks(rows: int, columns: int, lights: int) -> Iterator[slice]:
+    """Slices of whole rows, a few thousand pixels each; they depend on the sizes alone."""
+    step = max(1, _pixels_per_chunk(lights) // columns)
     for start in range(0, rows, step):
         yield slice(start, min(rows, start + step))
 
 
-def for_each_chunk(work: Callable[[slice], None], rows: int, columns: int, pixels: int = _PIXELS) -> None:
+def _pixels_per_chunk(lights: int) -> int:
+    """Pixels whose images and vectors stay in a core's cache."""
+    return max(2048, 131072 // max(lights, 8))
+
+
+def for_each_chunk(work: Callable[[slice], None], rows: int, columns: int, lights: int) -> None:
     """Call `work` on every chunk; each call writes its own rows of the result and nothing else."""
     threads = min(8, os.cpu_count() or 1)
     with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(work, row_chunks(rows, columns, pixels)):
+        for _ in pool.map(work, row_chunks(rows, columns, lights)):
             pass

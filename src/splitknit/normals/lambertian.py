@@ -68,7 +68,7 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
         unit, length = unit_normals(linear_map(inverse, images[:, chunk].reshape(count, -1)))
         store(normals, albedo, chunk, here, unit, length)
 
-    for_each_chunk(work, rows, columns)
+    for_each_chunk(work, rows, columns, count)
     return normals, albedo
 
 

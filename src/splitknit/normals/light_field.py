@@ -136,7 +136,7 @@ def light_field(
     size = image_shape(rig, surface_mm, shape, x_mm, y_mm)
     surface = surface_array(surface_mm, size)
     view = view_of(rig.camera, size, x_mm, y_mm)
-    for chunk in row_chunks(*size):
+    for chunk in row_chunks(*size, len(rig.leds)):
         z = np.nan_to_num(surface[chunk], nan=0.0).astype(np.float32)
         yield chunk, light_vectors_at(rig, *view.points(chunk, z), z)
 

@@ -112,7 +112,7 @@ def near_light(  # noqa: PLR0917
         normals[chunk][here] = unit.T
         albedo[chunk][here] = length
 
-    for_each_chunk(work, rows, columns)
+    for_each_chunk(work, rows, columns, count)
     return normals, albedo
 
 
@@ -148,7 +148,7 @@ def pseudo_normals(  # noqa: PLR0917
         for c in range(colours):
             result[c, chunk][here] = g[c].T
 
-    for_each_chunk(work, rows, columns)
+    for_each_chunk(work, rows, columns, count)
     return result if channels else result[0]
 
 
@@ -177,7 +177,7 @@ def near_light_weights(  # noqa: PLR0917
         _, used = robust_fit(images[0], lights, chosen)
         result[:, chunk][:, here] = used
 
-    for_each_chunk(work, rows, columns)
+    for_each_chunk(work, rows, columns, count)
     return result
 
 

@@ -84,5 +84,5 @@ def _run(
         if weights is not None:
             weights[:, chunk][:, here] = used
 
-    for_each_chunk(work, rows, columns)
+    for_each_chunk(work, rows, columns, count)
     return normals, albedo
