@@ -80,6 +80,9 @@ def test_a_part_of_the_finger_is_compared_where_both_are() -> None:
     part[220:] = False
     figures = compare(replace(result, mask=part), truth).figures
     assert figures["mask_overlap"] == pytest.approx(part.sum() / truth["mask"].sum())
+    assert figures["mask_on_finger"] == 1.0
+    wide = np.ones_like(part)
+    assert compare(replace(result, mask=wide), truth).figures["mask_on_finger"] == pytest.approx(truth["mask"].mean())
     assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
 
 

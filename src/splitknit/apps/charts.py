@@ -28,7 +28,7 @@ class Line:
 
 
 def line_chart(
-    lines: Sequence[Line], x_label: str, y_label: str, *, width: int = 520, height: int = 210, equal: bool = False
+    lines: Sequence[Line], x_label: str, y_label: str, *, width: int = 400, height: int = 190, equal: bool = False
 ) -> Markup:
     """Draw curves over one pair of axes; `equal` gives both axes the same scale."""
     left, right, top, bottom = 52, 10, 22, 36
@@ -41,7 +41,7 @@ def line_chart(
     y_low, y_high = y_low - 0.05 * (y_high - y_low), y_high + 0.05 * (y_high - y_low)
     x_scale = (width - left - right) / max(x_high - x_low, 1e-9)
     if equal:
-        height = int(np.clip(x_scale * (y_high - y_low) + top + bottom, 120, 420))
+        height = int(np.clip(x_scale * (y_high - y_low) + top + bottom, 130, 420))
     y_scale = (height - top - bottom) / max(y_high - y_low, 1e-9)
 
     def to_x(value: float) -> float:

@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from splitknit.apps.outputs import FILES, write_files
-from splitknit.check import require
-from splitknit.io import atomic_folder, read_capture, read_npz, write_capture
+from splitknit.check import BadInput, require
+from splitknit.io import atomic_folder, read_capture, write_capture
 from splitknit.pipeline import reconstruct
 from splitknit.settings import override
 from splitknit.simulate.twin import TwinSettings, simulate_capture
@@ -75,8 +77,11 @@ def truth_of(capture: Capture) -> dict[str, Any] | None:
     """Read a simulator's truth, if the capture names one, and only what is compared."""
     if capture.truth is None:
         return None
-    arrays = read_npz(capture.truth)
-    return {name: arrays[name] for name in TRUTH_ARRAYS if name in arrays}
+    try:
+        with np.load(capture.truth, allow_pickle=False) as archive:  # reads only what is asked for: the rest is large
+            return {name: archive[name] for name in TRUTH_ARRAYS if name in archive.files}
+    except Exception as error:  # zipfile, zlib and numpy each have their own
+        raise BadInput(f"the truth '{capture.truth}' cannot be read ({error}); simulate the capture again.") from error
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:

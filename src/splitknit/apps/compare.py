@@ -58,7 +58,8 @@ class Comparison:
     figures: Mapping[str, float]
     """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``, ``ridge_gain``,
     ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the whole height (``height_band_*``),
-    ``mask_overlap`` (intersection over union) and ``ridge_area_mm2``."""
+    ``mask_on_finger`` (share of the mask on the true finger), ``mask_overlap`` (intersection over union; the true mask
+    goes on below the crease) and ``ridge_area_mm2``."""
     height_error_mm: FloatArray
     """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
     ridge_error_um: FloatArray
@@ -107,7 +108,8 @@ def compare(
     figures = {
         "surface_rms_mm": _rms(height_error[surface]),
         "shape_rms_mm": _rms(shape_error[surface]),
-        "mask_overlap": float(np.sum(common)) / float(np.sum(result.mask | true_mask)),
+        "mask_on_finger": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask)),
+        "mask_overlap": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask | true_mask)),
         "ridge_area_mm2": float(np.sum(band)) * pitch**2,
     }
     if "normals" in truth:

@@ -148,8 +148,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     """Show the ridges and valleys in micrometres."""
     values, weight = to_frame(result.ridge_mm, result.mask, frame)
     relief = 1000.0 * values
-    inside = relief[weight > 0.5]
-    low, high = _round_limits(float(np.percentile(inside, 2)), float(np.percentile(inside, 98)))
+    low, high = relief_limits_um(result)
     picture = on_paper(colour(relief, low, high), weight)
     return _picture(
         "Relief",
@@ -161,9 +160,14 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     )
 
 
-def _round_limits(low: float, high: float) -> tuple[float, float]:
-    """Limits rounded outwards to whole fives."""
-    return 5.0 * float(np.floor(low / 5.0)), 5.0 * float(np.ceil(high / 5.0 + 1e-9))
+def relief_limits_um(result: Reconstruction) -> tuple[float, float]:
+    """Limits of a colour scale for the relief: what ridges span where the skin faces the camera, in whole fives."""
+    facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
+    where = facing if bool(facing.any()) else result.mask
+    relief = 1000.0 * result.ridge_mm[where][::3]
+    low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
+    margin = 0.1 * (high - low)
+    return 5.0 * float(np.floor((low - margin) / 5.0)), 5.0 * float(np.ceil((high + margin) / 5.0 + 1e-9))
 
 
 def shape_picture(result: Reconstruction, frame: Frame) -> Picture:

@@ -21,6 +21,7 @@ from splitknit.apps import charts, figures
 from splitknit.apps.compare import Comparison, compare
 from splitknit.apps.figures import Picture, Views
 from splitknit.apps.pictures import upright_frame
+from splitknit.apps.words import EXPLAINED, label, sentence
 from splitknit.types import Capture, FloatArray, Reconstruction
 
 Truth = Mapping[str, NDArray[Any]]
@@ -36,7 +37,7 @@ COMPARED = (
     ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
     ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
     ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
-    ("mask_overlap", "Overlap of the masks (intersection over union)", "", "near 1"),
+    ("mask_on_finger", "Share of the mask that lies on the finger", "", "above 0.99"),
 )
 """Figure, words, unit, what good looks like."""
 
@@ -95,6 +96,7 @@ def make_report(
         title=title,
         facts=facts,
         summary=_summary(result),
+        warnings=[sentence(warning) for warning in result.warnings],
         views=figures.view_pictures(views or figures.render_views(result, frame)),
         prints=figures.print_picture(prints),
         maps=maps + ([uncertainty] if uncertainty is not None else []),
@@ -178,13 +180,14 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     points = upright @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
     width, length = (np.ptp(points[0]) * result.pitch_mm, np.ptp(points[1]) * result.pitch_mm)
     depth = float(np.nanmax(result.height_mm) - np.nanmin(result.height_mm))
-    relief = result.ridge_mm[result.mask & np.isfinite(result.ridge_mm)]
-    swing = 1000.0 * float(np.percentile(relief, 95) - np.percentile(relief, 5)) if relief.size else 0.0
+    facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
+    relief = result.ridge_mm[facing]
+    swing = 1000.0 * float(np.subtract(*np.percentile(relief, (95, 5)))) if relief.size else 0.0
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
         ("Skin measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
         ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm ({25.4 / result.pitch_mm:.0f} per inch)"),
-        ("Relief, valley to ridge", f"{swing:.0f} µm (5th to 95th percentile)"),
+        ("Relief, valley to ridge", f"{swing:.0f} µm (5th to 95th percentile where the skin faces the camera)"),
     ]
 
 
@@ -205,12 +208,12 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
         lines = []
         top = 0.0
-        for label, field in (("surface", result.height_mm), *((("truth", truth["height_mm"]),) if truth else ())):
+        for name, field in (("surface", result.height_mm), *((("truth", truth["height_mm"]),) if truth else ())):
             x, y = cut(np.asarray(field, dtype=np.float32), extent / 2, along=along)
             if not bool(np.isfinite(y).any()):
                 continue
             top = float(np.nanmean(y))
-            lines.append(charts.Line(label, x, y - top))
+            lines.append(charts.Line(name, x, y - top))
         if lines:
             chart = charts.line_chart(lines, "mm from the middle", "height, mm", equal=True)
             caption = f"Height {words} the finger, through its middle, both axes to one scale."
@@ -220,10 +223,10 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     if truth is not None:
         fields.insert(0, ("truth", truth["height_mm"] - truth["shape_mm"]))
     lines = []
-    for label, field in fields:
+    for name, field in fields:
         x, y = cut(np.asarray(field, dtype=np.float32), half, along=True)
         if bool(np.isfinite(y).any()):
-            lines.append(charts.Line(label, x, 1000.0 * (y - np.nanmean(y))))
+            lines.append(charts.Line(name, x, 1000.0 * (y - np.nanmean(y))))
     if lines:
         chart = charts.line_chart(lines, "mm from the middle, tip to the left", "relief, µm")
         charted.append(("Ridges along the finger's axis", chart, "Relief along 6 mm of the axis, mean removed."))
@@ -254,14 +257,13 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     groups = [("", plain_rows)] if plain_rows else []
     groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
     return [
-        {"name": _words(name), "rows": [(_words(key), _shown(value)) for key, value in rows]}
+        {
+            "name": label(name),
+            "rows": [(label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows],
+        }
         for name, rows in groups
         if rows
     ]
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _shown(value: Any) -> str | Markup:
@@ -274,7 +276,7 @@ def _shown(value: Any) -> str | Markup:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return "; ".join(f"{_words(str(key))}: {_shown(item)}" for key, item in value.items())
+        return "; ".join(f"{label(str(key))}: {_shown(item)}" for key, item in value.items())
     if isinstance(value, list):
         return ", ".join(str(_shown(item)) if not isinstance(item, list) else str(item) for item in value)
     return "-" if value is None else str(value)

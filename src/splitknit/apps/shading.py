@@ -42,11 +42,13 @@ def upright_surface(result: Reconstruction, frame: Frame, exaggeration: float = 
     """Bring a reconstruction onto a picture's frame.
 
     The relief is multiplied by `exaggeration` within the height, so that ridges of a few hundredths of a millimetre
-    are seen on a finger of several millimetres.
+    are seen on a finger of several millimetres; less so on steep flanks, where they would overhang.
     """
     height, weight = to_frame(result.height_mm, result.mask, frame)
     relief, _ = to_frame(result.ridge_mm, result.mask, frame)
-    return UprightSurface(height + np.float32(exaggeration - 1.0) * relief, relief, weight, frame.pitch_mm)
+    facing, _ = to_frame(result.normals[..., 2], result.mask, frame)
+    extra = np.float32(exaggeration - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+    return UprightSurface((height + extra * relief).astype(np.float32), relief, weight, frame.pitch_mm)
 
 
 def shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
@@ -110,8 +112,8 @@ def oblique_view(surface: UprightSurface, *, turn_deg: float = 0.0, tilt_deg: fl
 
 def _smooth_edge(weight: FloatArray) -> FloatArray:
     """Round the staircase of the mask's edge, staying inside it, so that steep flanks do not end in a fringe."""
-    blurred = cv2.GaussianBlur(weight, (0, 0), 2.0, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(np.clip((blurred - 0.4) / 0.6, 0.0, 1.0), dtype=np.float32)
+    blurred = cv2.GaussianBlur(weight, (0, 0), 4.0, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(np.clip((blurred - 0.65) / 0.3, 0.0, 1.0), dtype=np.float32)
 
 
 def _turn(

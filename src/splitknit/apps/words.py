@@ -1,0 +1,34 @@
+"""What the names in a report mean, for readers who do not know the code."""
+
+from __future__ import annotations
+
+EXPLAINED = {
+    "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
+    "ridge_contrast_per_image": "The same for every image. Good: all alike.",
+    "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",
+    "saturated_per_image": "Share of the finger that is too bright to measure, for every image. Good: below 0.02.",
+    "brightness": "Median brightness of the finger, 1 = full scale. Good: 0.1 to 0.6.",
+    "brightness_per_image": "The same for every image.",
+    "ambient_share": "Light that is not from the LEDs, relative to theirs. Good: below 0.3.",
+    "area_mm2": "Area of the skin in the image.",
+    "length_mm": "Length of the finger in view.",
+    "width_mm": "Width of the finger in view.",
+    "frame_share": "Share of the image that the finger fills.",
+    "borders": "Borders of the image that the finger touches. Good: one.",
+    "led_relative": "Brightness of every image relative to what the rig file promises. Good: all near 1.",
+    "yaw_deg": "Turn of the finger in the image, counter-clockwise; it is taken out.",
+    "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
+    "shift_mm": "How far the finger moved between the shots. Good: below 0.1 mm.",
+    "scattering": "How far light travels in the skin, as assumed when the blur was undone.",
+}
+"""Name in ``quality`` or ``facts`` to what it says and what good looks like."""
+
+
+def label(name: str) -> str:
+    """Return a name as words."""
+    return name.replace("_", " ")
+
+
+def sentence(text: str) -> str:
+    """Return `text` with a capital first letter."""
+    return text[:1].upper() + text[1:]
