@@ -30,7 +30,7 @@ def test_raw_levels_limit_what_16_bits_can_hold():
     assert np.unique(stored[..., 2]).size < 600  # blue pixels fill less than half of their range
 
 
-@pytest.mark.parametrize("level", [0.05, 0.6])
+@pytest.mark.parametrize("level", [0.01, 0.6])
 def test_noise_is_shot_and_read_noise(level):
     settings = SensorSettings(bits=16, raw_bits=16)
     stored = record(_grey(level), "white", np.random.SeedSequence(1), settings) / 65535.0
@@ -38,7 +38,7 @@ def test_noise_is_shot_and_read_noise(level):
         electrons = level * response * settings.full_well_e
         expected = np.sqrt(electrons + settings.read_noise_e**2) / (response * settings.full_well_e)
         assert stored[..., c].std() == pytest.approx(expected, rel=0.05)
-        assert stored[..., c].mean() == pytest.approx(level, rel=0.005)
+        assert stored[..., c].mean() == pytest.approx(level, rel=0.02)
     assert stored[..., 2].std() > stored[..., 1].std()
     pair = np.corrcoef(stored[..., 0].ravel(), stored[..., 1].ravel())[0, 1]
     assert abs(pair) < 0.05

@@ -92,7 +92,7 @@ def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
     assert noise.std() > 0.3  # the three channels see the same light with their own noise
 
 
-def test_dark_skin_is_darker_and_browner(egg, rig):
+def test_dark_skin_is_darker_and_less_red(egg, rig):
     colours, exposures = [], []
     for melanin in (0.0002, 0.02):
         capture, truth = _photo(egg, rig, skin=SkinSettings(melanin=melanin, glare=0.0), sensor=QUIET)
@@ -100,7 +100,7 @@ def test_dark_skin_is_darker_and_browner(egg, rig):
         colours.append(pixels / pixels[0])
         exposures.append(float(truth["exposure_white"]))
     assert exposures[1] > 2 * exposures[0]
-    assert colours[0][2] != pytest.approx(colours[1][2], rel=0.05)
+    assert colours[1][1] > 1.1 * colours[0][1]
 
 
 def test_light_minus_glare_is_what_no_glare_gives(egg, rig):
@@ -138,6 +138,13 @@ def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
     assert lit.bands["white"].ambient[truth["mask"]].mean() > 300
     np.testing.assert_allclose(removed[:, inside], reference[:, inside], atol=2e-4)
     assert dark.bands["white"].ambient.max() == 0
+    noisy, _ = _photo(egg, rig, sensor=SensorSettings(bits=16), background=BackgroundSettings(ambient=0.05))
+    beside = ~truth["mask"]
+    frame, image = (
+        pixels[..., 1][beside].astype(float)
+        for pixels in (noisy.bands["white"].ambient, noisy.bands["white"].pixels[0])
+    )
+    assert abs(np.corrcoef(frame, image)[0, 1]) < 0.2  # each exposure has its own noise
 
 
 def test_background_dust_gradient_and_hand_shadow(egg, rig):
