@@ -1,7 +1,7 @@
 """Weighted least squares for the albedo-scaled normal g of every pixel, in closed form.
 
-Minimise sum_k w_k (I_k - l_k . g)^2 with M = sum_k w_k l_k l_k^T and b = sum_k w_k I_k l_k: g = M^-1 b, by the
-adjugate. Arrays hold pixels along their last axis. Everything is elementwise, so that chunking changes no byte.
+Minimise sum_k w_k (I_k - l_k . g)^2 with M = sum_k w_k l_k l_k^T and b = sum_k w_k I_k l_k: g = M^-1 b, by
+elimination. Arrays hold pixels along their last axis. Everything is elementwise, so that chunking changes no byte.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.types import FloatArray
 
 RIDGE = np.float32(1e-6)
-"""Added to the diagonal of M, relative to its trace: keeps pixels that too few lights reach finite."""
+"""Least pivot of M relative to its trace."""
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -57,33 +57,46 @@ def moment_vector(images: FloatArray, lights: FloatArray, weights: FloatArray | 
     return result
 
 
-def inverse(moments: FloatArray) -> FloatArray:
-    """Upper triangle of M^-1, (6, n); M is regularised by `RIDGE`."""
+def factorise(moments: FloatArray) -> FloatArray:
+    """M = U^T D U from its upper triangle (6, n), z first: [1/d_z, 1/d_y, 1/d_x, u_zy, u_zx, u_yx], (6, n).
+
+    Lights cluster about z, so that its pivot is large. Pivots are kept above `RIDGE` times the trace: what too few
+    lights determine stays finite.
+    """
     xx, xy, xz, yy, yz, zz = moments
-    ridge = RIDGE * (xx + yy + zz) + np.float32(1e-30)
-    xx, yy, zz = xx + ridge, yy + ridge, zz + ridge
+    least = RIDGE * (xx + yy + zz) + np.float32(1e-30)
     result = np.empty_like(moments)
-    result[0] = yy * zz - yz * yz
-    result[1] = xz * yz - xy * zz
-    result[2] = xy * yz - xz * yy
-    result[3] = xx * zz - xz * xz
-    result[4] = xy * xz - xx * yz
-    result[5] = xx * yy - xy * xy
-    determinant = xx * result[0] + xy * result[1] + xz * result[2]
-    result /= np.maximum(determinant, np.float32(1e-36))
+    np.divide(np.float32(1.0), np.maximum(zz, least), out=result[0])
+    np.multiply(yz, result[0], out=result[3])
+    np.multiply(xz, result[0], out=result[4])
+    np.divide(np.float32(1.0), np.maximum(yy - result[3] * yz, least), out=result[1])
+    rest = xy - result[3] * xz
+    np.multiply(rest, result[1], out=result[5])
+    np.divide(np.float32(1.0), np.maximum(xx - result[4] * xz - result[5] * rest, least), out=result[2])
     return result
 
 
-def apply_inverse(inverse_moments: FloatArray, vector: FloatArray) -> FloatArray:
-    """M^-1 b, (3, n)."""
-    xx, xy, xz, yy, yz, zz = inverse_moments
+def back_substitute(factors: FloatArray, vector: FloatArray) -> FloatArray:
+    """M^-1 b, (3, n), for the factors of :func:`factorise`."""
+    inverse_z, inverse_y, inverse_x, zy, zx, yx = factors
     x, y, z = vector
-    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z])
+    result = np.empty_like(vector)
+    y = y - zy * z
+    np.multiply(x - zx * z - yx * y, inverse_x, out=result[0])
+    np.subtract(y * inverse_y, yx * result[0], out=result[1])
+    np.subtract(z * inverse_z, zy * result[1] + zx * result[0], out=result[2])
+    return result
+
+
+def conditioning(moments: FloatArray) -> FloatArray:
+    """Smallest pivot over the trace, (n,): near zero where the weighted lights lie in one plane."""
+    pivots = 1 / factorise(moments)[:3].max(axis=0)
+    return np.asarray(pivots / np.maximum(moments[0] + moments[3] + moments[5], np.float32(1e-30)), dtype=np.float32)
 
 
 def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> FloatArray:
     """g (3, n) of `images` (L, n)."""
-    return apply_inverse(inverse(moment_matrix(lights, weights)), moment_vector(images, lights, weights))
+    return back_substitute(factorise(moment_matrix(lights, weights)), moment_vector(images, lights, weights))
 
 
 def shading(g: FloatArray, lights: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from splitknit.check import check_lights, check_mask, check_stack, require
 from splitknit.normals.chunks import for_each_chunk
-from splitknit.normals.equations import apply_inverse, inverse, moment_matrix, moment_vector, unit_normals
+from splitknit.normals.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
 from splitknit.normals.light_field import View, light_vectors_at, surface_array, view_of
 from splitknit.normals.weights import RobustSettings, robust_fit
 from splitknit.types import BoolArray, FloatArray, Rig
@@ -212,5 +212,5 @@ def _check_weights(weights: Any, shape: tuple[int, int, int]) -> FloatArray:
 
 def _solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> list[FloatArray]:
     """Albedo-scaled normals (3, n) of every channel of `images` (C, L, n), with one factorisation."""
-    factor = inverse(moment_matrix(lights, weights))
-    return [apply_inverse(factor, moment_vector(channel, lights, weights)) for channel in images]
+    factors = factorise(moment_matrix(lights, weights))
+    return [back_substitute(factors, moment_vector(channel, lights, weights)) for channel in images]

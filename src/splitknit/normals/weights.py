@@ -14,14 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.normals.equations import linear_map, shading, solve
+from splitknit.normals.equations import conditioning, linear_map, moment_matrix, shading, solve
 from splitknit.types import FloatArray
 
 _CLEAN = 0.5
 """A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
 _SETTLED = 1e-3
-_HOPELESS = 1e3
+_HOPELESS = 100.0
 """Larger misfits count as this: a pixel without light keeps weights that sum to something."""
+
+_FLAT = 5e-4
+"""Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the rig give 4e-3."""
+_FAINT = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +63,20 @@ def strengths(lights: FloatArray) -> FloatArray:
 def lit_weights(images: FloatArray, lights: FloatArray, shadow: float) -> tuple[FloatArray, NDArray[np.intp]]:
     """One where a light reaches the pixel and zero in shadow, (L, n), and the indices of the pixels with any shadow.
 
-    A pixel that fewer than three lights reach keeps them all, weighted by the square of what they give: the brightest
-    decide, and the system stays solvable.
+    A pixel whose lit lights do not determine a normal (fewer than three, or all near one plane) keeps every light,
+    weighted by the square of what it gives: the brightest decide, and the system stays solvable.
     """
     relative = images / strengths(lights)
     peak = np.maximum(relative.max(axis=0), np.float32(1e-20))
     lit = relative > np.float32(shadow) * peak
-    count = np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16)
     weights = lit.astype(np.float32)
-    few = np.flatnonzero(count < 3)
-    if few.size:
-        soft = np.maximum(relative[:, few] / peak[few], np.float32(1e-3))
-        weights[:, few] = soft * soft
-    return weights, np.flatnonzero(count < images.shape[0])
+    shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
+    if shadowed.size:
+        nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
+        weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < _FLAT]
+        soft = np.maximum(relative[:, weak] / peak[weak], np.float32(_FAINT))
+        weights[:, weak] = soft * soft
+    return weights, shadowed
 
 
 def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings) -> tuple[FloatArray, FloatArray]:
