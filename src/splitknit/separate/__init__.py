@@ -1,0 +1,26 @@
+"""What the skin does to light: scattering, glare, and how to undo both.
+
+Direct light by a network (the thesis's U-Net) arrives with the next issue; until then the presets `pr` and `snk` use
+the enhanced images as they are.
+"""
+
+from splitknit.separate.colour import SpectralFit, cross_spectra, fit_spectra, unmixing_weights
+from splitknit.separate.diffusion import Diffusion, SkinSettings, diffusion
+from splitknit.separate.glare import fit_glare, fresnel_transmission, microfacet_glare
+from splitknit.separate.local_wiener import LocalWienerSettings, local_wiener, window_power
+
+__all__ = [
+    "Diffusion",
+    "LocalWienerSettings",
+    "SkinSettings",
+    "SpectralFit",
+    "cross_spectra",
+    "diffusion",
+    "fit_glare",
+    "fit_spectra",
+    "fresnel_transmission",
+    "local_wiener",
+    "microfacet_glare",
+    "unmixing_weights",
+    "window_power",
+]

@@ -1,0 +1,158 @@
+"""How far light wanders under the skin: the transfer function of subsurface scattering.
+
+Light that enters a flat half space at one point leaves it around that point. The Fourier transform of this spot, over
+its value at zero, is what is left of a pattern of irradiance (and so of the shading of ridges) at each spatial
+frequency. By similarity it depends on the frequency over sigma_t' = sigma_s' + sigma_a and on the albedo sigma_s' /
+sigma_t' alone; a table of both, made by random walks (``validation/diffusion/make_table.py``), ships with the package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from splitknit.check import require
+
+CHANNELS = ("red", "green", "blue", "nir")
+
+_MELANIN = np.array([1.0, 1.58, 2.70, 0.35])
+"""Absorption of melanin at 620, 540, 460 and 850 nm over that at 620 nm: wavelength^-3.33 (Jacques 2013, eq. 23)."""
+_BLOOD = np.array([0.05, 1.0, 0.75, 0.02])
+"""Absorption of blood (75 % oxygenated) at the same wavelengths over that at 540 nm."""
+_SPREAD = np.array([0.1, 0.1])
+"""Spread per mm of the absorption by melanin and by blood between people: the scale of a weak prior."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkinSettings:
+    """Optics of the skin that are assumed where its blur is undone."""
+
+    invert_blur: bool | None = None
+    """Undo the blur: None does so where the capture's material is skin."""
+    scattering_per_mm: tuple[float, float, float, float] = (3.39, 4.12, 5.18, 2.16)
+    """Reduced scattering of red, green, blue and near-infrared light: 4.6 (wavelength / 500 nm)^-1.42 per mm."""
+    scattering_factor: float = 1.0
+    """Multiplies all four."""
+    scattering_uncertainty: float = 0.3
+    """Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
+    absorption_per_mm: tuple[float, float, float, float] = (0.030, 0.20, 0.40, 0.020)
+    """Absorption of the same channels in light skin."""
+    absorption_from_colour: bool = True
+    """Adapt the absorption (melanin and blood) to the colour of this finger."""
+
+    def __post_init__(self) -> None:
+        require(
+            all(np.isfinite(v) and v > 0 for v in (*self.scattering_per_mm, self.scattering_factor)),
+            "skin.scattering_per_mm and skin.scattering_factor must be positive numbers.",
+        )
+        require(
+            all(np.isfinite(v) and v >= 0 for v in self.absorption_per_mm),
+            "skin.absorption_per_mm must hold numbers that are not negative.",
+        )
+        require(
+            0 <= self.scattering_uncertainty < 1,
+            "skin.scattering_uncertainty must be at least 0 and below 1.",
+        )
+
+    def scattering(self, channel: str) -> float:
+        """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""
+        return self.scattering_per_mm[CHANNELS.index(channel)] * self.scattering_factor
+
+    def absorption(self, colour: dict[str, float] | None = None) -> dict[str, float]:
+        """Absorption per mm by channel, adapted to the finger's `colour` if that is given.
+
+        `colour` holds the brightness of green and blue over red of the diffuse light under white light. Melanin and
+        blood are added to (or taken from) the settings' values until the albedos of :func:`diffusion` have these
+        ratios; a weak prior keeps them near the settings' values where the colours say little.
+        """
+        base = np.array(self.absorption_per_mm)
+        if colour is None or not self.absorption_from_colour:
+            return dict(zip(CHANNELS, base.tolist(), strict=True))
+        target = np.log([colour["green"], colour["blue"]])
+
+        def misfit(amounts: NDArray[np.float64]) -> NDArray[np.float64]:
+            absorbed = _absorption(base, amounts)
+            albedo = [diffusion(self.scattering(CHANNELS[c]), float(absorbed[c])).albedo for c in range(3)]
+            found = np.log([albedo[1] / albedo[0], albedo[2] / albedo[0]])
+            return np.concatenate([found - target, 0.03 * amounts / _SPREAD])
+
+        best = least_squares(misfit, np.zeros(2), bounds=([-0.05, -0.15], [3.0, 1.0]), x_scale=_SPREAD)
+        return dict(zip(CHANNELS, _absorption(base, best.x).tolist(), strict=True))
+
+
+def _absorption(base: NDArray[np.float64], amounts: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.maximum(base + amounts[0] * _MELANIN + amounts[1] * _BLOOD, 0.3 * base + 1e-4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diffusion:
+    """Subsurface scattering in one channel."""
+
+    scattering_per_mm: float
+    absorption_per_mm: float
+    albedo: float
+    """Part of the light that comes out again, for diffuse light that entered."""
+    _omega: NDArray[np.float64]
+    _transfer: NDArray[np.float64]
+
+    def __call__(self, omega_per_mm: Any) -> NDArray[np.float64]:
+        """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at zero."""
+        return np.asarray(np.interp(np.asarray(omega_per_mm, dtype=np.float64), self._omega, self._transfer))
+
+
+def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
+    """Transfer function of a half space with a refractive index of 1.42 and a rough boundary.
+
+    Parameters
+    ----------
+    scattering_per_mm : reduced scattering coefficient sigma_s'
+    absorption_per_mm : absorption coefficient sigma_a
+
+    Raises
+    ------
+    BadInput
+        If a coefficient is negative or not finite, or the scattering is zero.
+
+    References
+    ----------
+    S. Jacques, "Optical properties of biological tissues: a review", Phys. Med. Biol. 58 (2013).
+
+    Examples
+    --------
+    >>> blue = diffusion(5.18, 0.40)
+    >>> float(blue(0.0)), bool(0.15 < blue(14.4) < 0.25)
+    (1.0, True)
+    """
+    require(
+        bool(np.isfinite(scattering_per_mm)) and scattering_per_mm > 0,
+        f"scattering must be a positive number per mm, but it is {scattering_per_mm}.",
+    )
+    require(
+        bool(np.isfinite(absorption_per_mm)) and absorption_per_mm >= 0,
+        f"absorption must be a number per mm that is not negative, but it is {absorption_per_mm}.",
+    )
+    albedos, frequencies, table = _table()
+    total = scattering_per_mm + absorption_per_mm
+    # between albedos the table is nearly linear in the logarithm of the absorbed part
+    place = np.interp(
+        -np.log(1 - min(scattering_per_mm / total, albedos[-1])), -np.log(1 - albedos), np.arange(len(albedos))
+    )
+    low = min(int(place), len(albedos) - 2)
+    row = table[low] + (place - low) * (table[low + 1] - table[low])
+    return Diffusion(scattering_per_mm, absorption_per_mm, float(row[0]), frequencies * total, row / row[0])
+
+
+@lru_cache(maxsize=1)
+def _table() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    with (resources.files("splitknit.separate") / "diffusion_table.npz").open("rb") as file, np.load(file) as data:
+        return (
+            data["albedo"].astype(np.float64),
+            data["frequency"].astype(np.float64),
+            data["transfer"].astype(np.float64),
+        )

@@ -1,0 +1,140 @@
+"""Glare: light that the skin's surface mirrors, as a rough dielectric boundary does.
+
+It has the colour of the light and not of the skin, and it moves with the light: two handles to take hold of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splitknit.types import BoolArray, FloatArray
+
+INDEX = 1.42
+"""Refractive index of the stratum corneum, about."""
+
+
+def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
+    """Unpolarised light that enters a dielectric at an angle with this cosine, over that at normal incidence.
+
+    References
+    ----------
+    M. Born and E. Wolf, "Principles of Optics", section 1.5.
+    """
+    normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
+    return ((1.0 - _fresnel(cosine, index)) / np.float32(normal)).astype(np.float32)
+
+
+def _fresnel(cosine: Any, index: float = INDEX) -> FloatArray:
+    c = np.clip(np.asarray(cosine, dtype=np.float32), np.float32(1e-3), np.float32(1.0))
+    inside = np.sqrt(1.0 - (1.0 - c * c) / np.float32(index**2))
+    s = (c - index * inside) / (c + index * inside)
+    p = (index * c - inside) / (index * c + inside)
+    return np.asarray(0.5 * (s * s + p * p), dtype=np.float32)
+
+
+def microfacet_glare(normals: FloatArray, lights: FloatArray, roughness: float) -> FloatArray:
+    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence.
+
+    Parameters
+    ----------
+    normals : (H, W, 3)
+    lights : (L, 3, H, W)
+        Direction towards the light times its irradiance.
+    roughness : GGX alpha
+
+    Returns
+    -------
+    (L, H, W) float32
+
+    References
+    ----------
+    B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
+    """
+    a2 = np.float32(roughness**2)
+    nx, ny, nz = normals[..., 0], normals[..., 1], normals[..., 2]
+    strength = np.sqrt((lights * lights).sum(axis=1))
+    safe = np.maximum(strength, np.float32(1e-12))
+    lx, ly, lz = (lights[:, axis] / safe for axis in range(3))
+    cosine = lx * nx + ly * ny + lz * nz
+    length = np.sqrt(lx * lx + ly * ly + (lz + 1) ** 2)
+    nh = np.clip((lx * nx + ly * ny + (lz + 1) * nz) / length, 0, 1)
+    view = np.clip(nz, np.float32(0.05), 1)
+    spread = a2 / (np.float32(np.pi) * (nh * nh * (a2 - 1) + 1) ** 2)
+    shadow = _one_way(np.maximum(cosine, np.float32(1e-4)), a2) * _one_way(view, a2)
+    mirrored = spread * shadow * _fresnel((lz + 1) / length) / (4 * view)
+    return np.where(cosine > 0, mirrored * strength, np.float32(0)).astype(np.float32)
+
+
+def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
+    return np.asarray(2 * cosine / (cosine + np.sqrt(a2 + (1 - a2) * cosine * cosine)), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class GlareFit:
+    """Glare that best explains what no matt surface explains."""
+
+    roughness: float
+    """GGX alpha, ridges included: a ridged finger is rougher than its skin."""
+    strength: float
+    """Factor on :func:`microfacet_glare`, in the images' units; never negative."""
+    explained: float
+    """Part of the squared residual that it explains."""
+
+
+def fit_glare(
+    stack: FloatArray,
+    normals: FloatArray,
+    lights: FloatArray,
+    region: BoolArray,
+    roughnesses: tuple[float, ...] = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42, 0.48, 0.54),
+) -> GlareFit:
+    """Fit strength and roughness of the glare in the images of one band.
+
+    At each pixel a matt surface's images lie in the space that its light vectors span. What is left of the images when
+    that space is projected out is compared with what is left of the glare; roughness by search, strength by least
+    squares.
+
+    Parameters
+    ----------
+    stack : (L, H, W), four lights at least
+    normals : (H, W, 3) of the current surface
+    lights : (L, 3, H, W)
+    region : (H, W) bool, where all lights reach the surface
+    roughnesses : values to try
+    """
+    if stack.shape[0] < 4 or not region.any():
+        return GlareFit(roughnesses[0], 0.0, 0.0)
+    basis = _orthonormal(lights[:, :, region])
+    left = _project_out(stack[:, region], basis)
+    total = float((left * left).sum(dtype=np.float64))
+    best = GlareFit(roughnesses[0], 0.0, 0.0)
+    for roughness in roughnesses:
+        trial = microfacet_glare(normals[region][None], lights[:, :, region][:, :, None], roughness)[:, 0]
+        trial = _project_out(trial, basis)
+        power = float((trial * trial).sum(dtype=np.float64))
+        if power <= 0 or total <= 0:
+            continue
+        product = float((trial * left).sum(dtype=np.float64))
+        explained = max(product, 0.0) ** 2 / power / total
+        if explained > best.explained:
+            best = GlareFit(roughness, product / power, explained)
+    return best
+
+
+def _orthonormal(lights: FloatArray) -> list[FloatArray]:
+    """Orthonormal basis (three arrays (L, n)) of the columns of `lights` (L, 3, n), pixel by pixel (Gram-Schmidt)."""
+    basis: list[FloatArray] = []
+    for axis in (2, 0, 1):
+        vector = _project_out(lights[:, axis], basis)
+        norm = np.sqrt((vector * vector).sum(axis=0))
+        basis.append(vector / np.maximum(norm, np.float32(1e-9)))
+    return basis
+
+
+def _project_out(values: FloatArray, basis: list[FloatArray]) -> FloatArray:
+    for vector in basis:
+        values = values - vector * (values * vector).sum(axis=0)
+    return values
