@@ -24,6 +24,7 @@ from splitknit.apps.pictures import (
     on_paper,
     to_frame,
     upright_frame,
+    upright_turn,
 )
 from splitknit.apps.shading import oblique_view, top_view, upright_surface
 from splitknit.types import Capture, FloatArray, Reconstruction
@@ -127,13 +128,10 @@ def _draw(
 
 def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
     """Show the normals, turned with the finger."""
-    turn = np.linalg.inv(result.input_from_upright)[:2, :2]
-    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
     values, weight = to_frame(result.normals, result.mask, frame)
-    # (column, row) turns as (x, -y) does
-    x = turn[0, 0] * values[..., 0] - turn[0, 1] * values[..., 1]
-    y = -turn[1, 0] * values[..., 0] + turn[1, 1] * values[..., 1]
-    picture = on_paper(normal_colours(np.stack([x, y, values[..., 2]], axis=-1).astype(np.float32)), weight)
+    turned = values.copy()
+    turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), values[..., :2])
+    picture = on_paper(normal_colours(turned), weight)
     return _picture(
         "Surface normals",
         picture,

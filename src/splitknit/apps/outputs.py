@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.figures import LONGEST_PX, render_views
-from splitknit.apps.pictures import normal_colours, upright_frame
+from splitknit.apps.pictures import normal_colours, upright_frame, upright_turn
 from splitknit.apps.report import Truth, make_report
 from splitknit.flatten import relief_print
 from splitknit.io import (
@@ -131,14 +131,6 @@ def _write_arrays(path: Path, result: Reconstruction, origin: _Origin) -> None:
         arrays["uncertainty_um"] = result.uncertainty_um
     arrays["provenance"] = np.array(canonical_json(origin))
     write_npz(path, arrays)
-
-
-def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
-    """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to the tip)."""
-    turn = np.linalg.inv(result.input_from_upright[:2, :2])
-    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
-    flip = np.diag([1.0, -1.0])  # rows run down, y runs up
-    return np.asarray(flip @ turn @ flip)
 
 
 def upright_mesh(

@@ -64,6 +64,14 @@ def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) 
     return Frame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
 
 
+def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
+    """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to the tip)."""
+    turn = np.linalg.inv(result.input_from_upright[:2, :2])
+    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
+    flip = np.diag([1.0, -1.0])  # rows run down, y runs up
+    return np.asarray(flip @ turn @ flip)
+
+
 def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: Frame) -> tuple[FloatArray, FloatArray]:
     """Average `field` (H, W) or (H, W, C) over the picture's pixels, `mask` aware.
 
