@@ -12,7 +12,8 @@ from surfaces import plane, ridged_egg
 from splitknit.check import BadInput
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
-from splitknit.simulate.renderer import RenderSettings, render_ambient, render_band, white_card
+from splitknit.simulate.lighting import white_card
+from splitknit.simulate.renderer import RenderSettings, render_ambient, render_band
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.skin import CHANNELS, ChannelOptics, SkinSettings
 from splitknit.types import Camera, Led
@@ -140,8 +141,8 @@ def test_near_light_falls_with_distance_and_lobe(walks):
 def test_relief_term_brightens_ridges(walks, egg):
     """Under even light from everywhere above, ridges are brighter than valleys by 1 + k h."""
     medium = SkinSettings().channel("blue")
-    with_term = render_ambient(egg, 1.0, [medium], walks)
-    without = render_ambient(egg, 1.0, [replace(medium, relief_gain_per_um=0.0)], walks)
+    with_term = render_ambient(egg, 1.0, [medium], roughness=0.25, walks=walks)
+    without = render_ambient(egg, 1.0, [replace(medium, relief_gain_per_um=0.0)], roughness=0.25, walks=walks)
     inside = with_term[0] > 0
     ratio = (with_term[0][inside] / without[0][inside]) - 1.0
     relief = egg.relief_um[40:-40, 40:-40]

@@ -12,11 +12,12 @@ from surfaces import ridged_egg
 from splitknit.check import BadInput
 from splitknit.radiance import linear_stack
 from splitknit.simulate.background import BackgroundSettings, background_albedo
+from splitknit.simulate.pose_ranges import PoseRanges
 from splitknit.simulate.renderer import RenderSettings
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.sensor import SensorSettings
 from splitknit.simulate.skin import SkinRanges, SkinSettings
-from splitknit.simulate.twin import PoseRanges, TwinSettings, photograph, simulate_capture
+from splitknit.simulate.twin import TwinSettings, photograph, simulate_capture
 from splitknit.types import Camera
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)

@@ -89,4 +89,4 @@ def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng:
     u = (dx * np.cos(angle) + dy * np.sin(angle)) / long_px
     v = (dy * np.cos(angle) - dx * np.sin(angle)) / short_px
     patch = albedo[top:bottom, left:right]
-    np.maximum(patch, value * np.exp(-0.5 * (u**4 + v**4)), out=patch, casting="same_kind")
+    np.maximum(patch, value * np.exp(-0.5 * (u * u + v * v) ** 2), out=patch, casting="same_kind")

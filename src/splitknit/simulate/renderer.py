@@ -13,16 +13,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.diffusion import WalkTable, diffuse_transmittance, diffusion_profile, fresnel
+from splitknit.simulate.lighting import Patch, cut_out, light_on
 from splitknit.simulate.skin import ChannelOptics
 from splitknit.simulate.surface import Surface
-from splitknit.types import Camera, FloatArray, Led
+from splitknit.types import FloatArray, Led
 
-UNIT = 1e4
-"""Irradiance of an LED of intensity one at 100 mm."""
 EDGE_EXPONENT = 0.75
 """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by the
 share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk in an
@@ -71,33 +69,6 @@ class BandLight:
     """(L, h, w) light that the surface alone reflects, the same in all channels."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Patch:
-    """The surface inside the window, channels apart and contiguous, zero outside the mask."""
-
-    window: tuple[slice, slice]
-    mask: NDArray[np.bool_]
-    x: FloatArray
-    """(1, w) mm."""
-    y: FloatArray
-    """(h, 1) mm."""
-    z: FloatArray
-    nx: FloatArray
-    ny: FloatArray
-    nz: FloatArray
-
-
-def finger_window(surface: Surface, margin: int = 8) -> tuple[slice, slice]:
-    """Rows and columns of the finger's bounding box, widened by `margin` pixels inside the frame."""
-    rows, columns = np.flatnonzero(surface.mask.any(axis=1)), np.flatnonzero(surface.mask.any(axis=0))
-    require(rows.size > 0, "the simulated finger is outside the picture; move it into the frame.")
-    height, width = surface.mask.shape
-    return (
-        slice(max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, height)),
-        slice(max(int(columns[0]) - margin, 0), min(int(columns[-1]) + 1 + margin, width)),
-    )
-
-
 def render_band(
     surface: Surface,
     leds: Sequence[Led],
@@ -126,15 +97,16 @@ def render_band(
     surface reflection.
     """
     settings = settings or RenderSettings()
-    patch = _patch(surface)
-    blur = _Diffusion(patch, surface.camera.pitch_mm, optics, walks, settings.reach_mm)
+    patch = cut_out(surface)
+    pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
+    blur = _Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
     gains = list(_relief_gains(surface, patch, optics, settings))
     shape = patch.mask.shape
     diffuse = np.empty((len(leds), len(optics), *shape), dtype=np.float32)
     gloss = np.empty((len(leds), *shape), dtype=np.float32)
 
     def one(k: int) -> None:
-        entering, gloss[k] = _light(patch, leds[k], roughness, settings.led_radius_mm)
+        entering, gloss[k] = light_on(patch, leds[k], roughness, settings.led_radius_mm)
         gloss[k] *= np.float32(glare)
         for c, light in enumerate(blur(entering)):
             np.multiply(light, gains[c], out=diffuse[k, c])
@@ -148,6 +120,8 @@ def render_ambient(
     surface: Surface,
     level: float,
     optics: Sequence[ChannelOptics],
+    *,
+    roughness: float,
     walks: WalkTable,
     settings: RenderSettings | None = None,
 ) -> FloatArray:
@@ -156,122 +130,30 @@ def render_ambient(
     A facet that is tilted by t sees the share (1 + cos t) / 2 of the hemisphere.
     """
     settings = settings or RenderSettings()
-    patch = _patch(surface)
-    blur = _Diffusion(patch, surface.camera.pitch_mm, optics, walks, settings.reach_mm)
+    patch = cut_out(surface)
+    pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
+    blur = _Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + patch.nz), 0)
     gains = _relief_gains(surface, patch, optics, settings)
     return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
 
 
-def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> FloatArray:
-    """(H, W) radiance of a white Lambertian card at height `z_mm`, facing the camera, evaluated every `step` pixels."""
-    height, width = camera.image_size
-    rows = np.linspace(0, height - 1, max(height // step, 2))
-    columns = np.linspace(0, width - 1, max(width // step, 2))
-    x = ((columns - (width - 1) / 2) / camera.px_per_mm)[None, :]
-    y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
-    total = np.zeros((rows.size, columns.size))
-    for one in (led, *led.also):
-        _, _, lz, strength = _towards(one, x, y, np.full_like(total, z_mm))
-        total += strength * np.maximum(lz, 0.0)
-    # bilinear between the centres of the coarse grid, which include the frame's corners
-    at_rows = np.linspace(0, rows.size - 1, height)
-    at_columns = np.linspace(0, columns.size - 1, width)
-    low_row = np.minimum(at_rows.astype(np.intp), rows.size - 2)
-    low_column = np.minimum(at_columns.astype(np.intp), columns.size - 2)
-    share_row = (at_rows - low_row)[:, None]
-    share_column = (at_columns - low_column)[None, :]
-    tall = total[low_row] * (1.0 - share_row) + total[low_row + 1] * share_row
-    tall /= np.pi
-    card = tall[:, low_column] * (1.0 - share_column) + tall[:, low_column + 1] * share_column
-    return np.asarray(card, dtype=np.float32)
-
-
-def _patch(surface: Surface) -> _Patch:
-    window = finger_window(surface)
-    mask = np.ascontiguousarray(surface.mask[window])
-    height, width = surface.mask.shape
-    pitch = surface.camera.pitch_mm
-    columns = np.arange(window[1].start, window[1].stop, dtype=np.float64)
-    rows = np.arange(window[0].start, window[0].stop, dtype=np.float64)
-    normals = surface.normals[window]
-    return _Patch(
-        window=window,
-        mask=mask,
-        x=((columns - (width - 1) / 2) * pitch).astype(np.float32)[None, :],
-        y=(((height - 1) / 2 - rows) * pitch).astype(np.float32)[:, None],
-        z=np.where(mask, surface.height_mm[window], 0).astype(np.float32),
-        nx=np.ascontiguousarray(normals[..., 0]),
-        ny=np.ascontiguousarray(normals[..., 1]),
-        nz=np.ascontiguousarray(normals[..., 2]),
-    )
-
-
-def _towards(
-    led: Led, x: NDArray[np.floating], y: NDArray[np.floating], z: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """Unit vector from each point to the light, and the irradiance of a surface that faces it."""
-    if led.position_mm is None:
-        direction = np.asarray(led.direction, dtype=np.float64)
-        dx, dy, dz = (float(v) for v in direction / np.linalg.norm(direction))
-        return (np.full_like(z, dx), np.full_like(z, dy), np.full_like(z, dz), np.full_like(z, led.intensity))
-    px, py, pz = led.position_mm
-    lx, ly, lz = px - x, py - y, pz - z
-    inverse = 1.0 / np.sqrt(lx * lx + ly * ly + lz * lz)
-    lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
-    strength = (led.intensity * UNIT) * inverse * inverse
-    if led.lobe_exponent > 0.0:
-        distance = float(np.sqrt(px * px + py * py + pz * pz))
-        axis = np.maximum((lx * px + ly * py + lz * pz) / distance, 0.0)
-        strength = strength * axis**led.lobe_exponent
-    return lx, ly, lz, strength
-
-
-def _light(patch: _Patch, led: Led, roughness: float, led_radius_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Irradiance that enters the skin, and the radiance that its surface reflects to the camera."""
-    entering = np.zeros(patch.mask.shape, dtype=np.float32)
-    gloss = np.zeros(patch.mask.shape, dtype=np.float32)
-    for one in (led, *led.also):
-        lx, ly, lz, strength = _towards(one, patch.x, patch.y, patch.z)
-        cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
-        entering += strength * cosine * (1.0 - fresnel(cosine))
-        alpha = roughness
-        if one.position_mm is not None:
-            alpha = min(roughness + led_radius_mm / (2.0 * float(np.linalg.norm(one.position_mm))), 1.0)
-        gloss += strength * _ggx(patch, (lx, ly, lz), cosine, alpha)
-    return entering, gloss
-
-
-def _ggx(
-    patch: _Patch,
-    light: tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]],
-    cosine: NDArray[np.floating],
-    alpha: float,
-) -> NDArray[np.floating]:
-    """D G F / (4 n.v) for a viewer along z; zero in the attached shadow."""
-    lx, ly, lz = light
-    # half vector between the light and (0, 0, 1): |l + v| = sqrt(2 + 2 lz)
-    inverse = 1.0 / np.sqrt(2.0 + 2.0 * lz)
-    nh = np.clip((lx * patch.nx + ly * patch.ny + (lz + 1.0) * patch.nz) * inverse, 0.0, 1.0)
-    vh = (lz + 1.0) * inverse
-    nv = np.clip(patch.nz, 1e-3, 1.0)
-    squared = alpha * alpha
-    below = nh * nh * (squared - 1.0) + 1.0
-    distribution = squared / (np.pi * below * below)
-
-    def unshadowed(c: NDArray[np.floating]) -> NDArray[np.floating]:
-        return 2.0 * c / (c + np.sqrt(squared + (1.0 - squared) * c * c))
-
-    shadowing = unshadowed(np.maximum(cosine, 1e-4)) * unshadowed(nv)
-    lit = (cosine > 0.0) & patch.mask
-    return np.where(lit, distribution * shadowing * fresnel(vh) / (4.0 * nv), 0.0)
-
-
 class _Diffusion:
-    """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to the viewer."""
+    """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to the viewer.
+
+    At grazing view the facets of a rough surface that the viewer sees are turned towards him: the cosine of emergence
+    does not fall below about half the roughness.
+    """
 
     def __init__(
-        self, patch: _Patch, pitch_mm: float, optics: Sequence[ChannelOptics], walks: WalkTable, reach_mm: float
+        self,
+        patch: Patch,
+        pitch_mm: float,
+        optics: Sequence[ChannelOptics],
+        walks: WalkTable,
+        *,
+        reach_mm: float,
+        roughness: float,
     ) -> None:
         profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
         reach = int(np.ceil(min(reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm))
@@ -285,7 +167,8 @@ class _Diffusion:
             scipy.fft.next_fast_len(mask.shape[1] + self.before[1] + self.after[1] + reach, True),
         )
         self.transfers = [p.transfer_grid(self.fft_shape, pitch_mm) for p in profiles]
-        out = (1.0 - fresnel(patch.nz)) / (np.pi * diffuse_transmittance())
+        emergence = np.sqrt(patch.nz**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nz**2))
+        out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
         covered = list(self._spread(mask.astype(np.float32)))
         self.out = []
         for profile, cover in zip(profiles, covered, strict=True):
@@ -307,7 +190,7 @@ class _Diffusion:
 
 
 def _relief_gains(
-    surface: Surface, patch: _Patch, optics: Sequence[ChannelOptics], settings: RenderSettings
+    surface: Surface, patch: Patch, optics: Sequence[ChannelOptics], settings: RenderSettings
 ) -> Iterator[FloatArray]:
     """(h, w) for each channel: pigment times 1 + k h, h the band-passed relief in um."""
     px_per_mm = surface.camera.px_per_mm

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -16,63 +15,17 @@ from splitknit.simulate.background import BackgroundSettings, background_albedo,
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.diffusion import WalkTable, load_walks
 from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface
-from splitknit.simulate.renderer import (
-    BandLight,
-    RenderSettings,
-    finger_window,
-    render_ambient,
-    render_band,
-    white_card,
-)
+from splitknit.simulate.lighting import finger_window, white_card
+from splitknit.simulate.pose_ranges import PoseRanges
+from splitknit.simulate.renderer import BandLight, RenderSettings, render_ambient, render_band
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.sensor import SensorSettings, record
-from splitknit.simulate.skin import BAND_CHANNELS, CHANNELS, SkinRanges, SkinSettings
+from splitknit.simulate.skin import BAND_CHANNELS, SkinRanges, SkinSettings
 from splitknit.simulate.surface import Surface
-from splitknit.types import Band, Camera, Capture, FloatArray, Led, PixelArray, Rig
+from splitknit.simulate.truth import optics_truth, surface_truth
+from splitknit.types import Band, Capture, FloatArray, Led, PixelArray, Rig
 
 FULL_PX_PER_MM = 75.7
-
-
-@dataclass(frozen=True, slots=True)
-class PoseRanges:
-    """Ranges from which a finger's pose is drawn, evenly."""
-
-    yaw_deg: tuple[float, float] = (-10.0, 10.0)
-    pitch_deg: tuple[float, float] = (-4.0, 4.0)
-    roll_deg: tuple[float, float] = (-8.0, 8.0)
-    x_mm: tuple[float, float] = (-2.5, 2.5)
-    """Where the middle of the distal phalanx lies beside the image centre."""
-    insertion_mm: tuple[float, float] = (25.0, 28.0)
-    """From the lower image border to the tip; cut to what the picture holds."""
-    height_mm: tuple[float, float] = (-0.5, 0.5)
-    """z of the highest point of the pad."""
-
-    def __post_init__(self) -> None:
-        for name in ("yaw_deg", "pitch_deg", "roll_deg", "x_mm", "insertion_mm", "height_mm"):
-            low, high = getattr(self, name)
-            require(bool(np.isfinite([low, high]).all()) and low <= high, f"pose range {name} must be (low, high).")
-
-    def draw(self, rng: np.random.Generator, camera: Camera) -> Pose:
-        """Return one pose; every range takes one number from `rng`, in a fixed order."""
-        yaw, pitch, roll, x, insertion, height = (
-            float(low + (high - low) * rng.random())
-            for low, high in (
-                self.yaw_deg,
-                self.pitch_deg,
-                self.roll_deg,
-                self.x_mm,
-                self.insertion_mm,
-                self.height_mm,
-            )
-        )
-        return Pose(
-            yaw_rad=float(np.deg2rad(yaw)),
-            pitch_rad=float(np.deg2rad(pitch)),
-            roll_rad=float(np.deg2rad(roll)),
-            x_mm=x,
-            insertion_mm=min(insertion, camera.image_size[0] / camera.px_per_mm - 0.6),
-            height_mm=height,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,12 +129,12 @@ def photograph(
     walks = walks or load_walks()
     background_seed, noise_seed = seed.spawn(2)
     scene = _Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
-    truth = _surface_truth(surface)
+    truth = surface_truth(surface)
     bands = {}
     names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
     for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
         bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = scene.photograph(name, band_seed)
-    truth |= _optics_truth(skin)
+    truth |= optics_truth(skin)
     truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
     capture = Capture(
         rig=rig,
@@ -262,7 +215,14 @@ class _Scene:
         frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
         if level > 0.0:
             optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
-            skin = render_ambient(self.surface, level, optics, self.walks, self.settings.render)
+            skin = render_ambient(
+                self.surface,
+                level,
+                optics,
+                roughness=self.skin.roughness,
+                walks=self.walks,
+                settings=self.settings.render,
+            )
             light = BandLight(finger_window(self.surface), skin[None], np.zeros_like(skin[:1]))
             for c in range(3):
                 frame[light.window][..., c] += light.diffuse[0, min(c, skin.shape[0] - 1)]
@@ -299,41 +259,3 @@ def _brightest(diffuse: FloatArray) -> float:
     sample = diffuse[:, :, ::4, ::4]
     values = [np.percentile(sample[:, c][sample[:, c] > 0], 99.9) for c in range(sample.shape[1])]
     return float(max(values))
-
-
-def _surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
-    truth: dict[str, NDArray[Any]] = {
-        "height_mm": surface.height_mm,
-        "shape_mm": surface.shape_mm,
-        "mask": surface.mask,
-        "normals": surface.normals,
-        "relief_um": surface.relief_um,
-        "pitch_mm": np.array(surface.camera.pitch_mm),
-    }
-    return truth | _flat("landmark", surface.landmarks)
-
-
-def _optics_truth(skin: SkinSettings) -> dict[str, NDArray[Any]]:
-    """Coefficients by channel, in the order red, green, blue, NIR, and the parameters they come from."""
-    media = [skin.channel(channel) for channel in CHANNELS]
-    truth: dict[str, NDArray[Any]] = {
-        "optics_channels": np.array(CHANNELS),
-        "optics_scattering_per_mm": np.array([m.scattering_per_mm for m in media]),
-        "optics_absorption_per_mm": np.array([m.absorption_per_mm for m in media]),
-        "optics_relief_gain_per_um": np.array([m.relief_gain_per_um for m in media]),
-    }
-    return truth | _flat("skin", asdict(skin))
-
-
-def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """One array for each entry; what is inside mappings and lists of arrays gets longer names."""
-    result: dict[str, NDArray[Any]] = {}
-    for key, value in values.items():
-        name = f"{prefix}_{key}"
-        if isinstance(value, Mapping):
-            result |= _flat(name, value)
-        elif isinstance(value, list):
-            result |= _flat(name, {str(k): one for k, one in enumerate(value)})
-        elif value is not None:
-            result[name] = np.asarray(value)
-    return result
