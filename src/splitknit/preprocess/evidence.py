@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.preprocess.regions import dilate, erode
+from splitknit.preprocess.regions import blur, dilate, erode
 from splitknit.types import BoolArray, FloatArray
 
 
@@ -44,8 +44,8 @@ def skin_evidence(
     """Evidence map: above one where a pixel rises from the backdrop by enough to be skin.
 
     For each signal the backdrop is a quadratic surface fitted robustly outside `seed`, and the threshold is `share` of
-    the median rise inside `seed`, but at least `noise_factor` times the noise outside. So a shadow on the finger down
-    to `share` of its brightness stays finger.
+    the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
+    shadow on the finger stays finger.
 
     Parameters
     ----------
@@ -73,9 +73,17 @@ def skin_evidence(
         if level < 3.0 * noise_factor * noise or level <= 0.0:
             continue
         usable = True
-        threshold = max(share * level, noise_factor * noise)
-        np.maximum(evidence, rise / np.float32(threshold), out=evidence)
+        threshold = np.maximum(share * _local_level(rise, inside, level, 2.0 * margin), noise_factor * noise)
+        np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
+
+
+def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float) -> FloatArray:
+    """Mean rise of the finger near every pixel, at most `level`: a shaded part has its own, lower one."""
+    weight = inside.astype(np.float32)
+    cover = blur(weight, sigma)
+    mean = blur(np.maximum(rise, 0.0) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
+    return np.minimum(np.where(cover > 1e-2, mean, np.float32(level)), np.float32(level)).astype(np.float32)
 
 
 def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
@@ -93,29 +101,39 @@ def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
 
 
 def _fit_backdrop(signal: FloatArray, outside: BoolArray) -> tuple[FloatArray, float]:
-    """Robust quadratic surface through `signal` outside the finger, and the noise about it (1.48 MAD)."""
+    """Robust quadratic surface through `signal` outside the finger, and the noise about it.
+
+    What does not belong to the backdrop (a shadowed part of the finger that the seed missed, dust) is brighter, so
+    the fit starts from the darker pixels, and the noise is measured on residuals below the surface.
+    """
     height, width = signal.shape
     x = np.linspace(-1.0, 1.0, width)
     y = np.linspace(-1.0, 1.0, height)
     rows, columns = np.nonzero(outside)
-    step = max(1, len(rows) // 20000)
+    step = max(1, len(rows) // 8000)
     rows, columns = rows[::step], columns[::step]
     values = signal[rows, columns].astype(np.float64)
     design = _quadratic(x[columns], y[rows])
-    keep = np.ones(len(values), dtype=np.bool_)
-    for _ in range(4):
+    residual = values - float(np.percentile(values, 40.0))
+    keep, noise = _below(residual)
+    for _ in range(6):
         part = design[keep]
         normal = np.einsum("ni,nj->ij", part, part) + 1e-6 * len(part) * np.eye(6)
         solution = np.linalg.solve(normal, np.einsum("ni,n->i", part, values[keep]))
         residual = values - np.einsum("ni,i->n", design, solution)
-        centre = float(np.median(residual[keep]))
-        noise = 1.4826 * float(np.median(np.abs(residual[keep] - centre)))
-        keep = np.abs(residual - centre) <= max(3.0 * noise, 1e-12)
+        keep, noise = _below(residual)
     surface = np.zeros(signal.shape, dtype=np.float64)
     terms = (np.ones((1, 1)), x[None, :], y[:, None], x[None, :] ** 2, y[:, None] ** 2, x[None, :] * y[:, None])
     for weight, term in zip(solution, terms, strict=True):
         surface += weight * term
-    return (surface + centre).astype(np.float32), noise
+    return surface.astype(np.float32), noise
+
+
+def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
+    """Residuals that belong to the backdrop, and the scatter of those below it (1.48 times their median size)."""
+    negative = -residual[residual <= 0.0]
+    noise = 1.4826 * float(np.median(negative)) if negative.size else 0.0
+    return residual <= max(2.5 * noise, 1e-12), noise
 
 
 def _quadratic(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ from splitknit.preprocess.regions import (
     largest_component,
     reduce_image,
     reduction,
+    remove_specks,
     remove_spurs,
 )
 from splitknit.types import BoolArray, FloatArray
@@ -46,6 +47,8 @@ class MaskSettings:
     """... and by this many standard deviations of the backdrop's noise."""
     spur_share: float = 0.4
     """Parts narrower than this share of the finger's own width are cut off."""
+    speck_mm: float = 1.0
+    """Bumps of the outline narrower than twice this (dust on the backdrop beside the finger) are cut off."""
     edge_margin_mm: float = 1.0
     """Width of the zone along the outline that counts neither as finger nor as backdrop while either is measured."""
     least_width_mm: float = 4.0
@@ -54,7 +57,15 @@ class MaskSettings:
     """A region across whose outline neither brightness nor colour changes by this share is no finger."""
 
     def __post_init__(self) -> None:
-        for name in ("coarse_px_per_mm", "fine_px_per_mm", "blur_mm", "fine_blur_mm", "noise_factor", "edge_margin_mm"):
+        for name in (
+            "coarse_px_per_mm",
+            "fine_px_per_mm",
+            "blur_mm",
+            "fine_blur_mm",
+            "noise_factor",
+            "edge_margin_mm",
+            "speck_mm",
+        ):
             require(getattr(self, name) > 0, f"mask.{name} must be positive.")
         for name in ("edge_share", "spur_share", "least_step"):
             require(0 < getattr(self, name) < 1, f"mask.{name} must lie between 0 and 1.")
@@ -213,9 +224,11 @@ def _outline(
     evidence, _ = skin_evidence(smooth, guess, margin, settings.edge_share, settings.noise_factor)
     near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
     found = np.where(near, evidence > 1.0, guess)
-    cleaned = fill_holes(remove_spurs(largest_component(fill_holes(found)), settings.spur_share))
+    cleaned = remove_spurs(largest_component(fill_holes(found)), settings.spur_share)
+    cleaned = fill_holes(remove_specks(cleaned, settings.speck_mm * px_per_mm))
     require(bool(cleaned.any()), _NO_FINGER)
-    field = np.where(dilate(cleaned, 1.5), np.minimum(evidence, np.float32(2.0)), np.float32(0.0))
-    field = np.where(erode(cleaned, 1.5), np.float32(2.0), field).astype(np.float32)
+    # above one exactly on `cleaned`; between the grid points the evidence itself says where one is crossed
+    field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
+    field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
     full = cv2.resize(field, (size[1], size[0]), interpolation=cv2.INTER_LINEAR) > 1.0
-    return fill_holes(largest_component(full))
+    return largest_component(full)

@@ -1,8 +1,8 @@
 """Whether the finger moved between the shots. Measured and warned of; nothing is shifted.
 
-On a copy of about 10 px/mm. Shots differ in illumination, so comparing two of them mistakes moving light for a moving
-finger: a ridge lit from the left looks shifted against the same ridge lit from the right by up to a tenth of a
-millimetre. Every shot is therefore compared with what the *others* predict for it.
+On copies of at most 10 px/mm, coarser for the coarse bands. Shots differ in illumination, and a moving light looks like
+a moving finger: a ridge lit from the left seems shifted against the same ridge lit from the right by up to a tenth of a
+millimetre. That apparent shift follows the light's direction, so it is fitted and taken off.
 """
 
 from __future__ import annotations
@@ -23,24 +23,27 @@ class MotionSettings:
     """How motion between shots is measured."""
 
     working_px_per_mm: float = 10.0
-    """Scale of the copies that are compared."""
-    bands_mm: tuple[float, ...] = (1.0, 0.5, 0.25)
-    """Standard deviations of the band-pass filters, coarse to fine; a finger may move by about the first."""
-    iterations: int = 3
-    """Refinements in each band."""
-    surround_mm: float = 1.0
+    """Scale of the copies that are compared in the finest band."""
+    bands_mm: tuple[float, ...] = (0.3, 0.15, 0.08)
+    """Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the first."""
+    band_ratio: float = 3.2
+    """Coarse end of each filter over its fine end."""
+    iterations: int = 6
+    """Most refinements in each band."""
+    surround_mm: float = 0.7
     """Width of the backdrop around the finger that is used, for the sake of its silhouette."""
     warn_mm: float = 0.05
     """Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
-    least_reliability: float = 0.5
+    least_reliability: float = 0.8
     """Motion of a shot with less reliability than this is not believed."""
 
     def __post_init__(self) -> None:
-        require(self.working_px_per_mm > 0, "motion.working_px_per_mm must be positive.")
+        for name in ("working_px_per_mm", "warn_mm"):
+            require(getattr(self, name) > 0, f"motion.{name} must be positive.")
         require(len(self.bands_mm) > 0 and min(self.bands_mm) > 0, "motion.bands_mm must be positive numbers.")
+        require(self.band_ratio > 1, "motion.band_ratio must be above 1.")
         require(self.iterations >= 1, "motion.iterations must be at least 1.")
         require(self.surround_mm >= 0, "motion.surround_mm must not be negative.")
-        require(self.warn_mm > 0, "motion.warn_mm must be positive.")
         require(0 <= self.least_reliability <= 1, "motion.least_reliability must lie in [0, 1].")
 
 
@@ -51,7 +54,7 @@ class ShotMotion:
     shift_mm: NDArray[np.float64]
     """(L, 2): x right, y up."""
     reliability: NDArray[np.float64]
-    """(L,) in [0, 1]: correlation of the shot with what the others predict for it, after alignment."""
+    """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
 
 
 def shot_motion(
@@ -59,9 +62,11 @@ def shot_motion(
 ) -> ShotMotion:
     """Measure by how much the finger shifted in each shot against the others.
 
-    Under distant lights the images of a matt surface span three dimensions, whatever their number. So each image is
-    predicted from the three principal images of the others, and the residual is explained by a shift of the
-    prediction (Lucas-Kanade, robustly weighted), coarse to fine on band-passed images. At least four shots are needed.
+    Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
+    with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each
+    shot (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion.
+    At least five shots are needed to tell the two apart, and a drift that happens to follow the lights around the ring
+    is underestimated.
 
     Parameters
     ----------
@@ -73,37 +78,30 @@ def shot_motion(
     Returns
     -------
     ShotMotion
-        Relative to the median position. With fewer than four shots all zero, reliability zero.
+        With fewer than five shots all zero, reliability zero.
 
     References
     ----------
-    Shashua, A., "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21, 1997 (three-image
-    basis). Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
+    Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
     """
     settings = settings or MotionSettings()
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     count = len(stack)
-    if count < 4:
+    if count < 5:
         return ShotMotion(np.zeros((count, 2)), np.zeros(count))
-    images, region, px = _working_copy(stack, mask, px_per_mm, settings)
-    shifts = np.zeros((count, 2))  # columns, rows; pixels of the working copy
+    shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
     for band in settings.bands_mm:
-        sigma = band * px
-        bands = [blur(image, 0.5 * sigma) - blur(image, sigma) for image in images]
-        for _ in range(settings.iterations):
-            aligned = np.stack([_shifted(bands[k], shifts[k]) for k in range(count)])
-            steps = np.zeros_like(shifts)
-            for k in range(count):
-                steps[k], agreement[k] = _step(aligned, k, region)
-            limit = sigma
-            shifts += np.clip(steps, -limit, limit)
-            shifts -= np.median(shifts, axis=0)
-            if float(np.abs(steps).max()) < 0.002 * px:
-                break
-    shift_mm = shifts / px * np.array([1.0, -1.0])
-    return ShotMotion(shift_mm, np.clip(agreement, 0.0, 1.0))
+        bands, region, light, px = _details(stack, mask, px_per_mm, settings, band)
+        aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
+        total: FloatArray = np.add.reduce(aligned, axis=0)
+        found = np.zeros_like(shifts)
+        for k in range(count):
+            reference = ((total - aligned[k]) / np.float32(count - 1)).astype(np.float32)
+            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region, settings.iterations)
+        shifts = _without_illumination(found / px, light)
+    return ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
 def motion_warnings(motion: ShotMotion, settings: MotionSettings | None = None) -> tuple[str, ...]:
@@ -120,27 +118,33 @@ def motion_warnings(motion: ShotMotion, settings: MotionSettings | None = None) 
     )
 
 
-def _working_copy(
-    stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: MotionSettings
-) -> tuple[list[FloatArray], BoolArray, float]:
-    """Reduced images cut to the finger, each with mean one on it; the pixels used; their scale."""
-    scale = reduction(mask.shape, px_per_mm, settings.working_px_per_mm, 600)
+def _details(
+    stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: MotionSettings, band_mm: float
+) -> tuple[FloatArray, BoolArray, NDArray[np.float64], float]:
+    """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
+    scale = reduction(mask.shape, px_per_mm, min(settings.working_px_per_mm, 0.8 / band_mm), 600)
     px = px_per_mm * scale
-    inside = reduce_mask(mask, scale) > 0.5
-    if not inside.any():
-        inside = reduce_mask(mask, scale) > 0.0
+    share = reduce_mask(mask, scale)
+    inside = share > 0.5 if bool((share > 0.5).any()) else share > 0.0
     region = dilate(inside, settings.surround_mm * px)
-    rim = max(2, round(0.5 * settings.surround_mm * px))
-    region[:rim], region[-rim:], region[:, :rim], region[:, -rim:] = False, False, False, False
-    if not region.any():
-        region = inside
-    box = bounding_box(dilate(region, 2.0 * settings.surround_mm * px))
-    images = []
+    reach = settings.band_ratio * band_mm
+    box = bounding_box(dilate(region, 2.0 * reach * px))
+    rim = max(2, round(reach * px))
+    framed = np.zeros_like(region)
+    framed[rim:-rim, rim:-rim] = region[rim:-rim, rim:-rim]
+    region = (framed if framed.any() else inside)[box]
+    inside = inside[box]
+    rows, columns = (axis.astype(np.float64) for axis in np.nonzero(inside))
+    details, light = [], []
     for image in stack:
-        small = reduce_image(image, scale)
-        mean = float(np.abs(small[inside]).mean())
-        images.append(np.asarray(small[box] / np.float32(max(mean, 1e-12)), dtype=np.float32))
-    return images, region[box], px
+        small = reduce_image(image, scale)[box]
+        on_finger = np.maximum(small[inside].astype(np.float64), 0.0)
+        power = max(float(on_finger.sum()), 1e-12)
+        light.append((float((on_finger * columns).sum()) / power, float((on_finger * rows).sum()) / power))
+        floor = max(0.1 * float(np.median(on_finger)), 1e-12)
+        relative = small / np.maximum(blur(small, 1.2 * px), np.float32(floor))
+        details.append(blur(relative, band_mm * px) - blur(relative, reach * px))
+    return np.stack(details), region, np.array(light) / px, px
 
 
 def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
@@ -152,33 +156,48 @@ def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
     return np.asarray(warped, dtype=np.float32)
 
 
-def _step(aligned: FloatArray, k: int, region: BoolArray) -> tuple[NDArray[np.float64], float]:
-    """Remaining shift (columns, rows) of image k against its prediction, and their correlation."""
-    others = np.delete(aligned, k, axis=0)
-    values = others[:, region].astype(np.float64)
-    gram = np.einsum("in,jn->ij", values, values)
-    rank = min(3, len(others) - 1)
-    vectors = np.linalg.eigh(gram)[1][:, -rank:]
-    basis = np.einsum("ir,ihw->rhw", vectors, others.astype(np.float64))
-    target = aligned[k][region].astype(np.float64)
-    inside = basis[:, region]
-    weights = np.ones_like(target)
-    shift = np.zeros(2)
-    correlation = 0.0
-    for _ in range(3):
-        coefficients = _least_squares(inside, target, weights)
-        prediction = np.einsum("r,rhw->hw", coefficients, basis)
-        down, right = np.gradient(prediction)
-        design = np.concatenate([inside, -right[region][None], -down[region][None]])
-        solution = _least_squares(design, target, weights)
-        shift = solution[-2:]
-        residual = target - np.einsum("r,rn->n", solution, design)
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
-        weights = 1.0 / np.maximum(1.0, np.abs(residual) / (1.5 * spread))
-        fitted = np.einsum("r,rn->n", solution[:rank], inside)
-        power = np.sqrt(np.sum(weights * fitted**2) * np.sum(weights * target**2))
-        correlation = float(np.sum(weights * fitted * target) / max(float(power), 1e-30))
-    return shift, correlation
+def _register(
+    reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray, iterations: int
+) -> tuple[NDArray[np.float64], float]:
+    """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
+    rows, columns = np.nonzero(region)
+    stride = max(1, len(rows) // 20_000)
+    rows, columns = rows[::stride], columns[::stride]
+    down, right = np.gradient(reference)
+    target = reference[rows, columns]
+    design = np.stack([-right[rows, columns], -down[rows, columns], target]).astype(np.float64)
+    shift = start.astype(np.float64)
+    weights = np.ones(len(rows))
+    values = design[2]
+    for _ in range(iterations):
+        values = _shifted(image, shift)[rows, columns].astype(np.float64)
+        for _ in range(2):
+            solution = _least_squares(design, values, weights)
+            residual = values - np.einsum("i,in->n", solution, design)
+            spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+            weights = 1.0 / np.maximum(1.0, np.abs(residual) / (1.5 * spread))
+        step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
+        shift = shift + step
+        if float(np.abs(step).max()) < 0.01:
+            break
+    power = float(np.sqrt(np.sum(weights * values**2) * np.sum(weights * design[2] ** 2)))
+    return shift, float(np.sum(weights * values * design[2])) / max(power, 1e-30)
+
+
+def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What of the shifts (L, 2) is no linear function of the light's place (L, 2): least absolute deviations."""
+    place = light - light.mean(axis=0)
+    place = place / max(float(np.abs(place).max()), 1e-9)
+    design = np.concatenate([place, np.ones((len(place), 1))], axis=1)
+    weights = np.ones(len(place))
+    residual = shifts
+    for _ in range(30):
+        weighted = design * weights[:, None]
+        normal = np.einsum("li,lj->ij", weighted, design) + 1e-9 * np.eye(3)
+        solution = np.linalg.solve(normal, np.einsum("li,lj->ij", weighted, shifts))
+        residual = shifts - np.einsum("li,ij->lj", design, solution)
+        weights = 1.0 / np.maximum(np.hypot(residual[:, 0], residual[:, 1]), 1e-3)
+    return residual
 
 
 def _least_squares(

@@ -32,8 +32,8 @@ class CreaseSettings:
     """Least relative darkening, averaged over the finger's width."""
     least_coverage: float = 0.6
     """Share of the finger's width along which the valley must be seen."""
-    least_prominence: float = 4.0
-    """Least depth in units of the profile's own scatter elsewhere."""
+    least_prominence: float = 2.5
+    """Least depth in units of what lines across this finger usually show (80th percentile of the profile)."""
     greatest_tilt_deg: float = 15.0
     """Creases may lean by this much against the finger's axis."""
     ratio_range: tuple[float, float] = (0.95, 2.4)

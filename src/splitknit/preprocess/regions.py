@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from splitknit.types import BoolArray, FloatArray
 
@@ -39,13 +36,6 @@ def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
 
 
-def disc(radius: float) -> NDArray[np.uint8]:
-    """Structuring element: a disc of `radius` pixels."""
-    reach = int(np.floor(radius))
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return np.asarray(x * x + y * y <= radius * radius, dtype=np.uint8)
-
-
 def dilate(mask: BoolArray, radius: float) -> BoolArray:
     """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than small ones."""
     if radius < 1.0 or not mask.any():
@@ -74,11 +64,16 @@ def _distance_to(mask: BoolArray) -> FloatArray:
 
 def largest_component(mask: BoolArray) -> BoolArray:
     """The largest 4-connected component of `mask` (empty stays empty)."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    if not mask.any():
+        return mask
+    box = bounding_box(mask)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask[box].astype(np.uint8), connectivity=4)
     if count <= 2:
         return mask
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    return np.asarray(labels == best, dtype=np.bool_)
+    result = np.zeros_like(mask)
+    result[box] = labels == best
+    return result
 
 
 def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
@@ -111,7 +106,13 @@ def remove_spurs(mask: BoolArray, share: float) -> BoolArray:
     return largest_component(np.asarray(mask & dilate(opened, 1.0 + 0.15 * radius), dtype=np.bool_))
 
 
+def remove_specks(mask: BoolArray, radius: float) -> BoolArray:
+    """Opening of `mask` with a disc of `radius` pixels, largest part kept."""
+    core = erode(mask, radius)
+    return largest_component(np.asarray(mask & dilate(core, radius), dtype=np.bool_)) if core.any() else mask
+
+
 def bounding_box(mask: BoolArray) -> tuple[slice, slice]:
-    """Rows and columns that hold `mask`."""
-    found: Any = ndimage.find_objects(mask.astype(np.uint8))
-    return (found[0][0], found[0][1])
+    """Rows and columns that hold `mask`, which must not be empty."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)

@@ -106,26 +106,38 @@ def _response(
 ) -> tuple[FloatArray, BoolArray]:
     """Relative darkness against the lesser of the two sides (H, W), and where it is known.
 
-    Differences of logarithms, so skin tone and brightness drop out. A step or a smooth gradient stays monotone under
-    the blur and therefore never responds.
+    Differences of logarithms, so skin tone and brightness drop out. Each side is continued to the centre with the
+    slope that *both* sides share (the lesser where they agree in sign, none where they do not): a smooth gradient
+    hides no crease, and the edge of a shadow, flat on both sides, never looks like one.
     """
     weight = inside.astype(np.float32)
     sigma = max(smoothing_mm * px_per_mm, 0.3)
-    light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), sigma)
-    cover = cv2.GaussianBlur(weight, (0, 0), sigma)
+    light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
+    cover = cv2.GaussianBlur(weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     smooth = np.asarray(light / np.maximum(cover, np.float32(1e-3)), dtype=np.float32)
     typical = float(np.median(smooth[inside])) if inside.any() else 1.0
     level = np.log(np.maximum(smooth, np.float32(max(0.02 * typical, 1e-12))))
     step = max(1, round(side_mm * px_per_mm))
-    known = inside.copy()
-    known[:step] = False
-    known[-step:] = False
-    known[step:] &= inside[:-step]
-    known[:-step] &= inside[step:]
-    response = np.zeros_like(level)
-    if level.shape[0] > 2 * step:
-        response[step:-step] = np.minimum(level[: -2 * step], level[2 * step :]) - level[step:-step]
+    above, has_above = _moved_down(level, inside, step)
+    below, has_below = _moved_down(level, inside, -step)
+    farther_above, has_slope_above = _moved_down(level, inside, 2 * step)
+    farther_below, has_slope_below = _moved_down(level, inside, -2 * step)
+    slope_above, slope_below = above - farther_above, farther_below - below
+    agree = has_slope_above & has_slope_below & (slope_above * slope_below > 0.0)
+    lesser = np.sign(slope_above) * np.minimum(np.abs(slope_above), np.abs(slope_below))
+    slope = np.where(agree, lesser, np.float32(0.0))
+    response = np.minimum(above + slope, below - slope) - level
+    known = inside & has_above & has_below
     return np.where(known, response, np.float32(0.0)).astype(np.float32), known
+
+
+def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatArray, BoolArray]:
+    """What lies `step` rows above every pixel, and whether that is finger."""
+    moved, known = np.zeros_like(level), np.zeros_like(inside)
+    if abs(step) < level.shape[0]:
+        target, source = (np.s_[step:], np.s_[:-step]) if step > 0 else (np.s_[:step], np.s_[-step:])
+        moved[target], known[target] = level[source], inside[source]
+    return moved, known
 
 
 def _along_lines(
@@ -160,11 +172,9 @@ def _width(inside: BoolArray) -> float:
 
 
 def _scatter(depth: NDArray[np.float32]) -> float:
-    """Usual size of the profile where no crease is (1.48 MAD of the rows that are known)."""
+    """How deep other lines across the finger usually look: the 80th percentile of the profile, at least zero."""
     known = depth[depth != 0.0]
-    if known.size < 8:
-        return 0.0
-    return 1.4826 * float(np.median(np.abs(known - np.median(known))))
+    return max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0
 
 
 def _refine(profile: NDArray[np.float32], row: int) -> float:
