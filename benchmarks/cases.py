@@ -82,7 +82,7 @@ def shadow_case(seed: int = 0, rows: int = 1528, columns: int = 936) -> ShadowCa
     finger = finger_case(rows, columns)
     azimuth, elevation = np.deg2rad(np.arange(7) * 360 / 7), np.deg2rad(55.0)
     lights = np.column_stack(
-        [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.full(7, np.sin(elevation))]
+        [np.cos(azimuth) * np.cos(elevation), -np.sin(azimuth) * np.cos(elevation), np.full(7, np.sin(elevation))]
     )
     shading = finger.normals @ lights.T
     albedo = 0.6 + 0.1 * np.sin(np.arange(columns) / 50.0)
