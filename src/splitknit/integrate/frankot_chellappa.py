@@ -48,7 +48,7 @@ def frankot_chellappa(gradient_x: Any, gradient_y: Any, mask: Any = None, paddin
     >>> slope = np.tile(np.cos(2 * np.pi * x / 32), (64, 1))
     >>> height = frankot_chellappa(slope, np.zeros_like(slope))
     >>> round(float(height.max()), 2)  # 32 / (2 pi)
-    5.07
+    5.09
     """
     slope_x, slope_y, inside = check_gradients(gradient_x, gradient_y, mask)
     return zero_mean(integrate_spectrum(slope_x, slope_y, None, padding), inside)

@@ -54,20 +54,27 @@ class Grid:
         self.degree = degree
         self.inverse = np.where(degree > 0, 1 / np.maximum(degree, np.float32(1e-30)), 0).astype(np.float32)
         self.inside = (degree > 0).astype(np.float32)
+        self._target, self._term = np.empty_like(right), np.empty_like(right)
         self.coarser: Grid | None = None
         self.direct: DirectSolver | None = None
         self.share = self.inside  # replaced where there is a coarser grid
 
-    def neighbours(self, height: Floats) -> Floats:
+    def neighbours(self, height: Floats, out: Floats | None = None) -> Floats:
         """Weighted sum of the four neighbours (not masked on a unit grid)."""
+        total = np.empty_like(height) if out is None else out
         if self.unit:
-            return np.asarray(cv2.filter2D(height, -1, _CROSS, borderType=cv2.BORDER_CONSTANT), dtype=height.dtype)
-        total = np.zeros_like(height)
+            cv2.filter2D(height, -1, _CROSS, dst=total, borderType=cv2.BORDER_CONSTANT)
+            return total
         right, down = self.right[:, :-1], self.down[:-1]
-        total[:, :-1] = right * height[:, 1:]
-        total[:, 1:] += right * height[:, :-1]
-        total[:-1] += down * height[1:]
-        total[1:] += down * height[:-1]
+        term = self._term if height.dtype == self._term.dtype else np.empty_like(height)
+        np.multiply(right, height[:, 1:], out=total[:, :-1])
+        total[:, -1] = 0
+        np.multiply(right, height[:, :-1], out=term[:, 1:])
+        total[:, 1:] += term[:, 1:]
+        np.multiply(down, height[1:], out=term[:-1])
+        total[:-1] += term[:-1]
+        np.multiply(down, height[:-1], out=term[1:])
+        total[1:] += term[1:]
         return total
 
     def apply(self, height: Floats) -> Floats:
@@ -75,29 +82,32 @@ class Grid:
         around = self.neighbours(height)
         if self.unit:
             around *= self.inside
-        return self.degree * height - around
+        np.subtract(self.degree * height, around, out=around)
+        return around
 
-    def _smooth(self, height: FloatArray, right_side: FloatArray, step: float) -> FloatArray:
-        target = self.neighbours(height)
+    def _smooth(self, height: FloatArray, right_side: FloatArray, step: float) -> None:
+        """One damped Jacobi step in place."""
+        target = self.neighbours(height, out=self._target)
         target += right_side
         target *= self.inverse
-        return np.asarray(cv2.addWeighted(height, 1 - step, target, step, 0), dtype=np.float32)
+        cv2.addWeighted(height, 1 - step, target, step, 0, dst=height)
 
     def cycle(self, right_side: FloatArray) -> FloatArray:
         """One V-cycle from zero: an approximate solution of `apply`(height) = right_side."""
         if self.direct is not None:
             return self.direct(right_side)
-        height = np.float32(_STEPS[0]) * self.inverse * right_side
-        height = self._smooth(height, right_side, _STEPS[1])
+        height = self.inverse * right_side
+        height *= np.float32(_STEPS[0])
+        self._smooth(height, right_side, _STEPS[1])
         if self.coarser is None:
             for _ in range(_COARSEST_SWEEPS):
                 for step in (*_STEPS, *_STEPS[::-1]):
-                    height = self._smooth(height, right_side, step)
+                    self._smooth(height, right_side, step)
         else:
             residual = right_side - self.apply(height)
             height += self.prolong(self.coarser.cycle(self.restrict(residual)))
         for step in _STEPS[::-1]:
-            height = self._smooth(height, right_side, step)
+            self._smooth(height, right_side, step)
         return height
 
     def solve_nested(self, right_side: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Photometric stereo: normals and albedo from images under several lights."""
 
 from splitknit.normals.lambertian import lambertian
-from splitknit.normals.light_field import light_field
+from splitknit.normals.light_field import light_field, light_vectors_at
 from splitknit.normals.near_light import NearLightSettings, near_light, near_light_weights, pseudo_normals
 from splitknit.normals.robust import light_weights, robust
 from splitknit.normals.weights import RobustSettings
@@ -11,6 +11,7 @@ __all__ = [
     "RobustSettings",
     "lambertian",
     "light_field",
+    "light_vectors_at",
     "light_weights",
     "near_light",
     "near_light_weights",

@@ -6,6 +6,10 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
+
+from splitknit.types import BoolArray, FloatArray
+
 
 def row_chunks(rows: int, columns: int, lights: int) -> Iterator[slice]:
     """Slices of whole rows, a few thousand pixels each; they depend on the sizes alone."""
@@ -25,3 +29,9 @@ def for_each_chunk(work: Callable[[slice], None], rows: int, columns: int, light
     with ThreadPoolExecutor(threads) as pool:
         for _ in pool.map(work, row_chunks(rows, columns, lights)):
             pass
+
+
+def gather(images: FloatArray, chunk: slice, here: BoolArray) -> FloatArray:
+    """Pixels (L, n) of some rows of `images` (L, H, W) where the mask (h, W) of these rows is true."""
+    part = images[:, chunk].reshape(images.shape[0], -1)
+    return part if here.all() else np.compress(here.ravel(), part, axis=1)

@@ -103,10 +103,12 @@ def shading(g: FloatArray, lights: FloatArray) -> FloatArray:
     """l_k . g, (L, n): negative where the light is behind the surface."""
     per_pixel = lights[..., None] if lights.ndim == 2 else lights
     result = np.empty((per_pixel.shape[0], g.shape[1]), dtype=np.float32)
+    term = np.empty(g.shape[1], dtype=np.float32)
     for k in range(per_pixel.shape[0]):
         np.multiply(g[0], per_pixel[k, 0], out=result[k])
-        result[k] += g[1] * per_pixel[k, 1]
-        result[k] += g[2] * per_pixel[k, 2]
+        for i in (1, 2):
+            np.multiply(g[i], per_pixel[k, i], out=term)
+            result[k] += term
     return result
 
 

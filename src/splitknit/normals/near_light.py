@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.check import check_lights, check_mask, check_stack, require
-from splitknit.normals.chunks import for_each_chunk
+from splitknit.normals.chunks import for_each_chunk, gather
 from splitknit.normals.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
 from splitknit.normals.light_field import View, light_vectors_at, surface_array, view_of
 from splitknit.normals.weights import RobustSettings, robust_fit
@@ -40,7 +40,7 @@ class _Scene:
         z = np.where(here, self.surface[chunk], np.float32(0.0))
         x, y = self.view.points(chunk, z)
         lights = light_vectors_at(self.rig, x[here], y[here], z[here])
-        return here, lights, self.images[:, :, chunk][:, :, here]
+        return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])
 
 
 def near_light(  # noqa: PLR0917
@@ -107,7 +107,7 @@ def near_light(  # noqa: PLR0917
         if given is None and chosen.robust is not None:
             g, _ = robust_fit(images[0], lights, chosen.robust)
         else:
-            g = _solve(images, lights, None if given is None else given[:, chunk][:, here])[0]
+            g = _solve(images, lights, None if given is None else gather(given, chunk, here))[0]
         unit, length = unit_normals(g)
         normals[chunk][here] = unit.T
         albedo[chunk][here] = length
@@ -144,7 +144,7 @@ def pseudo_normals(  # noqa: PLR0917
         if not scene.mask[chunk].any():
             return
         here, lights, part = scene.cut(chunk)
-        g = _solve(part, lights, None if given is None else given[:, chunk][:, here])
+        g = _solve(part, lights, None if given is None else gather(given, chunk, here))
         for c in range(colours):
             result[c, chunk][here] = g[c].T
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.check import check_lights, check_mask, check_stack
-from splitknit.normals.chunks import for_each_chunk
+from splitknit.normals.chunks import for_each_chunk, gather
 from splitknit.normals.equations import unit_normals
 from splitknit.normals.weights import RobustSettings, robust_fit
 from splitknit.types import FloatArray
@@ -77,7 +77,7 @@ def _run(
         here = inside[chunk]
         if not here.any():
             return
-        g, used = robust_fit(images[:, chunk][:, here], vectors, chosen)
+        g, used = robust_fit(gather(images, chunk, here), vectors, chosen)
         unit, length = unit_normals(g)
         normals[chunk][here] = unit.T
         albedo[chunk][here] = length / np.float32(scale)
