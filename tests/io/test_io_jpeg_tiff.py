@@ -91,8 +91,21 @@ def test_tiff_layouts() -> None:
     np.testing.assert_array_equal(decode_image(alpha, "x"), image[..., :3])
     inverted = tiff_bytes(image[..., 0], photometric="miniswhite")
     np.testing.assert_array_equal(decode_image(inverted, "x")[..., 0], 255 - image[..., 0])
-    lzw = cv2.imencode(".tif", image[..., :3], [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_LZW])[1]
-    np.testing.assert_array_equal(decode_image(lzw.tobytes(), "x"), image[..., 2::-1])
+
+
+def test_tiff_with_lzw(capfd: pytest.CaptureFixture[str]) -> None:
+    image = smooth((20, 30, 3))
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_LZW]
+    lzw = cv2.imencode(".tif", image, options)[1].tobytes()
+    np.testing.assert_array_equal(decode_image(lzw, "x"), image[..., ::-1])
+    offset = int.from_bytes(lzw[4:8], "little")  # the tags follow the data, so the strip is made to end too late
+    assert offset > len(lzw) // 2
+    with tifffile.TiffFile(io.BytesIO(lzw)) as file:
+        place = file.pages[0].tags["StripByteCounts"].valueoffset
+    longer = lzw[:place] + (len(lzw)).to_bytes(4, "little") + lzw[place + 4 :]
+    with pytest.raises(BadInput, match="truncated"):
+        decode_image(longer, "x")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

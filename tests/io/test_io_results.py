@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -185,7 +186,13 @@ def test_archives(tmp_path: Path, level: int) -> None:
     with zipfile.ZipFile(path) as file:
         assert file.testzip() is None
         assert {info.date_time for info in file.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        members = file.infolist()
     first = path.read_bytes()
+    for info in members:  # each stream ends properly, which not every reader insists on
+        engine = zlib.decompressobj(-15)
+        start = info.header_offset + 30 + len(info.filename)
+        engine.decompress(first[start : start + info.compress_size])
+        assert engine.eof
     write_npz(path, ARRAYS, level)
     assert path.read_bytes() == first
 
