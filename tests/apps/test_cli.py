@@ -131,6 +131,7 @@ def test_traceback_is_shown_on_request(capture_folder: Path, seen: dict[str, Any
         ["simulate", "--out", "x", "--scale", "nan"],
         ["simulate", "--out", "x", "--scale", "7"],
         ["simulate", "--out", "x", "--set", "scale"],
+        ["simulate", "--out", "x", "--set", "scale=-1"],
         ["simulate", "--out", "x", "--set", "no.such=1"],
         ["simulate", "--out", "x", "--pattern", "paisley"],
         ["simulate", "--out", "x", "--settings", "nowhere.toml"],
@@ -181,6 +182,22 @@ def test_one_kind_of_folder_does_not_replace_another(
     assert main(["demo", "--out", out]) == 2
     assert (Path(out) / "height.npz").is_file()
     assert capsys.readouterr().err.count("name another folder") == 2
+
+
+def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
+    """SIGTERM in the middle of the work: code 130 and an empty folder."""
+    code = (
+        "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
+        "from splitknit.apps import cli, commands; "
+        "commands.simulate_capture = lambda *_: os.kill(os.getpid(), signal.SIGTERM); "
+        "sys.exit(cli.main())"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "out")], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 130, run.stderr
+    assert "interrupted" in run.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -27,6 +28,8 @@ Outcome = tuple[dict[str, Any], list[str]]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code."""
+    if arguments is None:  # we are the program: a polite kill cleans up as Ctrl-C does
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     parser = build_parser()
     try:
         options = parser.parse_args(arguments)

@@ -87,7 +87,9 @@ def truth_of(capture: Capture) -> dict[str, Any] | None:
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
     """Return the twin's settings with `scale` and single fields replaced."""
     settings = override(TwinSettings(), dict(changes or {}))
-    return settings if scale is None else replace(settings, scale=scale)
+    settings = settings if scale is None else replace(settings, scale=scale)
+    require(0.05 <= settings.scale <= 1.0, f"scale must lie between 0.05 and 1, but it is {settings.scale:g}.")
+    return settings
 
 
 def simulate_to_folder(
