@@ -68,6 +68,8 @@ def test_fresnel_at_known_angles():
     across = ((brewster - 1.42 * np.sin(np.arctan(1.42))) / (brewster + 1.42 * np.sin(np.arctan(1.42)))) ** 2
     assert float(fresnel(np.array(brewster))) == pytest.approx(across / 2, rel=1e-6)
     assert float(fresnel(np.array(0.5), 1 / 1.42)) == 1.0
+    assert float(fresnel(np.array(0.0), 1 / 1.42)) == 1.0
+    assert float(fresnel(np.array(0.0))) == pytest.approx(1.0)
     # reciprocity of diffuse light: n^2 (1 - F inside) = 1 - F outside
     assert diffuse_transmittance(1 / 1.42) * 1.42**2 == pytest.approx(diffuse_transmittance(), rel=2e-3)
 

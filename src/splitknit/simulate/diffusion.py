@@ -35,8 +35,9 @@ def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> ND
     c = np.clip(cosine, 0.0, 1.0)
     inside = 1.0 - (1.0 - c * c) * (1.0 / ratio**2)
     t = np.sqrt(np.clip(inside, 0.0, 1.0))
-    across = (c - ratio * t) / (c + ratio * t)
-    along = (ratio * c - t) / (ratio * c + t)
+    tiny = 1e-12  # total reflection at grazing incidence: zero over zero, which the last line replaces by one
+    across = (c - ratio * t) / (c + ratio * t + tiny)
+    along = (ratio * c - t) / (ratio * c + t + tiny)
     return np.asarray(np.where(inside <= 0.0, np.ones_like(c), 0.5 * (across * across + along * along)))
 
 
