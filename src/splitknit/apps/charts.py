@@ -80,11 +80,12 @@ def line_chart(
     return Markup("".join(parts) + "</svg>")
 
 
-def bar_chart(values: Sequence[float], labels: Sequence[str], unit: str = "", *, width: int = 250) -> Markup:
+def bar_chart(values: Sequence[float], labels: Sequence[str], unit: str = "", *, width: int = 200) -> Markup:
     """Horizontal bars from zero, each with its value."""
     finite = [abs(float(v)) for v in values if np.isfinite(v)]
-    longest, row, left = max(finite, default=0.0), 17, 66
-    scale = (width - left - 62) / longest if longest > 0 else 0.0
+    longest, row = max(finite, default=0.0), 15
+    left = 10 + 7 * max((len(name) for name in labels), default=0)
+    scale = (width - left - 50) / longest if longest > 0 else 0.0
     parts = [_open(width, row * len(values) + 4, "bar chart")]
     for k, (value, label) in enumerate(zip(values, labels, strict=True)):
         y = k * row + 3

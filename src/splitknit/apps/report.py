@@ -104,6 +104,7 @@ def make_report(
         quality=_tables(facts["quality"]),
         found=_tables(facts["facts"]),
         settings=_tables(facts["settings"]),
+        capture=[(label(key), _flat(value)) for key, value in facts["capture"].items() if value],
         comparison=_comparison_table(comparisons),
         close_ups=_close_ups(result, others, truth),
         errors=[
@@ -278,5 +279,12 @@ def _shown(value: Any) -> str | Markup:
     if isinstance(value, Mapping):
         return "; ".join(f"{label(str(key))}: {_shown(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return ", ".join(str(_shown(item)) if not isinstance(item, list) else str(item) for item in value)
+        return ", ".join(_flat(item) for item in value) or "none"
     return "-" if value is None else str(value)
+
+
+def _flat(value: Any) -> str:
+    """Show an entry of a list in one line."""
+    if isinstance(value, list):
+        return f"({', '.join(_flat(item) for item in value)})"
+    return str(_shown(value))
