@@ -198,6 +198,15 @@ def test_multigrid_operators_are_symmetric(unit):
     assert inner(grid.prolong(coarse), a) == pytest.approx(inner(coarse, grid.restrict(a)), rel=1e-4, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["comb", "stripes", "spiral"])
+def test_strands_that_coarse_pixels_would_weld_converge_at_once(name):
+    mask = masks()[name]
+    slope_x, slope_y = np.random.default_rng(7).normal(size=(2, *mask.shape)).astype(np.float32)
+    got = poisson(slope_x, slope_y, mask, settings=PoissonSettings(max_iterations=8))
+    expected = reference(slope_x, slope_y, mask)
+    assert np.std((got - expected)[mask]) < 1e-3 * np.std(expected[mask])
+
+
 def test_one_cycle_takes_most_of_the_error():
     grid = grids(True)
     assert isinstance(grid, Grid)

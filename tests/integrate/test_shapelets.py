@@ -105,6 +105,22 @@ def test_extra_gain_multiplies_the_spectrum():
 
     smooth = shapelets(slope_x, slope_y, settings=settings, gain=low_pass)
     assert np.std(smooth) < 0.5 * np.std(plain)
+    for variant in VARIANTS[1:]:
+        other = ShapeletSettings(scales=4, variant=variant)
+        plain = shapelets(slope_x, slope_y, settings=other)
+        doubled = shapelets(slope_x, slope_y, settings=other, gain=lambda w: 2 + 0 * w)
+        assert np.allclose(doubled, 2 * plain, atol=1e-4)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_nothing_wraps_around(variant):
+    """A slope at the left border leaves the right border flat."""
+    slope = np.zeros((100, 125))
+    slope[40:60, :5] = 1
+    got = shapelets(slope, slope, settings=ShapeletSettings(scales=3, variant=variant, padding="zero"))
+    assert np.ptp(got[:, 60:]) < 2e-3 * np.ptp(got[:, :20])
+    turned = shapelets(slope.T, slope.T, settings=ShapeletSettings(scales=3, variant=variant, padding="zero"))
+    assert np.ptp(turned[60:]) < 2e-3 * np.ptp(turned[:20])
 
 
 def test_bad_gain_is_refused():

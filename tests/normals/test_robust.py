@@ -16,7 +16,7 @@ def ring(count=7, elevation_deg=55.0):
     )
 
 
-def sphere(lights, size=120, gloss=0.0, noise=0.0, seed=0):
+def sphere(lights, gloss=0.0, noise=0.0, seed=0, sharpness=80, *, size=120):
     """Stack, normals and mask of a sphere with attached shadows, a highlight lobe and noise; albedo 0.6."""
     i, j = np.mgrid[0:size, 0:size]
     x, y = (2 * j - size + 1) / size, (size - 1 - 2 * i) / size
@@ -25,7 +25,7 @@ def sphere(lights, size=120, gloss=0.0, noise=0.0, seed=0):
     half = lights + np.array([0.0, 0.0, 1.0])
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     shading = normals @ lights.T
-    shine = gloss * np.clip(normals @ half.T, 0, 1) ** 80 * (shading > 0)
+    shine = gloss * np.clip(normals @ half.T, 0, 1) ** sharpness * (shading > 0)
     stack = 0.6 * np.clip(shading, 0, None) + shine
     stack += np.random.default_rng(seed).normal(0, noise, stack.shape)
     return np.clip(stack, 0, None).transpose(2, 0, 1).astype(np.float32), normals, mask
@@ -54,6 +54,25 @@ def test_highlights_lose_weight(count, least):
     plain = error_deg(lambertian(stack, lights, mask)[0], normals, mask).mean()
     kept = error_deg(robust(stack, lights, mask)[0], normals, mask).mean()
     assert plain > least * kept
+
+
+def test_forgiveness_helps_against_a_broad_highlight():
+    """With light only ever added, what lies below the fit is nearer to the truth than what lies above."""
+    lights = np.vstack([ring(10, 35.0), ring(8, 55.0), ring(6, 75.0)])
+    stack, normals, mask = sphere(lights, gloss=0.3, noise=0.002, sharpness=25)
+    even, forgiving = (
+        error_deg(robust(stack, lights, mask, RobustSettings(forgiveness=f))[0], normals, mask).mean() for f in (1, 2)
+    )
+    assert forgiving < 0.95 * even
+
+
+def test_lit_lights_in_one_plane_do_not_decide_alone():
+    """Noise of 2 % must not turn a normal that three lights in one plane leave open; the shadowed ones close it."""
+    lights = np.array([[-0.5, 0.0, 1.0], [0.0, 0.01, 1.0], [0.5, 0.0, 1.0], [0.0, 0.8, 0.6], [0.0, -0.8, 0.6]])
+    stack = np.array([1.0, 1.02, 1.0, 0.028, 0.03], dtype=np.float32)[:, None, None]
+    normals, albedo = robust(stack, lights)
+    assert normals[0, 0, 2] > 0.95
+    assert albedo[0, 0] < 1.1
 
 
 def test_seven_lights_with_gloss_are_better_than_least_squares():

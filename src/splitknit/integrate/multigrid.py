@@ -29,11 +29,12 @@ from splitknit.types import FloatArray
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
 _SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)
 _STEPS = (0.5618, 1.3894)
-"""Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum."""
+"""Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum;
+as polynomials of one operator the steps commute, so that the same order before and after stays symmetric."""
 _COARSEST = 4
-_COARSEST_SWEEPS = 24
+_COARSEST_SWEEPS = 48
 _LONG = 16
-"""A coarsest grid with a longer side is too much for sweeps."""
+"""A coarsest grid with a longer side is solved directly, not by sweeps."""
 _WELDED = 0.02
 """Share of coarse pixels that may join what is not joined inside them."""
 _DIRECT = 100_000
@@ -101,12 +102,12 @@ class Grid:
         self._smooth(height, right_side, _STEPS[1])
         if self.coarser is None:
             for _ in range(_COARSEST_SWEEPS):
-                for step in (*_STEPS, *_STEPS[::-1]):
+                for step in _STEPS:
                     self._smooth(height, right_side, step)
         else:
             residual = right_side - self.apply(height)
             height += self.prolong(self.coarser.cycle(self.restrict(residual)))
-        for step in _STEPS[::-1]:
+        for step in _STEPS:
             self._smooth(height, right_side, step)
         return height
 
@@ -185,13 +186,12 @@ def build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
         )
         small = np.count_nonzero(grid.inside) <= _DIRECT
         if small and max(_welded_share(grid), _welded_share(coarse)) > _WELDED:
-            grid.direct = DirectSolver(grid)
             break
         cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
         grid.share = np.where(cover > 0, grid.inside / np.maximum(cover, np.float32(1e-6)), 0).astype(np.float32)
         grid.coarser = coarse
         grid = coarse
-    if grid.direct is None and max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
+    if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
         grid.direct = DirectSolver(grid)
     return finest
 

@@ -161,6 +161,7 @@ def _solve_masked(
         (weight_right * (target_right - step_right)).astype(np.float64),
         (weight_down * (target_down - step_down)).astype(np.float64),
     )
+    del target_right, target_down, step_right, step_down
     height += _conjugate_gradients(grid, residual, _rms(height), settings)
     return height[:rows, :columns]
 
@@ -174,7 +175,7 @@ def _conjugate_gradients(
     pixels shift against each other by the rounding of the residual, divided by a very small stiffness. For the same
     reason the preconditioned residual is divided by the smallest eigenvalue that the iteration has met (Lanczos).
     """
-    correction = np.zeros_like(residual)
+    correction = np.zeros(residual.shape, dtype=np.float32)
     direction = np.zeros_like(residual)
     lengths: list[float] = []
     ratios: list[float] = []
@@ -195,10 +196,10 @@ def _conjugate_gradients(
         if curvature <= 0:
             break
         lengths.append(energy / curvature)
-        correction += lengths[-1] * direction
         image *= lengths[-1]
         residual -= image
-    return correction.astype(np.float32)
+        correction += np.multiply(direction, lengths[-1], out=image)
+    return correction
 
 
 def _smallest_eigenvalue(lengths: list[float], ratios: list[float]) -> float:

@@ -60,23 +60,26 @@ def strengths(lights: FloatArray) -> FloatArray:
     return np.asarray(length[:, None] if lights.ndim == 2 else length)
 
 
-def lit_weights(images: FloatArray, lights: FloatArray, shadow: float) -> tuple[FloatArray, NDArray[np.intp]]:
-    """One where a light reaches the pixel and zero in shadow, (L, n), and the indices of the pixels with any shadow.
+def lit_weights(
+    images: FloatArray, lights: FloatArray, shadow: float
+) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+    """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
 
-    A pixel whose lit lights do not determine a normal (fewer than three, or all near one plane) keeps every light,
-    weighted by the square of what it gives: the brightest decide, and the system stays solvable.
+    A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near one plane). It keeps
+    every light, weighted by the square of what it gives: the brightest decide, and the system stays solvable.
     """
     relative = images / strengths(lights)
     peak = np.maximum(relative.max(axis=0), np.float32(1e-20))
     lit = relative > np.float32(shadow) * peak
     weights = lit.astype(np.float32)
     shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
+    weak = shadowed[:0]
     if shadowed.size:
         nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
         weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < _FLAT]
         soft = np.maximum(relative[:, weak] / peak[weak], np.float32(_FAINT))
         weights[:, weak] = soft * soft
-    return weights, shadowed
+    return weights, shadowed, weak
 
 
 def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings) -> tuple[FloatArray, FloatArray]:
@@ -84,7 +87,7 @@ def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings)
 
     `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel.
     """
-    weights, shadowed = lit_weights(images, lights, settings.shadow)
+    weights, shadowed, weak = lit_weights(images, lights, settings.shadow)
     if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
         g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
         if shadowed.size:
@@ -92,8 +95,9 @@ def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings)
     else:
         g = solve(images, lights, weights if shadowed.size else None)
     if settings.iterations > 0:
-        misfit = _misfit(images, lights, weights, g, settings)
-        doubtful = np.flatnonzero(misfit.max(axis=0) > _CLEAN)
+        worst = _misfit(images, lights, weights, g, settings).max(axis=0)
+        worst[weak] = 0.0  # no light can be spared there
+        doubtful = np.flatnonzero(worst > _CLEAN)
         if doubtful.size:
             _reweight(images, lights, weights, g, doubtful, settings)
     return g, weights
