@@ -89,7 +89,7 @@ def fit_glare(
     normals: FloatArray,
     lights: FloatArray,
     region: BoolArray,
-    roughnesses: tuple[float, ...] = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42, 0.48, 0.54),
+    roughnesses: tuple[float, ...] = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42),
 ) -> GlareFit:
     """Fit strength and roughness of the glare in the images of one band.
 

@@ -1,0 +1,11 @@
+"""The `metric` preset's way through skin: analysis by synthesis.
+
+A current surface predicts what photometric stereo would find on it behind the skin's blur; the difference from what it
+did find, unmixed from glare by colour, corrects the surface. First the shape on a coarse grid, from all bands; then the
+ridges on a fine grid, from the colours of the white band; and again, because ridges bias the shape (the mean normal of
+a ridged slope is flatter than the slope).
+"""
+
+from splitknit.metric.surface import MetricSettings, SkinSurface, reconstruct_skin
+
+__all__ = ["MetricSettings", "SkinSurface", "reconstruct_skin"]

@@ -1,0 +1,203 @@
+"""The finger's shape from all bands, behind blur and glare, on a coarse grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from splitknit.integrate import poisson
+from splitknit.metric.grid import Grid
+from splitknit.normals import light_vectors_at, pseudo_normals
+from splitknit.separate import Diffusion, fit_glare, fresnel_transmission, microfacet_glare, unmixing_weights
+from splitknit.types import BoolArray, FloatArray, Rig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandImages:
+    """Linear images of one band on one grid."""
+
+    channels: tuple[str, ...]
+    """Names of the channels: red, green, blue, nir."""
+    stack: FloatArray
+    """(C, L, h, w)."""
+    rig: Rig
+    """`rig.leds[k]` lights image k."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lighting:
+    """Lights of one band on the current surface."""
+
+    vectors: FloatArray
+    """(L, 3, h, w) direction towards the light times its irradiance."""
+    entering: FloatArray
+    """(L, h, w) light that enters the skin, over normal incidence (Fresnel)."""
+    trust: FloatArray
+    """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseStep:
+    """Result of one comparison of prediction and images."""
+
+    slope_x: FloatArray
+    """(h, w) correction of dz/dx."""
+    slope_y: FloatArray
+    brightness: Mapping[str, float]
+    """Diffuse brightness of each channel over the prediction for an albedo of one."""
+    glare: Mapping[str, tuple[float, float]]
+    """Roughness and strength of the glare by band."""
+
+
+def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
+    """Light vectors, Fresnel transmission and trust of every light at the surface."""
+    x = np.broadcast_to(grid.x_mm.astype(np.float32), grid.shape)
+    y = np.broadcast_to(grid.y_mm.astype(np.float32)[:, None], grid.shape)
+    camera = rig.camera
+    if camera.model == "perspective":
+        nearer = 1 - height_mm / np.float32(camera.height_mm)
+        x, y = x * nearer, y * nearer
+    vectors = light_vectors_at(rig, x, y, height_mm)
+    length = np.sqrt((vectors * vectors).sum(axis=1))
+    cosine = np.einsum("lihw,hwi->lhw", vectors, normals) / np.maximum(length, np.float32(1e-12))
+    trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
+    return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
+
+
+def unit(normals: FloatArray) -> FloatArray:
+    """Unit length, (H, W, 3)."""
+    length = np.sqrt((normals * normals).sum(axis=-1, keepdims=True))
+    return np.asarray(normals / np.maximum(length, np.float32(1e-9)), dtype=np.float32)
+
+
+def start_shape(band: BandImages, grid: Grid, plane_mm: float, rounds: int = 2) -> FloatArray:
+    """A first shape: near-light photometric stereo of one band, all lights alike, integrated over the mask."""
+    height = np.zeros(grid.shape, dtype=np.float32)
+    stack = band.stack.sum(axis=0)
+    for _ in range(rounds):
+        g = pseudo_normals(stack, band.rig, height + np.float32(plane_mm), grid.mask, x_mm=grid.x_mm, y_mm=grid.y_mm)
+        normals = unit(g)
+        nz = np.maximum(normals[..., 2], np.float32(0.15))
+        height = integrate(-normals[..., 0] / nz, -normals[..., 1] / nz, grid, nz)
+    return height
+
+
+def integrate(slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: FloatArray) -> FloatArray:
+    """Height in mm (zero outside the mask, mean zero on it) by weighted masked least squares."""
+    height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * np.float32(grid.pitch_mm)
+    return np.nan_to_num(height, nan=0.0).astype(np.float32)
+
+
+def compare(  # noqa: PLR0917
+    bands: tuple[BandImages, ...],
+    grid: Grid,
+    height_mm: FloatArray,
+    mean_normals: FloatArray,
+    skin: Mapping[str, Diffusion],
+    glare_ratio: float,
+    cutoff_per_mm: float,
+) -> CoarseStep:
+    """Predict the images of all bands and return the slopes that the surface lacks.
+
+    Parameters
+    ----------
+    bands : images on `grid`
+    height_mm : (h, w), finite
+    mean_normals : (h, w, 3)
+        Mean over each block of the unit normals of the surface with its ridges: shorter than one where it is ridged.
+    skin : transfer function of each channel
+    glare_ratio : expected amplitude of the glare's apparent slope (red) over the true slope
+    cutoff_per_mm : angular frequency beyond which slopes are left to the fine grid
+    """
+    normals = unit(mean_normals)
+    residuals: list[tuple[FloatArray, FloatArray]] = []
+    names: list[str] = []
+    brightness: dict[str, float] = {}
+    glare: dict[str, tuple[float, float]] = {}
+    groups: list[list[int]] = []
+    for band in bands:
+        light = lighting(band.rig, grid, height_mm, normals)
+        lit = light.vectors * light.entering[:, None]
+        reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
+        fit = fit_glare(band.stack[-1], normals, lit, reached)
+        mirrored = np.float32(fit.strength) * microfacet_glare(normals, light.vectors, fit.roughness) * grid.mask
+        glare[band.channels[-1]] = (fit.roughness, fit.strength)
+        irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
+        spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
+        seen = band.stack - mirrored
+        dull = _dullest(mirrored, reached if reached.any() else grid.mask)
+        expected = np.empty_like(seen)
+        for c, name in enumerate(band.channels):
+            expected[c] = grid.inverse(spectrum * _transfer(grid, skin[name])) * grid.mask
+            brightness[name] = _median_ratio(seen[c], expected[c], dull)
+            expected[c] *= np.float32(brightness[name])
+        both = np.concatenate([seen, expected])
+        found = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, grid.x_mm, grid.y_mm)
+        start = len(names)
+        for c, name in enumerate(band.channels):
+            residuals.append(_lacking(found[c], found[c + len(band.channels)], grid))
+            names.append(name)
+        groups.append(list(range(start, len(names))))
+    weights = _weights(grid, names, groups, brightness, skin, glare_ratio, cutoff_per_mm)
+    slopes = [sum(w * grid.forward(r[axis]) for w, r in zip(weights, residuals, strict=True)) for axis in range(2)]
+    slope_x, slope_y = (grid.inverse(np.asarray(s)) * grid.mask for s in slopes)
+    return CoarseStep(slope_x, slope_y, brightness, glare)
+
+
+def _transfer(grid: Grid, skin: Diffusion) -> FloatArray:
+    omega = np.linspace(0, float(grid.omega[2].max()), 1024)
+    return grid.radial(omega, skin(omega))
+
+
+def _dullest(mirrored: FloatArray, region: BoolArray) -> BoolArray:
+    """(L, h, w) the third of lights and pixels in `region` that is least glossy, whatever the glare's exact strength."""
+    limit = np.quantile(mirrored[:, region], 1 / 3)
+    return np.asarray((mirrored <= limit) & region)
+
+
+def _median_ratio(seen: FloatArray, expected: FloatArray, where: BoolArray) -> float:
+    """Median brightness of the images (L, h, w) over the prediction."""
+    return float(np.median(seen[where] / np.maximum(expected[where], np.float32(1e-4))))
+
+
+def _lacking(found: FloatArray, expected: FloatArray, grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Slopes that `found` (h, w, 3) has beyond `expected`, to first order and whatever the local albedo.
+
+    With p the expected slope, -(G_x + p G_z) / D vanishes where G is parallel to the expectation; D is the expected
+    z component times the smooth ratio of the two.
+    """
+    expected_z = np.maximum(expected[..., 2], 0.1 * np.sqrt((expected * expected).sum(axis=-1)) + np.float32(1e-6))
+    inside = grid.mask & (expected_z > 0.05 * np.median(expected_z[grid.mask]))
+    albedo = grid.smooth(np.maximum(found[..., 2], 0) / expected_z, inside, 0.8)
+    scale = np.maximum(albedo * expected_z, np.float32(1e-4))
+    slopes = []
+    for axis in range(2):
+        expected_slope = -expected[..., axis] / expected_z
+        value = -(found[..., axis] + expected_slope * found[..., 2]) / scale
+        slopes.append(np.where(grid.mask, np.clip(value, -0.6, 0.6), np.float32(0.0)).astype(np.float32))
+    return slopes[0], slopes[1]
+
+
+def _weights(  # noqa: PLR0917
+    grid: Grid,
+    names: list[str],
+    groups: list[list[int]],
+    brightness: Mapping[str, float],
+    skin: Mapping[str, Diffusion],
+    glare_ratio: float,
+    cutoff_per_mm: float,
+) -> list[FloatArray]:
+    """Weights of the channels on the grid's frequencies; each band has a glare of its own."""
+    omega = np.linspace(0, float(grid.omega[2].max()), 512)
+    transfer = np.stack([skin[name](omega) for name in names])
+    reference = brightness[names[0]]
+    glare = np.zeros((len(names), len(groups)))
+    for g, members in enumerate(groups):
+        for c in members:
+            glare[c, g] = reference / max(brightness[names[c]], 1e-6)
+    signal = np.full(omega.shape, 9.0)
+    weights = unmixing_weights(transfer, glare, signal, signal * glare_ratio**2, np.full(len(names), 0.004))
+    weights = weights * np.exp(-0.5 * (omega / cutoff_per_mm) ** 2)
+    return [grid.radial(omega, w) for w in weights]

@@ -1,0 +1,130 @@
+"""The pixel grids on which skin is reconstructed, and the Fourier filters on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from splitknit.types import BoolArray, FloatArray
+
+WORKERS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A window of the image at some pitch, and which of its sides cut the finger."""
+
+    mask: BoolArray
+    """(h, w)."""
+    x_mm: NDArray[np.float64]
+    """(w,) on the finger plane."""
+    y_mm: NDArray[np.float64]
+    """(h,)."""
+    pitch_mm: float
+    cut: tuple[bool, bool, bool, bool]
+    """Whether the finger goes on beyond the top, bottom, left and right side."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns."""
+        return self.mask.shape[0], self.mask.shape[1]
+
+    @cached_property
+    def _margin(self) -> int:
+        return int(np.ceil(3.0 / self.pitch_mm))
+
+    @cached_property
+    def _size(self) -> tuple[int, int]:
+        rows, columns = (scipy.fft.next_fast_len(n + 2 * self._margin, True) for n in self.shape)
+        return rows, columns
+
+    @cached_property
+    def omega(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angular frequencies along x, along y (up), and their length, rad/mm, of :meth:`forward`."""
+        wx = (2 * np.pi / self.pitch_mm * np.fft.rfftfreq(self._size[1])[None, :]).astype(np.float32)
+        wy = (-2 * np.pi / self.pitch_mm * np.fft.fftfreq(self._size[0])[:, None]).astype(np.float32)
+        return wx, wy, np.hypot(wx, wy)
+
+    def forward(self, field: FloatArray, extend: bool = False) -> NDArray[np.complex64]:
+        """Fourier transform of a field (..., h, w) with a margin of 3 mm: zero, or the border's values beyond a cut."""
+        m = self._margin
+        top, bottom, left, right = self.cut if extend else (False, False, False, False)
+        size = self._size
+        padded = np.zeros((*field.shape[:-2], *size), dtype=np.float32)
+        rows, columns = self.shape
+        padded[..., m : m + rows, m : m + columns] = field
+        if top:
+            padded[..., :m, :] = padded[..., m : m + 1, :]
+        if bottom:
+            padded[..., m + rows : 2 * m + rows, :] = padded[..., m + rows - 1 : m + rows, :]
+        if left:
+            padded[..., :, :m] = padded[..., :, m : m + 1]
+        if right:
+            padded[..., :, m + columns : 2 * m + columns] = padded[..., :, m + columns - 1 : m + columns]
+        return np.asarray(scipy.fft.rfft2(padded, workers=WORKERS))
+
+    def inverse(self, spectrum: NDArray[np.complex64]) -> FloatArray:
+        """Back from :meth:`forward`, the margin cut off."""
+        m, (rows, columns) = self._margin, self.shape
+        field = scipy.fft.irfft2(spectrum, self._size, workers=WORKERS)
+        return np.ascontiguousarray(field[..., m : m + rows, m : m + columns], dtype=np.float32)
+
+    def radial(self, omega: NDArray[np.float64], gain: NDArray[np.float64]) -> FloatArray:
+        """Sample a radial gain, given at increasing `omega`, on the frequencies of :meth:`forward`."""
+        return np.interp(self.omega[2], omega, gain).astype(np.float32)
+
+    def smooth(self, field: FloatArray, region: BoolArray | FloatArray, sigma_mm: float) -> FloatArray:
+        """Gaussian mean of (h, w) over `region` only; wide Gaussians on a reduced copy."""
+        weight = region.astype(np.float32)
+        product = np.where(weight > 0, field * weight, np.float32(0.0)).astype(np.float32)
+        sigma = sigma_mm / self.pitch_mm
+        step = max(1, int(sigma / 4))
+        if step > 1:
+            size = (-(-self.shape[1] // step), -(-self.shape[0] // step))
+            product, weight = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (product, weight))
+        total = cv2.GaussianBlur(product, (0, 0), sigma / step)
+        mean = total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma / step), np.float32(1e-3))
+        if step > 1:
+            mean = cv2.resize(mean, (self.shape[1], self.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(mean, dtype=np.float32)
+
+    @cached_property
+    def depth_mm(self) -> FloatArray:
+        """Distance of each pixel of the mask from its outline; a cut is an outline too."""
+        return np.asarray(cv2.distanceTransform(self.mask.astype(np.uint8), cv2.DIST_L2, 5) * self.pitch_mm)
+
+
+def coarsen(grid: Grid, factor: int) -> Grid:
+    """Grid of blocks of `factor` pixels a side, all of which belong to the mask; the largest part of it."""
+    rows, columns = (n // factor for n in grid.shape)
+    blocks = grid.mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    mask = ndimage.binary_opening(blocks.all(axis=(1, 3)))
+    labels, count = ndimage.label(mask)
+    if count > 1:
+        mask = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
+    x = grid.x_mm[: columns * factor].reshape(columns, factor).mean(axis=1)
+    y = grid.y_mm[: rows * factor].reshape(rows, factor).mean(axis=1)
+    return Grid(np.asarray(mask, dtype=np.bool_), x, y, grid.pitch_mm * factor, grid.cut)
+
+
+def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:
+    """Smooth copy of a coarse field on the fine grid, continued beyond its mask by the nearest values."""
+    nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    filled = np.where(mask, field, np.float32(0.0))[tuple(nearest)].astype(np.float32)
+    rows, columns = filled.shape
+    large = cv2.resize(filled, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)
+    large = cv2.GaussianBlur(large, (0, 0), factor / 2)
+    missing = ((0, max(0, shape[0] - large.shape[0])), (0, max(0, shape[1] - large.shape[1])))
+    return np.asarray(np.pad(large, missing, mode="edge")[: shape[0], : shape[1]], dtype=np.float32)
+
+
+def smooth_step(values: FloatArray) -> FloatArray:
+    """Zero below 0, one above 1, smooth between."""
+    t = np.clip(values, np.float32(0.0), np.float32(1.0))
+    return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)

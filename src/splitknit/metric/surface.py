@@ -1,0 +1,182 @@
+"""The recipe: shape and relief of a finger of skin, in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.check import require
+from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.metric import relief as fine
+from splitknit.metric.coarse import BandImages, Lighting, compare, integrate, lighting, start_shape, unit
+from splitknit.metric.grid import Grid, coarsen, refine
+from splitknit.radiance import bin_mean
+from splitknit.separate import Diffusion, LocalWienerSettings, SkinSettings, diffusion
+from splitknit.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MetricSettings:
+    """Grids and iterations of the `metric` preset on skin."""
+
+    working_pitch_mm: float = 0.0264
+    """Pitch of the fine grid: skin passes less than 2 % of anything that a finer one could show."""
+    coarse_pitch_mm: float = 0.106
+    """Pitch of the coarse grid."""
+    plane_mm: float = 1.0
+    """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
+    rounds: int = 3
+    """Turns of shape and relief."""
+    coarse_steps: tuple[int, ...] = (6, 3, 2)
+    """Corrections of the shape in each round; the last entry holds for all further rounds."""
+    relief_steps: int = 2
+    """Corrections of the relief in each round."""
+    glare_ratio: float = 0.16
+    """Expected apparent slope of the glare over the true slope, for the shape."""
+    coarse_cutoff_per_mm: float = 6.0
+    """Angular frequency (rad/mm) up to which the coarse grid corrects."""
+    seed: int = 0
+    """Seed of the noise that is sent through the filters to learn its spectrum."""
+    denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
+    """Removal of the noise from the relief."""
+
+    def __post_init__(self) -> None:
+        require(
+            0 < self.working_pitch_mm <= self.coarse_pitch_mm,
+            "metric.working_pitch_mm must be positive and at most metric.coarse_pitch_mm.",
+        )
+        require(self.rounds >= 1 and self.relief_steps >= 1, "metric.rounds and metric.relief_steps must be positive.")
+        require(
+            len(self.coarse_steps) > 0 and min(self.coarse_steps) >= 1,
+            "metric.coarse_steps must hold positive numbers.",
+        )
+        require(self.glare_ratio >= 0, "metric.glare_ratio must not be negative.")
+        require(self.coarse_cutoff_per_mm > 0, "metric.coarse_cutoff_per_mm must be positive.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinSurface:
+    """Reconstructed skin on the fine grid; heights are finite everywhere and mean something inside the mask."""
+
+    shape_mm: FloatArray
+    relief_mm: FloatArray
+    deviation_mm: FloatArray
+    """Standard deviation of the relief: noise, what denoising took, and what is not known of the scattering."""
+    albedo: FloatArray
+    """Diffuse brightness of the first channel, relative."""
+    facts: Mapping[str, Any]
+
+
+def reconstruct_skin(
+    bands: tuple[BandImages, ...],
+    grid: Grid,
+    skin: SkinSettings,
+    settings: MetricSettings,
+    progress: Callable[[float], None] | None = None,
+) -> SkinSurface:
+    """Shape and relief from images of skin.
+
+    Parameters
+    ----------
+    bands : the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is one
+    grid : fine grid of the images
+    skin : assumed optics
+    settings : MetricSettings
+    progress : called with the share done
+    """
+    white = bands[0]
+    factor = max(1, round(settings.coarse_pitch_mm / grid.pitch_mm))
+    low = coarsen(grid, factor)
+    rows, columns = low.shape
+    cropped = np.s_[..., : rows * factor, : columns * factor]
+    small = tuple(BandImages(b.channels, bin_mean(b.stack[cropped], factor) * low.mask, b.rig) for b in bands)
+    optics = _optics(skin, bands)
+    shape = start_shape(small[-1], low, settings.plane_mm)
+    relief = np.zeros(grid.shape, dtype=np.float32)
+    total = settings.rounds
+    for turn in range(total):
+        for _ in range(settings.coarse_steps[min(turn, len(settings.coarse_steps) - 1)]):
+            surface = _placed(shape, low, factor, grid, settings.plane_mm) + relief
+            ridged = np.moveaxis(fine.mean_normals(surface, grid), -1, 0)[cropped]
+            normals = np.ascontiguousarray(np.moveaxis(bin_mean(np.ascontiguousarray(ridged), factor), 0, -1))
+            height = (shape - _mean(shape, low) + np.float32(settings.plane_mm)) * low.mask
+            step = compare(small, low, height, normals, optics, settings.glare_ratio, settings.coarse_cutoff_per_mm)
+            shape = shape + integrate(step.slope_x, step.slope_y, low, unit(normals)[..., 2])
+        smooth = _placed(shape, low, factor, grid, settings.plane_mm)
+        light = _fine_lighting(white, low, shape, settings.plane_mm, factor, grid)
+        measured = fine.measure(white, grid, smooth, light, optics, step.brightness)
+        for turn_of_relief in range(settings.relief_steps):
+            slopes, glare = fine.lacking_slopes(measured, grid, smooth + relief)
+            if turn_of_relief == 0 or turn < total - 1:
+                lifted = _with_relief(slopes, measured, grid, relief)
+                mix = fine.unmixing(measured, grid, lifted, glare)
+            relief = fine.update(measured, grid, slopes, mix, relief)
+        if progress is not None:
+            progress((turn + 1) / (total + 1))
+    relief, noise = fine.denoise(relief, grid, mix, settings.denoise, settings.seed)
+    other = _optics(skin, bands, 1 + skin.scattering_uncertainty)
+    sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
+    deviation = np.sqrt(noise**2 + (np.float32(sensitivity) * relief) ** 2)
+    facts = {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "scattering_assumed": True,
+        "gain_sensitivity": sensitivity,
+        "colour": {name: step.brightness[name] / step.brightness[white.channels[0]] for name in white.channels},
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in step.glare.items()},
+        "working_pitch_mm": grid.pitch_mm,
+    }
+    albedo = np.sqrt((measured.pseudo_normals[0] ** 2).sum(axis=-1))
+    return SkinSurface(smooth, relief, deviation.astype(np.float32), albedo.astype(np.float32), facts)
+
+
+def _optics(skin: SkinSettings, bands: tuple[BandImages, ...], factor: float = 1.0) -> dict[str, Diffusion]:
+    absorption = skin.absorption()
+    names = [name for band in bands for name in band.channels]
+    return {name: diffusion(skin.scattering(name) * factor, absorption[name]) for name in names}
+
+
+def _mean(field: FloatArray, grid: Grid) -> np.float32:
+    return np.float32(field[grid.mask].mean(dtype=np.float64))
+
+
+def _placed(shape: FloatArray, low: Grid, factor: int, grid: Grid, plane_mm: float) -> FloatArray:
+    """The shape on the fine grid at its assumed height above the finger plane."""
+    return refine(shape - _mean(shape, low) + np.float32(plane_mm), low.mask, factor, grid.shape)
+
+
+def _fine_lighting(  # noqa: PLR0917
+    band: BandImages, low: Grid, shape: FloatArray, plane_mm: float, factor: int, grid: Grid
+) -> Lighting:
+    """Fresnel transmission and trust of the lights on the smooth shape, enlarged from the coarse grid."""
+    height = refine(shape - _mean(shape, low) + np.float32(plane_mm), low.mask, 1, low.shape)
+    height = cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm)
+    normals = normals_from_gradients(*height_gradients(height, low.pitch_mm))
+    light = lighting(band.rig, low, height, normals)
+    trust = np.where(low.mask, light.trust, np.float32(0.0))
+
+    def enlarge(fields: FloatArray) -> FloatArray:
+        size = (low.shape[1] * factor, low.shape[0] * factor)
+        large = [cv2.resize(f, size, interpolation=cv2.INTER_LINEAR) for f in fields]
+        missing = ((0, 0), (0, grid.shape[0] - size[1]), (0, grid.shape[1] - size[0]))
+        return np.asarray(np.pad(np.stack(large), missing, mode="edge"), dtype=np.float32)
+
+    return Lighting(light.vectors, enlarge(light.entering), np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask)
+
+
+def _with_relief(
+    slopes: list[tuple[FloatArray, FloatArray]], measured: fine.Measured, grid: Grid, relief: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """The slopes that the channels would lack without the current relief."""
+    if not relief.any():
+        return slopes
+    spectrum = grid.forward(relief)
+    wx, wy, _ = grid.omega
+    return [
+        (x + grid.inverse(spectrum * (1j * wx) * t), y + grid.inverse(spectrum * (1j * wy) * t))
+        for (x, y), t in zip(slopes, measured.transfer, strict=True)
+    ]
