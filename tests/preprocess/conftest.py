@@ -78,7 +78,7 @@ def draw(
     for distance, depth in creases:
         offset = along - distance - across * np.tan(np.deg2rad(crease_tilt_deg))
         albedo = albedo * (1.0 - depth * np.exp(-0.5 * (offset / 0.45) ** 2))
-    albedo = albedo * (1.0 + ridges * np.sin(2 * np.pi * (along + 0.03 * across**2) / 0.5))
+    albedo = albedo * (1.0 + ridges * np.sin(2 * np.pi * np.hypot(along - 11.0, across) / 0.5))
     light = np.ones_like(z)
     if shadow == "step":
         light = np.where(along > 14.0, 0.35, 1.0)

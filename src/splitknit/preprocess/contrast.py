@@ -25,7 +25,8 @@ class ClaheSettings:
     cell_px: float = 64.0
     """Side of a cell in pixels at 75.7 px/mm; scales with px_per_mm."""
     clip_limit: float = 3.0
-    """A histogram bin holds at most this many times the mean bin (the thesis: usually 2 to 4)."""
+    """Bins are clipped at this many times the mean bin (the thesis: usually 2 to 4); contrast grows at most by this
+    factor and one."""
     bins: int = 256
     """Bins of the histograms; the mapping between them is interpolated."""
     high_percentile: float = 99.9
@@ -33,7 +34,7 @@ class ClaheSettings:
 
     def __post_init__(self) -> None:
         require(self.cell_px > 0, "clahe.cell_px must be positive.")
-        require(self.clip_limit >= 1, "clahe.clip_limit must be at least 1 (which changes nothing).")
+        require(self.clip_limit >= 1, "clahe.clip_limit must be at least 1.")
         require(8 <= self.bins <= 4096, "clahe.bins must lie between 8 and 4096.")
         require(50 < self.high_percentile <= 100, "clahe.high_percentile must lie in (50, 100].")
 

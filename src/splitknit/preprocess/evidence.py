@@ -39,7 +39,7 @@ def signals(image: FloatArray) -> list[FloatArray]:
 
 
 def skin_evidence(
-    image: FloatArray, seed: BoolArray, margin: float, share: float, noise_factor: float
+    image: FloatArray, seed: BoolArray, margin: float, share: float, noise_factor: float, *, local: bool = False
 ) -> tuple[FloatArray, bool]:
     """Evidence map: above one where a pixel rises from the backdrop by enough to be skin.
 
@@ -53,6 +53,7 @@ def skin_evidence(
     seed : (H, W) surely finger
     margin : pixels around `seed` that belong to neither side
     share, noise_factor : see above
+    local : let the backdrop follow a shadow's edge beside the finger; only for a `seed` that is already complete
 
     Returns
     -------
@@ -69,6 +70,8 @@ def skin_evidence(
     for signal in signals(image):
         backdrop, noise = _fit_backdrop(signal, outside)
         rise = signal - backdrop
+        if local:
+            rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
         level = float(np.median(rise[inside]))
         if level < 3.0 * noise_factor * noise or level <= 0.0:
             continue
@@ -84,6 +87,14 @@ def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float
     cover = blur(weight, sigma)
     mean = blur(np.maximum(rise, 0.0) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
     return np.minimum(np.where(cover > 1e-2, mean, np.float32(level)), np.float32(level)).astype(np.float32)
+
+
+def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: float) -> FloatArray:
+    """Mean of what the backdrop's fit leaves near every pixel; dust, which is bright, hardly counts."""
+    weight = outside.astype(np.float32)
+    cover = blur(weight, sigma)
+    offset = blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
+    return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
 
 
 def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:

@@ -221,7 +221,7 @@ def _outline(
     guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
     smooth = blur(fine, settings.fine_blur_mm * px_per_mm)
     margin = settings.edge_margin_mm * px_per_mm
-    evidence, _ = skin_evidence(smooth, guess, margin, settings.edge_share, settings.noise_factor)
+    evidence, _ = skin_evidence(smooth, guess, margin, settings.edge_share, settings.noise_factor, local=True)
     near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
     found = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(found)), settings.spur_share)

@@ -95,10 +95,10 @@ def shot_motion(
     for band in settings.bands_mm:
         bands, region, light, px = _details(stack, mask, px_per_mm, settings, band)
         aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
-        total: FloatArray = np.add.reduce(aligned, axis=0)
+        total = np.asarray(aligned.sum(axis=0), dtype=np.float32)
         found = np.zeros_like(shifts)
         for k in range(count):
-            reference = ((total - aligned[k]) / np.float32(count - 1)).astype(np.float32)
+            reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
             found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region, settings.iterations)
         shifts = _without_illumination(found / px, light)
     return ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
@@ -142,8 +142,9 @@ def _details(
         power = max(float(on_finger.sum()), 1e-12)
         light.append((float((on_finger * columns).sum()) / power, float((on_finger * rows).sum()) / power))
         floor = max(0.1 * float(np.median(on_finger)), 1e-12)
-        relative = small / np.maximum(blur(small, 1.2 * px), np.float32(floor))
-        details.append(blur(relative, band_mm * px) - blur(relative, reach * px))
+        local = np.maximum(blur(small, 1.2 * px), np.float32(floor))
+        relative: FloatArray = np.divide(small, local, dtype=np.float32)
+        details.append(np.subtract(blur(relative, band_mm * px), blur(relative, reach * px)))
     return np.stack(details), region, np.array(light) / px, px
 
 
@@ -163,7 +164,8 @@ def _register(
     rows, columns = np.nonzero(region)
     stride = max(1, len(rows) // 20_000)
     rows, columns = rows[::stride], columns[::stride]
-    down, right = np.gradient(reference)
+    slopes = np.gradient(reference)
+    down, right = np.asarray(slopes[0]), np.asarray(slopes[1])
     target = reference[rows, columns]
     design = np.stack([-right[rows, columns], -down[rows, columns], target]).astype(np.float64)
     shift = start.astype(np.float64)

@@ -45,12 +45,15 @@ class CreaseSettings:
     ratio_spread: float = 0.35
     """Standard deviation of that ratio, with which two candidates are weighed against each other."""
     doublet_mm: float = 5.0
-    """Two creases nearer than this are the two lines of one joint; the upper one is taken."""
+    """Two creases nearer than this are the two lines of one joint."""
+    doublet_share: float = 0.75
+    """Of two such lines the upper is taken if it is at least this deep relative to the lower."""
 
     def __post_init__(self) -> None:
         for name in (
             "working_px_per_mm", "smoothing_mm", "side_mm", "least_depth", "least_prominence", "expected_ratio",
             "ratio_spread", "doublet_mm",
+        "doublet_share",
         ):  # fmt: skip
             require(getattr(self, name) > 0, f"crease.{name} must be positive.")
         require(0 < self.least_coverage <= 1, "crease.least_coverage must lie in (0, 1].")
@@ -92,7 +95,7 @@ def find_crease(
     a step, and a smooth gradient never count), and rows may lean. A crease must be seen along most of the width.
 
     Where several qualify, the verification rule weighs their clearness by how usual their distance from the tip is;
-    two lines of one joint count as one, cut at the upper.
+    two lines of one joint count as one, cut at the upper unless it is the fainter.
 
     Parameters
     ----------
@@ -169,7 +172,7 @@ def _judge(
     """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
-        return None, f"no flexion crease is in view ({length_mm:.0f} mm of the finger are); {keep}"
+        return None, f"no flexion crease is fully in view ({length_mm:.0f} mm of the finger are); {keep}"
     low, high = settings.ratio_range
     near, far = settings.distance_range_mm
     plausible = [
@@ -190,7 +193,10 @@ def _judge(
 
     best = max(plausible, key=weight)
     for valley in plausible:
-        if 0.0 < best.distance_mm - valley.distance_mm <= settings.doublet_mm and valley.depth >= 0.4 * best.depth:
+        if (
+            0.0 < best.distance_mm - valley.distance_mm <= settings.doublet_mm
+            and valley.depth >= settings.doublet_share * best.depth
+        ):
             best = valley
             break
     others = len(candidates) - 1

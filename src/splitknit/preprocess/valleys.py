@@ -86,7 +86,7 @@ def transverse_valleys(
     strong = peaks & (depth >= max(least_depth, least_prominence * scatter)) & (coverage >= least_coverage)
     for row in np.flatnonzero(strong):
         columns = np.flatnonzero(inside[row])
-        if len(columns) == 0:
+        if len(columns) == 0 or (found and row - found[-1].row <= reach):
             continue
         found.append(
             Valley(
@@ -107,8 +107,9 @@ def _response(
     """Relative darkness against the lesser of the two sides (H, W), and where it is known.
 
     Differences of logarithms, so skin tone and brightness drop out. Each side is continued to the centre with the
-    slope that *both* sides share (the lesser where they agree in sign, none where they do not): a smooth gradient
-    hides no crease, and the edge of a shadow, flat on both sides, never looks like one.
+    slope that *both* sides share (the lesser where they agree in sign, none where they do not), so that a smooth
+    gradient hides no crease. But a place must be darker than both sides as they are, too: the edge of a shadow, and
+    the foot of one just above a crease, never are.
     """
     weight = inside.astype(np.float32)
     sigma = max(smoothing_mm * px_per_mm, 0.3)
@@ -126,7 +127,9 @@ def _response(
     agree = has_slope_above & has_slope_below & (slope_above * slope_below > 0.0)
     lesser = np.sign(slope_above) * np.minimum(np.abs(slope_above), np.abs(slope_below))
     slope = np.where(agree, lesser, np.float32(0.0))
-    response = np.minimum(above + slope, below - slope) - level
+    plain = np.minimum(above, below) - level
+    response = np.minimum(np.minimum(above + slope, below - slope) - level, np.float32(3.0) * np.maximum(plain, 0.0))
+    response = np.where(plain > 0.0, response, np.minimum(plain, 0.0))
     known = inside & has_above & has_below
     return np.where(known, response, np.float32(0.0)).astype(np.float32), known
 

@@ -1,0 +1,86 @@
+"""CLAHE: against OpenCV, and what it must not do."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from splitknit.check import BadInput
+from splitknit.preprocess import ClaheSettings, clahe
+
+
+def picture(shape=(256, 320), seed=0):
+    rng = np.random.default_rng(seed)
+    smooth = ndimage.gaussian_filter(rng.standard_normal(shape), 6.0)
+    return (0.5 + 0.12 * smooth / smooth.std()).clip(0, 1).astype(np.float32)
+
+
+@pytest.mark.parametrize("limit", [2.0, 4.0, 40.0])
+def test_agrees_with_opencv(limit):
+    quantised = np.round(picture() * 255).astype(np.uint8)
+    quantised[0, 0] = 255
+    expected = cv2.createCLAHE(limit, (5, 4)).apply(quantised) / 255.0
+    settings = ClaheSettings(clip_limit=limit, high_percentile=100.0)
+    found = clahe(quantised.astype(np.float32) / 255, 75.7, settings)
+    assert np.abs(found - expected).mean() < 0.01
+    assert np.percentile(np.abs(found - expected), 99) < 0.03
+
+
+def test_range_and_levels():
+    image = picture() * np.float32(0.01)
+    result = clahe(image, 75.7)
+    assert result.dtype == np.float32
+    assert result.min() >= 0.0
+    assert result.max() <= 1.0
+    assert len(np.unique(result)) > 20_000  # no 8-bit steps
+    np.testing.assert_allclose(clahe(image * np.float32(7.0), 75.7), result, atol=1e-4)  # exposure does not matter
+
+
+def test_the_limit_bounds_the_gain():
+    y, x = np.mgrid[0:320, 0:320]
+    image = (0.6 + 0.02 * np.sin(x / 7.0) * np.sin(y / 9.0)).astype(np.float32)  # hardly any contrast
+    image[0, 0] = 1.0
+    amplitude = np.ptp(image[64:256, 64:256])
+    gains = []
+    for limit in (1.0, 2.0, 4.0):
+        result = clahe(image, 75.7, ClaheSettings(clip_limit=limit, high_percentile=100.0))
+        gains.append(float(np.ptp(result[64:256, 64:256])) / float(amplitude))
+        assert gains[-1] < limit + 1.3
+    assert gains[0] < gains[1] < gains[2]
+    assert gains[2] > 3.0
+
+
+def test_cells_scale_with_resolution():
+    image = picture((512, 512))
+    half = cv2.resize(image, (256, 256), interpolation=cv2.INTER_AREA)
+    fine = cv2.resize(clahe(image, 75.7), (256, 256), interpolation=cv2.INTER_AREA)
+    assert np.corrcoef(fine.ravel(), clahe(half, 37.85).ravel())[0, 1] > 0.99
+    assert np.corrcoef(fine.ravel(), clahe(half, 150.0).ravel())[0, 1] < 0.99
+
+
+def test_backdrop_does_not_count():
+    image = picture((300, 300))
+    mask = np.zeros((300, 300), dtype=bool)
+    mask[35:290, 21:250] = True
+    dark, bright = np.where(mask, image, 0.0), np.where(mask, image, 5.0)
+    first = clahe(dark.astype(np.float32), 75.7, mask=mask)
+    np.testing.assert_array_equal(first, clahe(bright.astype(np.float32), 75.7, mask=mask))
+    assert (first[~mask] == 0).all()
+    inside = clahe(image[35:290, 21:250], 75.7)
+    np.testing.assert_allclose(first[35:290, 21:250], inside, atol=1e-6)
+
+
+def test_no_seams_between_cells():
+    y, x = np.mgrid[0:400, 0:300] / 400
+    result = clahe((0.2 + 0.6 * y + 0.1 * x).astype(np.float32), 75.7)
+    assert np.abs(np.diff(result, axis=0)).max() < 0.03
+    assert np.abs(np.diff(result, axis=1)).max() < 0.03
+
+
+def test_bad_settings():
+    with pytest.raises(BadInput, match="clip_limit"):
+        ClaheSettings(clip_limit=0.5)
+    with pytest.raises(BadInput, match="empty"):
+        clahe(picture(), 75.7, mask=np.zeros((256, 320), dtype=bool))
