@@ -6,6 +6,11 @@ are relative to the full scale of the file (255 or 65535), so an unscaled image 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +24,7 @@ GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 Window = tuple[slice, slice]
 
 
-def decode_table(dtype: np.dtype[np.uint8] | np.dtype[np.uint16], encoding: str) -> FloatArray:
+def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
     """Return the table from stored integer to linear light in [0, 1].
 
     `encoding` is ``linear`` or ``srgb`` (IEC 61966-2-1).
@@ -32,72 +37,105 @@ def decode_table(dtype: np.dtype[np.uint8] | np.dtype[np.uint16], encoding: str)
     return values.astype(np.float32)
 
 
-def linear_image(  # noqa: PLR0917
-    pixels: PixelArray,
-    encoding: str,
-    channel: str = "grey",
-    exposure: float = 1.0,
-    black_level: float = 0.0,
-    binning: int = 1,
+def linear_image(
+    pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: int = 1
 ) -> FloatArray:
-    """Linear light of one stored image.
+    """Linear light of one stored image, all its channels.
 
     Parameters
     ----------
     pixels : (H, W, C) uint8 or uint16
     encoding : ``linear`` or ``srgb``
-    channel : ``grey``, ``red``, ``green`` or ``blue``; a grey file gives its one channel for all of them
     exposure : relative exposure (time times gain) by which the light is divided
     black_level : stored value of no light
     binning : average blocks of this many pixels a side; rows and columns that fill no block are dropped
 
     Returns
     -------
-    (H // binning, W // binning) float32
+    (H // binning, W // binning, C) float32
     """
-    planes = _planes(pixels, channel)
-    table = decode_table(pixels.dtype, encoding)
-    black = float(np.interp(black_level, np.arange(table.size), table))
-    total: FloatArray | None = None
-    for weight, plane in planes:
-        light = table[_trim(plane, binning)]
-        light = bin_mean(light, binning)
-        total = light * np.float32(weight) if total is None else total + light * np.float32(weight)
-    assert total is not None
-    scale = np.float32(1.0 / exposure)
-    return np.asarray((total - np.float32(black)) * scale, dtype=np.float32)
+    height, width = (n // binning for n in pixels.shape[:2])
+    stored = np.ascontiguousarray(pixels[: height * binning, : width * binning])
+    table = decode_table(stored.dtype, encoding)
+    if encoding == "linear":
+        light = stored.astype(np.float32)
+        light *= table[1]
+    elif stored.dtype == np.uint8:
+        light = np.asarray(cv2.LUT(stored.view(np.uint8), table), dtype=np.float32).reshape(stored.shape)
+    else:
+        light = table[stored]
+    if binning > 1:
+        light = np.asarray(cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+    light = light.reshape(height, width, pixels.shape[2])
+    light -= np.float32(np.interp(black_level, np.arange(table.size), table))
+    light *= np.float32(1.0 / exposure)
+    return light
+
+
+def linear_channels(
+    band: Band, encoding: str, channels: Sequence[str], window: Window | None = None, binning: int = 1
+) -> FloatArray:
+    """Linear light (C, L, h, w) of a band inside `window`: black level and ambient removed, exposures made equal.
+
+    Parameters
+    ----------
+    band : Band
+    encoding : ``linear`` or ``srgb``
+    channels : names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them
+    window : rows and columns, optional
+    binning : average blocks of this many pixels a side
+
+    Returns
+    -------
+    (C, L, h, w) float32
+        Negative values, which noise gives where there is no light, are kept: clipping would bias dark pixels upwards.
+    """
+    for channel in channels:
+        require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
+    rows, columns = window if window is not None else (slice(None), slice(None))
+    ambient: FloatArray | None = None
+    if band.ambient is not None:
+        ambient = linear_image(
+            band.ambient[rows, columns], encoding, band.ambient_exposure, band.ambient_black_level, binning
+        )
+    shape = band.pixels[0, rows, columns].shape[:2]
+    count = band.pixels.shape[0]
+    stack = np.empty((len(channels), count, shape[0] // binning, shape[1] // binning), dtype=np.float32)
+
+    def work(k: int) -> None:
+        exposure, black = float(band.exposure[k]), float(band.black_level[k])
+        light = linear_image(band.pixels[k, rows, columns], encoding, exposure, black, binning)
+        if ambient is not None:
+            light -= ambient
+        for c, channel in enumerate(channels):
+            stack[c, k] = pick_channel(light, channel)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(work, range(count)))
+    return stack
 
 
 def linear_stack(
-    band: Band,
-    encoding: str,
-    channel: str = "grey",
-    window: Window | None = None,
-    binning: int = 1,
+    band: Band, encoding: str, channel: str = "grey", window: Window | None = None, binning: int = 1
 ) -> FloatArray:
-    """Linear light (L, h, w) of a band inside `window`: black level and ambient removed, exposures made equal.
+    """One channel (L, h, w) of :func:`linear_channels`."""
+    return np.asarray(linear_channels(band, encoding, (channel,), window, binning)[0])
 
-    Negative values, which noise gives where there is no light, are kept: clipping would bias dark pixels upwards.
-    """
-    rows, columns = window if window is not None else (slice(None), slice(None))
-    ambient: FloatArray | float = 0.0
-    if band.ambient is not None:
-        ambient = linear_image(
-            band.ambient[rows, columns], encoding, channel, band.ambient_exposure, band.ambient_black_level, binning
-        )
-    images = [
-        linear_image(
-            band.pixels[k, rows, columns],
-            encoding,
-            channel,
-            float(band.exposure[k]),
-            float(band.black_level[k]),
-            binning,
-        )
-        - ambient
-        for k in range(band.pixels.shape[0])
-    ]
-    return np.stack(images).astype(np.float32, copy=False)
+
+def pick_channel(light: FloatArray, channel: str) -> FloatArray:
+    """One channel (h, w) of linear light (h, w, C)."""
+    if light.shape[-1] == 1:
+        return np.asarray(light[..., 0])
+    if channel == "grey":
+        return np.asarray(cv2.transform(light, GREY_WEIGHTS[None]), dtype=np.float32).reshape(light.shape[:2])
+    return np.asarray(light[..., CHANNELS[channel]])
+
+
+def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+    """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with ambient left in."""
+    table = decode_table(band.pixels.dtype, encoding)
+    black = np.interp(band.black_level, np.arange(table.size), table)
+    return np.asarray((0.985 - black) / band.exposure)
 
 
 def has_colour(band: Band) -> bool:
@@ -106,22 +144,11 @@ def has_colour(band: Band) -> bool:
 
 
 def bin_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """Mean over blocks of `factor` x `factor` pixels of the last two axes, which must be multiples of `factor`."""
+    """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is dropped."""
     if factor == 1:
         return image
-    *lead, height, width = image.shape
-    blocks = image.reshape(*lead, height // factor, factor, width // factor, factor)
-    return np.asarray(blocks.mean(axis=(-3, -1)), dtype=np.float32)
-
-
-def _planes(pixels: PixelArray, channel: str) -> list[tuple[float, NDArray[np.uint8] | NDArray[np.uint16]]]:
-    require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
-    if pixels.shape[-1] == 1:
-        return [(1.0, pixels[..., 0])]
-    if channel == "grey":
-        return [(float(GREY_WEIGHTS[c]), pixels[..., c]) for c in range(3)]
-    return [(1.0, pixels[..., CHANNELS[channel]])]
-
-
-def _trim(plane: NDArray[np.uint8] | NDArray[np.uint16], factor: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    return plane[: plane.shape[0] // factor * factor, : plane.shape[1] // factor * factor]
+    height, width = (n // factor for n in image.shape[-2:])
+    trimmed = image[..., : height * factor, : width * factor]
+    flat = trimmed.reshape(-1, *trimmed.shape[-2:])
+    small = [cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA) for plane in np.ascontiguousarray(flat)]
+    return np.asarray(np.stack(small).reshape(*image.shape[:-2], height, width), dtype=np.float32)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.integrate import poisson
 from splitknit.metric.grid import Grid
 from splitknit.normals import light_vectors_at, pseudo_normals
 from splitknit.separate import Diffusion, fit_glare, fresnel_transmission, microfacet_glare, unmixing_weights
 from splitknit.types import BoolArray, FloatArray, Rig
+
+AnyFloat = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,14 +84,14 @@ def start_shape(band: BandImages, grid: Grid, plane_mm: float, rounds: int = 2) 
         g = pseudo_normals(stack, band.rig, height + np.float32(plane_mm), grid.mask, x_mm=grid.x_mm, y_mm=grid.y_mm)
         normals = unit(g)
         nz = np.maximum(normals[..., 2], np.float32(0.15))
-        height = integrate(-normals[..., 0] / nz, -normals[..., 1] / nz, grid, nz)
+        height = integrate(np.asarray(-normals[..., 0] / nz), np.asarray(-normals[..., 1] / nz), grid, nz)
     return height
 
 
-def integrate(slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: FloatArray) -> FloatArray:
+def integrate(slope_x: AnyFloat, slope_y: AnyFloat, grid: Grid, weights: FloatArray) -> FloatArray:
     """Height in mm (zero outside the mask, mean zero on it) by weighted masked least squares."""
     height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * np.float32(grid.pitch_mm)
-    return np.nan_to_num(height, nan=0.0).astype(np.float32)
+    return np.asarray(np.nan_to_num(height, nan=0.0), dtype=np.float32)
 
 
 def compare(  # noqa: PLR0917
@@ -152,7 +156,7 @@ def _transfer(grid: Grid, skin: Diffusion) -> FloatArray:
 
 
 def _dullest(mirrored: FloatArray, region: BoolArray) -> BoolArray:
-    """(L, h, w) the third of lights and pixels in `region` that is least glossy, whatever the glare's exact strength."""
+    """(L, h, w) the third of lights and pixels in `region` that is least glossy, whatever its exact strength."""
     limit = np.quantile(mirrored[:, region], 1 / 3)
     return np.asarray((mirrored <= limit) & region)
 

@@ -87,12 +87,14 @@ class Grid:
         step = max(1, int(sigma / 4))
         if step > 1:
             size = (-(-self.shape[1] // step), -(-self.shape[0] // step))
-            product, weight = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (product, weight))
+            product = np.asarray(cv2.resize(product, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+            weight = np.asarray(cv2.resize(weight, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
         total = cv2.GaussianBlur(product, (0, 0), sigma / step)
-        mean = total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma / step), np.float32(1e-3))
-        if step > 1:
-            mean = cv2.resize(mean, (self.shape[1], self.shape[0]), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(mean, dtype=np.float32)
+        mean = np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma / step), np.float32(1e-3)))
+        if step == 1:
+            return mean.astype(np.float32)
+        large = cv2.resize(mean, (self.shape[1], self.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(large, dtype=np.float32)
 
     @cached_property
     def depth_mm(self) -> FloatArray:
@@ -104,7 +106,7 @@ def coarsen(grid: Grid, factor: int) -> Grid:
     """Grid of blocks of `factor` pixels a side, all of which belong to the mask; the largest part of it."""
     rows, columns = (n // factor for n in grid.shape)
     blocks = grid.mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    mask = ndimage.binary_opening(blocks.all(axis=(1, 3)))
+    mask = np.asarray(ndimage.binary_opening(np.asarray(blocks.all(axis=(1, 3)))))
     labels, count = ndimage.label(mask)
     if count > 1:
         mask = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))

@@ -72,8 +72,8 @@ def measure(  # noqa: PLR0917
     entering = np.maximum(light.entering, np.float32(0.2))
     weights = light.trust * entering * entering
     g = pseudo_normals(band.stack / entering, band.rig, surface_mm, grid.mask, weights, grid.x_mm, grid.y_mm)
-    slant_deg = np.rad2deg(np.arccos(np.clip(normals[..., 2], 0, 1)))
-    trust = smooth_step((74 - slant_deg) / 14) * smooth_step((grid.depth_mm - 0.1) / 0.3) * grid.mask
+    slant_deg = np.rad2deg(np.arccos(np.clip(normals[..., 2], 0, 1))).astype(np.float32)
+    trust = smooth_step((np.float32(74) - slant_deg) / np.float32(14)) * smooth_step((grid.depth_mm - np.float32(0.1)) / np.float32(0.3)) * grid.mask
     inner = (grid.mask & (grid.depth_mm > 0.5) & (slant_deg < 50)).astype(np.float32)
     if not inner.any():
         inner = (grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())).astype(np.float32)

@@ -154,7 +154,7 @@ def _fine_lighting(  # noqa: PLR0917
 ) -> Lighting:
     """Fresnel transmission and trust of the lights on the smooth shape, enlarged from the coarse grid."""
     height = refine(shape - _mean(shape, low) + np.float32(plane_mm), low.mask, 1, low.shape)
-    height = cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm)
+    height = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
     normals = normals_from_gradients(*height_gradients(height, low.pitch_mm))
     light = lighting(band.rig, low, height, normals)
     trust = np.where(low.mask, light.trust, np.float32(0.0))

@@ -1,0 +1,94 @@
+"""From a capture to a metric fingerprint: one line a stage, and the presets.
+
+`ea`, `pr` and `snk` are the thesis's three cases; `metric` is the default. Every choice is a field of a frozen settings
+dataclass, so that an experiment changes one thing at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+from splitknit.check import BadInput, require
+from splitknit.recipe.finger import find_finger
+from splitknit.recipe.presets import PRESETS, PipelineSettings
+from splitknit.recipe.result import assemble
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.recipe.surfaces import metric_opaque, metric_skin, thesis
+from splitknit.settings import override
+from splitknit.types import Capture, Reconstruction
+
+__all__ = ["PRESETS", "PipelineSettings", "preset_settings", "reconstruct"]
+
+
+def preset_settings(preset: str) -> PipelineSettings:
+    """Settings of a preset.
+
+    Raises
+    ------
+    BadInput
+        If there is no such preset.
+    """
+    if preset not in PRESETS:
+        raise BadInput(f"there is no preset '{preset}'; known are {', '.join(PRESETS)}.")
+    return PRESETS[preset]
+
+
+def reconstruct(
+    capture: Capture,
+    preset: str = "metric",
+    settings: Mapping[str, Any] | PipelineSettings | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Reconstruction:
+    """Reconstruct one finger.
+
+    Parameters
+    ----------
+    capture : Capture
+        From :func:`splitknit.read_capture` or a simulator.
+    preset : ``metric``, ``snk``, ``pr`` or ``ea``
+    settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
+        Changes to the preset.
+    progress : called with the name of the stage and the share done, optional
+
+    Returns
+    -------
+    Reconstruction
+        On the input's pixel grid.
+
+    Raises
+    ------
+    BadInput
+        If the capture shows no finger, lacks a band, or a setting is not known.
+
+    References
+    ----------
+    A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapter 3.
+    """
+    chosen = settings if isinstance(settings, PipelineSettings) else override(preset_settings(preset), settings or {})
+    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    watch = Stopwatch(progress)
+    finger = find_finger(capture, chosen, watch)
+    if chosen.method == "thesis":
+        surface = thesis(capture, finger, chosen, watch)
+    elif undoes_blur(capture, chosen):
+        surface = metric_skin(capture, finger, chosen, watch)
+    else:
+        surface = metric_opaque(capture, finger, chosen, watch)
+    with watch("result"):
+        result = assemble(capture, finger, surface)
+    return replace(
+        result,
+        preset=preset,
+        settings=asdict(chosen),
+        hashes=capture.hashes,
+        warnings=(*finger.warnings, *surface.warnings),
+        timings_s=watch.seconds,
+    )
+
+
+def undoes_blur(capture: Capture, settings: PipelineSettings) -> bool:
+    """Whether subsurface scattering is undone: as the settings say, else where the capture's material is skin."""
+    wanted = settings.skin.invert_blur
+    return capture.material == "skin" if wanted is None else wanted

@@ -1,0 +1,199 @@
+"""Where the finger is, how it lies, and whether the capture is any good."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.preprocess import (
+    Upright,
+    capture_quality,
+    check_borders,
+    find_crease,
+    find_upright,
+    finger_mask,
+    motion_warnings,
+    phalange_mask,
+    photometric_mask,
+    quality_warnings,
+    shot_motion,
+)
+from splitknit.preprocess.phalange import Crease
+from splitknit.radiance import Window, has_colour, linear_channels, linear_image, pick_channel, saturation_levels
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.types import Band, BoolArray, Capture, FloatArray
+
+SURVEY_PX_PER_MM = 26.0
+"""The finger is looked for on images reduced to about this scale."""
+BEYOND_CREASE_MM = 2.5
+"""Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finger:
+    """What is known of the finger before photometric stereo."""
+
+    mask: BoolArray
+    """(H, W) pixels that are reconstructed and kept."""
+    wider: BoolArray
+    """(H, W) pixels that are reconstructed: `mask` and a margin beyond the crease."""
+    window: Window
+    """Rows and columns around `wider`."""
+    upright: Upright
+    facts: Mapping[str, Any]
+    quality: Mapping[str, Any]
+    warnings: tuple[str, ...]
+
+
+def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) -> Finger:
+    """Mask, orientation, crease and quality, on images of about 26 px/mm.
+
+    Raises
+    ------
+    BadInput
+        If there is no finger, or it touches three borders.
+    """
+    with watch("finger"):
+        px_per_mm = capture.rig.camera.px_per_mm
+        binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
+        white = capture.bands["white"]
+        channels = ("red", "green", "blue") if has_colour(white) else ("grey",)
+        survey = linear_channels(white, capture.encoding, channels, binning=binning)
+        mean = np.moveaxis(survey.mean(axis=1), 0, -1)
+        grey = pick_channel(mean, "grey")
+        small_px = px_per_mm / binning
+        given = capture.mask is not None
+        if given:
+            outline = _reduced(capture.mask, grey.shape)
+        else:
+            outline = finger_mask(mean if len(channels) == 3 else grey, small_px, settings.mask)
+            check_borders(outline)
+        upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
+        crease = find_crease(grey, outline, upright, small_px, settings.crease)
+        cut = settings.cut_at_crease and not given
+        kept = phalange_mask(outline, crease, upright) if cut else outline
+        stack = np.stack([pick_channel(np.moveaxis(survey[:, k], 0, -1), "grey") for k in range(survey.shape[1])])
+        limits = saturation_levels(white, capture.encoding)
+        usable = photometric_mask(stack, kept, small_px, settings.photometric, saturation=limits) if not given else kept
+        wider = _beyond(outline, crease, upright, small_px) if cut else outline
+        quality, warnings = _quality(capture, settings, stack, outline, small_px, limits, binning)
+        full = capture.shape
+        if given:
+            mask = np.asarray(capture.mask)
+            wide = mask
+        else:
+            wide = _enlarged(wider & (usable | ~kept), full, binning)
+            mask = _enlarged(usable, full, binning) & wide
+        require(bool(mask.any()), "no usable part of the finger is left; capture again with more light.")
+        notes = [upright.note] if upright.note else []
+        if cut and not crease.found:
+            notes.append(crease.verdict)
+        large = _scaled(upright, binning)
+        facts = {
+            "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
+            "mask": "given" if given else "found",
+            "crease_found": bool(crease.found and cut),
+            "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
+            "crease_verdict": crease.verdict,
+            "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
+        }
+    return Finger(mask, wide, _window(wide, px_per_mm), large, facts, quality, (*notes, *warnings))
+
+
+def _quality(  # noqa: PLR0917
+    capture: Capture,
+    settings: PipelineSettings,
+    white: FloatArray,
+    outline: BoolArray,
+    px_per_mm: float,
+    limits: np.ndarray[Any, np.dtype[np.float64]],
+    binning: int,
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Quality figures and warnings of every band."""
+    quality: dict[str, Any] = {}
+    warnings: list[str] = []
+    for name, band in capture.bands.items():
+        stack = white
+        if name != "white":
+            stack = linear_channels(band, capture.encoding, ("grey",), binning=binning)[0]
+            limits = saturation_levels(band, capture.encoding)
+        lights = capture.rig.select(band.leds).light_vectors()
+        ambient = _ambient(band, capture.encoding, binning)
+        found = capture_quality(
+            stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=limits, settings=settings.quality
+        )
+        words = list(quality_warnings(found, settings.quality))
+        if len(stack) >= 4:
+            motion = shot_motion(stack, outline, px_per_mm, settings.motion)
+            found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
+            words += motion_warnings(motion, settings.motion)
+        quality[name] = found
+        warnings += [f"{name} band: {text}" for text in words]
+    return quality, tuple(warnings)
+
+
+def _ambient(band: Band, encoding: str, binning: int) -> FloatArray | None:
+    if band.ambient is None:
+        return None
+    light = linear_image(band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning)
+    return np.ascontiguousarray(np.maximum(pick_channel(light, "grey"), np.float32(0.0)))
+
+
+def _beyond(outline: BoolArray, crease: Crease, upright: Upright, px_per_mm: float) -> BoolArray:
+    """The phalange and a margin on the other side of the crease."""
+    if not crease.found:
+        return outline
+    moved = Crease(True, crease.distance_mm, crease.row + BEYOND_CREASE_MM * px_per_mm, crease.line)
+    return phalange_mask(outline, moved, upright)
+
+
+def _reduced(mask: BoolArray | None, shape: tuple[int, ...]) -> BoolArray:
+    assert mask is not None
+    small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
+    if not small.any():
+        raise BadInput("the given mask is too small: not one block of pixels lies inside it.")
+    return np.asarray(small)
+
+
+def _enlarged(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
+    """A mask of blocks on the full grid, its outline smooth."""
+    if factor == 1:
+        return mask
+    size = (mask.shape[1] * factor, mask.shape[0] * factor)
+    large = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
+    missing = ((0, shape[0] - large.shape[0]), (0, shape[1] - large.shape[1]))
+    return np.pad(large, missing, mode="edge")
+
+
+def _scaled(upright: Upright, factor: int) -> Upright:
+    """The upright frame at the full pitch."""
+    if factor == 1:
+        return upright
+    grow = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], dtype=np.float64)
+    column, row = upright.tip
+    return Upright(
+        yaw_rad=upright.yaw_rad,
+        input_from_upright=grow @ upright.input_from_upright @ np.linalg.inv(grow),
+        size=(upright.size[0] * factor, upright.size[1] * factor),
+        tip=((column + 0.5) * factor - 0.5, (row + 0.5) * factor - 0.5),
+        width_px=upright.width_px * factor,
+        reliable=upright.reliable,
+        note=upright.note,
+    )
+
+
+def _window(mask: BoolArray, px_per_mm: float) -> Window:
+    """Rows and columns of the mask with a margin of half a millimetre."""
+    margin = round(0.5 * px_per_mm)
+    limits = []
+    for axis in (1, 0):
+        places = np.flatnonzero(mask.any(axis=axis))
+        limits.append(slice(max(0, int(places[0]) - margin), int(places[-1]) + 1 + margin))
+    rows, columns = limits
+    return slice(rows.start, min(rows.stop, mask.shape[0])), slice(columns.start, min(columns.stop, mask.shape[1]))

@@ -1,0 +1,125 @@
+"""Settings of the whole pipeline, and the four presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from splitknit.check import require
+from splitknit.integrate import PoissonSettings, ShapeletSettings
+from splitknit.knit import KnitSettings
+from splitknit.metric import MetricSettings
+from splitknit.normals import RobustSettings
+from splitknit.preprocess import (
+    ClaheSettings,
+    CreaseSettings,
+    MaskSettings,
+    MotionSettings,
+    OrientationSettings,
+    PhotometricMaskSettings,
+    QualitySettings,
+)
+from splitknit.separate import SkinSettings
+
+REFERENCE_PX_PER_MM = 75.7
+"""Scale at which the thesis gives its sizes in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class EnhanceSettings:
+    """Contrast enhancement before photometric stereo."""
+
+    clahe: bool = False
+    """Equalise every image adaptively."""
+    cells: ClaheSettings = field(default_factory=ClaheSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class NormalsSettings:
+    """Photometric stereo of opaque surfaces and of the thesis's cases."""
+
+    method: str = "near_light"
+    """``lambertian``, ``robust`` or ``near_light``."""
+    robust: RobustSettings = field(default_factory=RobustSettings)
+    """Weights of ``robust`` and ``near_light``."""
+    rounds: int = 3
+    """Turns of ``near_light`` and integration."""
+    max_slope: float = 6.0
+    """Steeper slopes are shortened to this."""
+
+    def __post_init__(self) -> None:
+        known = ("lambertian", "robust", "near_light")
+        require(self.method in known, f"normals.method must be one of {', '.join(known)}, not '{self.method}'.")
+        require(1 <= self.rounds <= 20, "normals.rounds must lie between 1 and 20.")
+        require(self.max_slope > 0, "normals.max_slope must be positive.")
+
+
+@dataclass(frozen=True, slots=True)
+class HeightSettings:
+    """Integration of normals to heights."""
+
+    method: str = "poisson"
+    """``poisson`` (masked least squares) or ``frankot_chellappa``."""
+    padding: str = "zero"
+    """Of Frankot-Chellappa: ``zero`` as the thesis, or ``mirror``."""
+    poisson: PoissonSettings = field(default_factory=PoissonSettings)
+
+    def __post_init__(self) -> None:
+        known = ("poisson", "frankot_chellappa")
+        require(self.method in known, f"height.method must be one of {', '.join(known)}, not '{self.method}'.")
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeSettings:
+    """Where the finger's shape comes from."""
+
+    source: str = "nir"
+    """``nir`` (the white band where there is none) or ``white``."""
+
+    def __post_init__(self) -> None:
+        require(self.source in ("nir", "white"), f"shape.source must be nir or white, not '{self.source}'.")
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineSettings:
+    """Everything that can be changed in a reconstruction."""
+
+    method: str = "metric"
+    """``metric``, or ``thesis``: distant lights, and integration as the thesis has it."""
+    mask: MaskSettings = field(default_factory=MaskSettings)
+    orientation: OrientationSettings = field(default_factory=OrientationSettings)
+    crease: CreaseSettings = field(default_factory=CreaseSettings)
+    cut_at_crease: bool = True
+    """Keep only the finger's first phalange."""
+    photometric: PhotometricMaskSettings = field(default_factory=PhotometricMaskSettings)
+    enhance: EnhanceSettings = field(default_factory=EnhanceSettings)
+    normals: NormalsSettings = field(default_factory=NormalsSettings)
+    height: HeightSettings = field(default_factory=HeightSettings)
+    shape: ShapeSettings = field(default_factory=ShapeSettings)
+    shapelets: ShapeletSettings = field(default_factory=ShapeletSettings)
+    knit: KnitSettings = field(default_factory=KnitSettings)
+    skin: SkinSettings = field(default_factory=SkinSettings)
+    metric: MetricSettings = field(default_factory=MetricSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+
+    def __post_init__(self) -> None:
+        require(self.method in ("metric", "thesis"), f"method must be metric or thesis, not '{self.method}'.")
+
+
+def _thesis(clahe: bool, knit: str) -> PipelineSettings:
+    return PipelineSettings(
+        method="thesis",
+        enhance=EnhanceSettings(clahe=clahe),
+        normals=NormalsSettings(method="lambertian"),
+        height=HeightSettings(method="frankot_chellappa"),
+        shapelets=ShapeletSettings(scales=3),
+        knit=KnitSettings(method=knit),
+    )
+
+
+PRESETS: dict[str, PipelineSettings] = {
+    "metric": PipelineSettings(shapelets=ShapeletSettings(scales=4)),
+    "snk": _thesis(clahe=True, knit="addition"),
+    "pr": _thesis(clahe=True, knit="none"),
+    "ea": _thesis(clahe=False, knit="none"),
+}

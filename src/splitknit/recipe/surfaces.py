@@ -1,0 +1,274 @@
+"""The three ways from images to a surface: the thesis's, ours for opaque things, and ours for skin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.geometry import gradients_from_normals, pixel_axes_mm
+from splitknit.integrate import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
+from splitknit.knit import add, crossover
+from splitknit.metric import reconstruct_skin
+from splitknit.metric.coarse import BandImages
+from splitknit.metric.grid import Grid
+from splitknit.normals import NearLightSettings, lambertian, near_light, robust
+from splitknit.preprocess import clahe
+from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
+from splitknit.recipe.finger import Finger
+from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
+
+NO_NIR = (
+    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and glare bend "
+    "it."
+)
+NO_NETWORK = (
+    "direct light is not separated yet: this preset takes the enhanced images as they are (an identity in place of "
+    "the thesis's network)."
+)
+ORTHOGRAPHIC = (
+    "the camera is calibrated as a perspective one: lights are placed along its rays, but the surface is integrated "
+    "as if seen straight from above."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceParts:
+    """A surface in the finger's window, finite inside the mask."""
+
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    albedo: FloatArray
+    uncertainty_um: FloatArray | None
+    facts: Mapping[str, Any]
+    warnings: tuple[str, ...]
+
+
+def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
+    """Cases EA, PR and SnK: distant lights, least squares, Frankot-Chellappa and shapelets.
+
+    References
+    ----------
+    The thesis, sections 3.3.1 to 3.3.3 and 5.4.
+    """
+    mask = finger.wider[finger.window]
+    pitch = np.float32(capture.rig.camera.pitch_mm)
+    white, nir, warnings = _bands(capture, settings)
+    with watch("light"):
+        visible = _grey(capture, white, finger.window)
+        if settings.enhance.clahe:
+            visible = _enhanced(visible, mask, capture, settings)
+            warnings = (*warnings, NO_NETWORK)
+    with watch("normals"):
+        normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
+        gradients = gradients_from_normals(normals, mask, settings.normals.max_slope)
+    with watch("surface"):
+        ridge = shapelets(*gradients, mask, _bank(settings, capture)) * pitch
+        if settings.knit.method == "none":
+            height = _integrate(gradients, mask, settings) * pitch
+            shape = height - ridge
+        else:
+            invisible = _grey(capture, nir, finger.window)
+            below, _ = _distant_normals(invisible, capture.rig.select(nir.leds), mask, settings)
+            slopes = gradients_from_normals(below, mask, settings.normals.max_slope)
+            shape = _integrate(slopes, mask, settings) * pitch
+            height, ridge = _knitted(ridge, shape, gradients, mask, settings, capture)
+    return SurfaceParts(height, ridge, shape, albedo, None, _facts(settings, white, nir), warnings)
+
+
+def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
+    """Near lights, robust weights, masked integration, crossover: for things that do not scatter light inside."""
+    mask = finger.wider[finger.window]
+    pitch = np.float32(capture.rig.camera.pitch_mm)
+    white, nir, warnings = _bands(capture, settings)
+    gradients, albedo = _iterated(capture, white, finger, settings, watch)
+    with watch("surface"):
+        visible = _integrate(gradients, mask, settings) * pitch
+        ridge = shapelets(*gradients, mask, _bank(settings, capture)) * pitch
+    height = visible
+    if nir is not white:
+        slopes, _ = _iterated(capture, nir, finger, settings, watch)
+        with watch("surface"):
+            below = _integrate(slopes, mask, settings) * pitch
+            height = crossover(visible, below, _response(settings, capture), mask)
+    warnings = (*warnings, ORTHOGRAPHIC) if capture.rig.camera.model == "perspective" else warnings
+    facts = {**_facts(settings, white, nir), "separation": "none (opaque material)"}
+    return SurfaceParts(height, ridge, height - ridge, albedo, None, facts, warnings)
+
+
+def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
+    """Near lights, glare told by its colour, the skin's blur undone: see :mod:`splitknit.metric`."""
+    camera = capture.rig.camera
+    white, nir, warnings = _bands(capture, settings)
+    with watch("light"):
+        binning = max(1, round(settings.metric.working_pitch_mm / camera.pitch_mm))
+        grid = _grid(capture, finger, binning)
+        names = ("red", "green", "blue") if has_colour(white) else ("green",)
+        bands = [_images(capture, white, names, finger.window, binning)]
+        if nir is not white:
+            grey = linear_channels(nir, capture.encoding, ("grey",), finger.window, binning)
+            bands.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
+    with watch("surface"):
+        skin = reconstruct_skin(
+            tuple(bands), grid, settings.skin, settings.metric, lambda share: watch.report("surface", share)
+        )
+    if not has_colour(white):
+        warnings = (*warnings, "the white images are grey: glare cannot be told from skin by its colour.")
+    warnings = (*warnings, ORTHOGRAPHIC) if camera.model == "perspective" else warnings
+    size = finger.wider[finger.window].shape
+    shape, ridge, albedo, deviation = (
+        _enlarged(part, (size[0], size[1]), binning)
+        for part in (skin.shape_mm, skin.relief_mm, skin.albedo, skin.deviation_mm)
+    )
+    facts = {
+        **_facts(settings, white, nir),
+        "separation": "glare by colour, scattering by its transfer function (modelled)",
+        "optics": skin.facts,
+    }
+    return SurfaceParts(shape + ridge, ridge, shape, albedo, deviation * np.float32(1000.0), facts, warnings)
+
+
+def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
+    """The band of the ridges and that of the shape."""
+    white = capture.bands["white"]
+    if settings.shape.source == "white":
+        return white, white, ()
+    if "nir" not in capture.bands:
+        return white, white, (NO_NIR,)
+    return white, capture.bands["nir"], ()
+
+
+def _facts(settings: PipelineSettings, white: Band, nir: Band) -> dict[str, Any]:
+    separation = "identity (the network comes with the next release)" if settings.enhance.clahe else "none"
+    return {"shape_source": "white" if nir is white else "nir", "separation": separation}
+
+
+def _grey(capture: Capture, band: Band, window: Window) -> FloatArray:
+    return np.maximum(linear_stack(band, capture.encoding, "grey", window), np.float32(0.0))
+
+
+def _enhanced(stack: FloatArray, mask: BoolArray, capture: Capture, settings: PipelineSettings) -> FloatArray:
+    px_per_mm = capture.rig.camera.px_per_mm
+    return np.stack([clahe(image, px_per_mm, settings.enhance.cells, mask=mask) for image in stack])
+
+
+def _distant_normals(
+    stack: FloatArray, rig: Rig, mask: BoolArray, settings: PipelineSettings
+) -> tuple[FloatArray, FloatArray]:
+    lights = rig.light_vectors()
+    if settings.enhance.clahe:  # equalised images have no common scale of brightness
+        lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    if settings.normals.method == "robust":
+        return robust(stack, lights, mask, settings.normals.robust)
+    return lambertian(stack, lights, mask)
+
+
+def _integrate(gradients: tuple[FloatArray, FloatArray], mask: BoolArray, settings: PipelineSettings) -> FloatArray:
+    """Heights in pixels."""
+    if settings.height.method == "frankot_chellappa":
+        return frankot_chellappa(*gradients, mask, settings.height.padding)
+    steepness = 1.0 / np.sqrt(1.0 + gradients[0] ** 2 + gradients[1] ** 2)
+    return poisson(*gradients, mask, steepness, settings.height.poisson)
+
+
+def _bank(settings: PipelineSettings, capture: Capture) -> ShapeletSettings:
+    """The shapelets, their sizes in pixels brought to this camera's scale."""
+    scale = capture.rig.camera.px_per_mm / REFERENCE_PX_PER_MM
+    return replace(settings.shapelets, sigma_px=settings.shapelets.sigma_px * scale)
+
+
+def _response(settings: PipelineSettings, capture: Capture) -> Any:
+    bank = _bank(settings, capture)
+    plateau = bank.sigma_px
+
+    def response(omega: Any) -> Any:
+        # beyond the bank's finest scale its response falls again; the crossover keeps all that is finer
+        return shapelet_response(np.minimum(omega, np.sqrt(2.0) / plateau), bank)
+
+    return response
+
+
+def _knitted(  # noqa: PLR0917
+    ridge: FloatArray,
+    shape: FloatArray,
+    gradients: tuple[FloatArray, FloatArray],
+    mask: BoolArray,
+    settings: PipelineSettings,
+    capture: Capture,
+) -> tuple[FloatArray, FloatArray]:
+    if settings.knit.method == "addition":
+        return add(ridge, shape, mask), ridge
+    visible = _integrate(gradients, mask, settings) * np.float32(capture.rig.camera.pitch_mm)
+    height = crossover(visible, shape, _response(settings, capture), mask)
+    return height, height - shape
+
+
+def _iterated(
+    capture: Capture, band: Band, finger: Finger, settings: PipelineSettings, watch: Stopwatch
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """Slopes and albedo of one band; near lights and the surface in turns."""
+    mask = finger.wider[finger.window]
+    rig = capture.rig.select(band.leds)
+    with watch("light"):
+        stack = linear_stack(band, capture.encoding, "grey", finger.window)
+    if settings.normals.method != "near_light":
+        with watch("normals"):
+            normals, albedo = _distant_normals(stack, rig, mask, settings)
+        return gradients_from_normals(normals, mask, settings.normals.max_slope), albedo
+    pitch = np.float32(capture.rig.camera.pitch_mm)
+    x, y = (axis[part] for axis, part in zip(pixel_axes_mm(capture.rig.camera), finger.window[::-1], strict=True))
+    near = NearLightSettings(robust=settings.normals.robust)
+    surface: FloatArray | float = settings.metric.plane_mm
+    distant = all(led.position_mm is None for led in rig.leds)
+    rounds = 1 if distant else settings.normals.rounds
+    for turn in range(rounds):
+        with watch("normals"):
+            normals, albedo = near_light(stack, rig, surface, mask, settings=near, x_mm=x, y_mm=y)
+            gradients = gradients_from_normals(normals, mask, settings.normals.max_slope)
+        if turn < rounds - 1:
+            with watch("surface"):
+                height = _integrate(gradients, mask, settings) * pitch
+                surface = (height + np.float32(settings.metric.plane_mm)).astype(np.float32)
+    return gradients, albedo
+
+
+def _grid(capture: Capture, finger: Finger, binning: int) -> Grid:
+    """The working grid: blocks of pixels that all belong to the finger."""
+    rows, columns = finger.window
+    mask = finger.wider[rows, columns]
+    height, width = (n // binning for n in mask.shape)
+    blocks = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    x, y = pixel_axes_mm(capture.rig.camera)
+    x = x[columns][: width * binning].reshape(width, binning).mean(axis=1)
+    y = y[rows][: height * binning].reshape(height, binning).mean(axis=1)
+    inside: BoolArray = np.asarray(blocks.all(axis=(1, 3)), dtype=np.bool_)
+    full = capture.shape
+    cut = (
+        rows.start == 0 and bool(inside[0].any()),
+        rows.stop >= full[0] and bool(inside[-1].any()),
+        columns.start == 0 and bool(inside[:, 0].any()),
+        columns.stop >= full[1] and bool(inside[:, -1].any()),
+    )
+    return Grid(inside, x, y, capture.rig.camera.pitch_mm * binning, cut)
+
+
+def _images(capture: Capture, band: Band, names: tuple[str, ...], window: Window, binning: int) -> BandImages:
+    wanted = names if len(names) == 3 else ("grey",)
+    return BandImages(
+        names, linear_channels(band, capture.encoding, wanted, window, binning), capture.rig.select(band.leds)
+    )
+
+
+def _enlarged(field: FloatArray, shape: tuple[int, int], factor: int) -> FloatArray:
+    """A field of blocks on the window's pixels."""
+    if factor > 1:
+        size = (field.shape[1] * factor, field.shape[0] * factor)
+        field = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+    missing = ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1]))
+    return np.pad(field, missing, mode="edge")
