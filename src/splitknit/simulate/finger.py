@@ -203,13 +203,15 @@ def finger_surface(
     chart = np.full((rows, columns, 2), np.nan, dtype=np.float32)
     targets = (height, shape_height, normals, shape_normals, relief, pigment, chart)
 
+    tall = 4 * max(4, 6000 // (box[1].stop - box[1].start))  # about 24000 pixels fit the cache
+
     def fill(top: int) -> None:
-        part = slice(top, min(top + 16, box[0].stop))
+        part = slice(top, min(top + tall, box[0].stop))
         for target, values in zip(targets, cast_block(body, skin, placement, camera, (part, box[1])), strict=True):
             target[part, box[1]] = values
 
     with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
-        list(pool.map(fill, range(box[0].start, box[0].stop, 16)))
+        list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
     mask = np.isfinite(height)
     return Surface(
         camera, height, shape_height, normals, shape_normals, relief, mask, pigment,

@@ -14,7 +14,13 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.simulate.orientation_field import PATTERNS, OrientationField, orientation_field, smooth_noise
+from splitknit.simulate.orientation_field import (
+    PATTERNS,
+    OrientationField,
+    fan_log_period,
+    orientation_field,
+    smooth_noise,
+)
 from splitknit.simulate.pores import scatter_pores
 from splitknit.simulate.ridge_growth import grow_ridges, phase_singularities
 
@@ -34,6 +40,8 @@ class MasterPrintSettings:
     """Standard deviation within a finger, relative, over distances of about 5 mm."""
     proximal_widening: float = 0.14
     """How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer per area)."""
+    fan_widening: float = 0.8
+    """How far ridges that fan out grow wider before new ones start between them: 0 not at all, 1 as far as they can."""
     half_width_mm: float = 15.0
     """The map spans u in [-half_width_mm, half_width_mm]."""
     distal_mm: float = 33.0
@@ -42,8 +50,8 @@ class MasterPrintSettings:
     """The map's extent from the first crease towards the palm."""
     pitch_mm: float = 0.04
     """Grid pitch of the map."""
-    iterations: int = 12
-    """Passes of the growth filter; fewer leave more minutiae."""
+    iterations: int = 5
+    """Passes of the growth filter; fewer leave more minutiae (5: about 0.2 per square millimetre, as people have)."""
     roughness: float = 0.06
     """Standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude."""
     pore_spacing_mm: float = 0.65
@@ -76,7 +84,7 @@ class MasterPrint:
     pattern: str
     seed: int
     ridge: Array32
-    """(H, W) skin height without pores: 0 in valleys, 1 on the flat tops of ridges."""
+    """(H, W) skin height without pores: about 0 in valleys, below but near 1 on the flat tops of ridges."""
     pores: Array32
     """(H, W) 1 at the bottom of a pore, 0 on plain skin."""
     u_mm: Array
@@ -167,10 +175,12 @@ def _periods(
     """Mean period around the core and (H, W) local periods, mm."""
     mean = settings.period_mm * float(np.exp(settings.period_spread * np.clip(rng.standard_normal(), -2.2, 2.2)))
     center = field.cores_mm[0][1] if field.cores_mm else 14.0
+    pitch = float(u_mm[1] - u_mm[0])
     shape = (v_mm.size, u_mm.size)
     widening = settings.proximal_widening * rng.uniform(0.4, 1.6)
-    logs = settings.period_variation * smooth_noise(rng, shape, 4.0 / float(u_mm[1] - u_mm[0]))
-    logs = np.clip(logs, -0.14, 0.14)
+    logs = settings.period_variation * np.clip(smooth_noise(rng, shape, 4.0 / pitch), -2.5, 2.5)
+    logs += settings.fan_widening * fan_log_period(field.angle_rad, pitch)
+    logs = 0.2 * np.tanh(logs / 0.2)
     logs += (widening * 0.5 * (1.0 - np.tanh((v_mm - 0.45 * center) / 4.0)))[:, None]
     logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u_mm) / 10.0, 0.0, 1.5) ** 2)[None, :]
     return mean, mean * np.exp(logs)
@@ -190,18 +200,19 @@ def _twice_as_fine(wave: Array32) -> Array32:
 def _profile(rng: np.random.Generator, wave: Array32, settings: MasterPrintSettings) -> Array32:
     """Flat ridges and narrower valleys: a soft step of the wave, its duty varying over the finger."""
     pitch = settings.pitch_mm
-    duty = rng.uniform(0.15, 0.5) + 0.1 * smooth_noise(rng, wave.shape, 2.5 / pitch)
+    duty = np.clip(rng.uniform(0.15, 0.5) + 0.1 * smooth_noise(rng, wave.shape, 2.5 / pitch), 0.0, 0.6)
     rough = smooth_noise(rng, wave.shape, 0.09 / pitch)
     steep = rng.uniform(1.5, 2.2)
-    level = steep * (wave + duty + settings.roughness * rough)
-    low, high = np.tanh(steep * (-0.9 + duty)), np.tanh(steep * (0.9 + duty))
-    return np.asarray(np.clip((np.tanh(level) - low) / (high - low), -0.05, 1.05), dtype=np.float32)
+    flank = np.maximum(1.0 - wave * wave, 0.0)
+    level = steep * (wave + duty + settings.roughness * flank * rough)
+    low = np.tanh(steep * (duty - 1.1))  # interpolation overshoots 1 a little
+    return np.asarray((np.tanh(level) - low) / (1.0 - low), dtype=np.float32)
 
 
-def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 9.0) -> NDArray[np.uint8]:
+def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:
     """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit.
 
-    The contact patch is an ellipse from 1 mm above the first crease to about the tip.
+    The contact patch is an ellipse from 3 to 24 mm above the first crease, as a finger laid flat leaves it.
 
     Parameters
     ----------
@@ -211,7 +222,7 @@ def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_
         Half the width of the contact patch.
     """
     step = 25.4 / resolution_ppi
-    top, bottom = 25.0, 1.0
+    top, bottom = 24.0, 3.0
     rows, columns = round((top - bottom) / step), round(2 * half_width_mm / step)
     v = top - (np.arange(rows) + 0.5) * step
     u = half_width_mm - (np.arange(columns) + 0.5) * step  # mirrored
@@ -222,5 +233,5 @@ def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_
     ink = cv2.remap(blurred, x.astype(np.float32), y.astype(np.float32), cv2.INTER_CUBIC)
     shape = np.hypot(u[None, :] / half_width_mm, (v[:, None] - 0.5 * (top + bottom)) / (0.5 * (top - bottom)))
     contact = 1.0 / (1.0 + np.exp((shape - 0.97) / 0.015))
-    dark = contact / (1.0 + np.exp(-(ink - 0.55) / 0.12))
+    dark = contact / (1.0 + np.exp(-(ink - 0.65) / 0.1))
     return np.asarray(np.round(255.0 * (1.0 - 0.92 * dark)), dtype=np.uint8)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
 
 from splitknit.check import require
 
@@ -85,12 +87,12 @@ def orientation_field(pattern: str, rng: np.random.Generator, u_mm: Array, v_mm:
     warp = rng.uniform(0.4, 1.1)
     wu = u + warp * smooth_noise(rng, shape, 5.0 / pitch)
     wv = v + warp * smooth_noise(rng, shape, 5.0 / pitch)
-    center = (rng.uniform(-1.2, 1.2), rng.uniform(11.5, 16.5))
+    center = (rng.uniform(-1.6, 1.6), rng.uniform(10.5, 17.0))
     cores, deltas = _singularities(pattern, rng, center)
     angle = _arch(rng, wu, wv, center) if pattern == "arch" else _zero_pole(rng, wu, wv, cores, deltas)
     angle += _envelope(rng, wu - center[0], wv - center[1], pattern)
-    angle += rng.uniform(0.04, 0.12) * smooth_noise(rng, shape, 3.0 / pitch)
-    angle += rng.uniform(-0.12, 0.12)
+    angle += rng.uniform(0.05, 0.14) * smooth_noise(rng, shape, 2.5 / pitch)
+    angle += rng.uniform(-0.15, 0.15)
     angle = _relax_below_crease(rng, angle, u, v, pitch)
     return OrientationField(
         angle,
@@ -129,7 +131,7 @@ def _zero_pole(
     for sign, points in ((0.5, cores), (-0.5, deltas)):
         for pu, pv in points:
             about = np.arctan2(v - pv, u - pu)
-            bend = rng.uniform(-0.28, 0.28, 2)
+            bend = rng.uniform(-1.0, 1.0, 2) * (0.2 if sign > 0 else 0.3)  # strong bends make cores fan
             phase = rng.uniform(-np.pi, np.pi, 2)
             bent = about + bend[0] * np.sin(about + phase[0]) + 0.5 * bend[1] * np.sin(2 * about + phase[1])
             angle += sign * bent
@@ -150,9 +152,9 @@ def _arch(rng: np.random.Generator, u: Array, v: Array, center: Point) -> Array:
 
 def _envelope(rng: np.random.Generator, u: Array, v: Array, pattern: str) -> Array:
     """Extra fall of the ridges towards both sides above the core, where they follow the outline of the tip."""
-    strength = rng.uniform(0.1, 0.5) + (0.35 if pattern in ("arch", "tented_arch") else 0.0)
+    strength = rng.uniform(0.15, 0.65) + (0.35 if pattern in ("arch", "tented_arch") else 0.0)
     width = rng.uniform(4.0, 8.0)
-    onset = rng.uniform(-6.0, 0.0)
+    onset = rng.uniform(-8.0, 0.0)
     reach = rng.uniform(3.0, 6.0)
     skew = rng.uniform(-0.8, 0.8)
     return np.asarray(
@@ -172,3 +174,56 @@ def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Poi
     """Grid position whose warped coordinates are nearest to `point`."""
     row, column = np.unravel_index(int(np.argmin((wu - point[0]) ** 2 + (wv - point[1]) ** 2)), wu.shape)
     return float(u_mm[column]), float(v_mm[row])
+
+
+def fan_log_period(angle_rad: Array, pitch_mm: float, *, stiffness: float = 0.02) -> Array:
+    """Logarithm of the ridge period that lets ridges fan out with the fewest new ones, smooth and zero on average.
+
+    A pattern of period p across unit normals n has no minutiae where curl(n / p) = 0: along a ridge, log p grows by
+    the divergence of the ridges. The least-squares solution, held small by `stiffness`, is found on a coarse grid.
+
+    References
+    ----------
+    Larkin and Fletcher 2007, A coherent framework for fingerprint analysis: are fingerprints holograms? (the curl of
+    the phase gradient is the density of minutiae)
+    """
+    step = max(1, round(0.5 / pitch_mm))
+    rows, columns = (size // step + 1 for size in angle_rad.shape)
+    doubled = np.exp(2j * angle_rad)
+    small = cv2.resize(doubled.real, (columns, rows), interpolation=cv2.INTER_AREA) + 1j * cv2.resize(
+        doubled.imag, (columns, rows), interpolation=cv2.INTER_AREA
+    )
+    h = pitch_mm * angle_rad.shape[0] / rows
+    along = np.exp(0.5j * np.angle(small))  # sign is free: it cancels in the product with the divergence
+    # Divergence of the ridge direction t from the doubled angle: div t = t_perp . grad(angle).
+    du, dv = (np.zeros_like(small) for _ in range(2))
+    du[:, 1:-1] = small[:, 2:] - small[:, :-2]
+    dv[1:-1] = small[:-2] - small[2:]
+    turn_u, turn_v = (0.5 * np.imag(np.conj(small) * d) / (2 * h) for d in (du, dv))
+    divergence = -along.imag * turn_u + along.real * turn_v
+    divergence = np.clip(divergence, -0.5, 0.5)
+    size = rows * columns
+    gradient_u, gradient_v = _difference_matrices(rows, columns, h)
+    streamwise = (
+        sparse.diags_array(along.real.ravel()) @ gradient_u + sparse.diags_array(along.imag.ravel()) @ gradient_v
+    )
+    system = streamwise.T @ streamwise + stiffness * sparse.eye_array(size)
+    system += 0.3 * (gradient_u.T @ gradient_u + gradient_v.T @ gradient_v)
+    solution = spsolve(sparse.csc_array(system), streamwise.T @ divergence.ravel()).reshape(rows, columns)
+    solution -= float(solution.mean())
+    return np.asarray(cv2.resize(solution, angle_rad.shape[::-1], interpolation=cv2.INTER_CUBIC), dtype=np.float64)
+
+
+def _difference_matrices(rows: int, columns: int, h: float) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Central differences along u (columns) and v (against the rows), zero on the border."""
+
+    def line(size: int, sign: float) -> sparse.csr_array:
+        matrix = sparse.diags_array([-sign, sign], offsets=[-1, 1], shape=(size, size)).tolil()
+        matrix[0, :] = 0.0
+        matrix[size - 1, :] = 0.0
+        return sparse.csr_array(matrix / (2 * h))
+
+    return (
+        sparse.csr_array(sparse.kron(sparse.eye_array(rows), line(columns, 1.0))),
+        sparse.csr_array(sparse.kron(line(rows, -1.0), sparse.eye_array(columns))),
+    )

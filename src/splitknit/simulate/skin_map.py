@@ -126,7 +126,7 @@ def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinM
     flatten = np.exp(-((groove / 0.15) ** 2))
     displacement = (
         -groove
-        - depth * (1.0 - np.minimum(master.ridge, 1.0)) * (0.25 + 0.75 * flatten)
+        - depth * (1.0 - master.ridge) * (0.25 + 0.75 * flatten)
         - 1e-3 * settings.pore_depth_um * master.pores * flatten
     )
     pigment = (1.0 - shade) * (1.0 - settings.pore_darkening * master.pores * flatten)
