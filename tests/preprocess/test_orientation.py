@@ -39,6 +39,12 @@ def test_yaw_tip_and_frame(draw_finger, yaw, tip):
     np.testing.assert_allclose(upright.upright_from_input @ upright.input_from_upright, np.eye(3), atol=1e-9)
 
 
+@pytest.mark.parametrize("yaw", [20.0, 35.0, -45.0])
+def test_a_short_finger_cut_by_the_border(draw_finger, yaw):
+    scene = draw_finger("medium", yaw_deg=yaw, tip_at=(-0.1 * yaw, 0.0), size_mm=(29.0, 42.0), noise=0.0)
+    assert np.rad2deg(find_upright(scene.mask).yaw_rad) == pytest.approx(yaw, abs=0.5)
+
+
 @pytest.mark.parametrize("turn", [90.0, 180.0, -90.0])
 def test_other_tip_directions(draw_finger, turn):
     scene = draw_finger("medium", yaw_deg=10.0, tip_at=(-2.0, 12.0), noise=0.0)
