@@ -141,9 +141,14 @@ def _fit_backdrop(signal: FloatArray, outside: BoolArray) -> tuple[FloatArray, f
 
 
 def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
-    """Residuals that belong to the backdrop, and the scatter of those below it (1.48 times their median size)."""
+    """Residuals that belong to the backdrop, and the scatter of those below it.
+
+    The larger of a robust and a plain standard deviation: the latter counts a shadow's edge that the fit cannot follow.
+    """
     negative = -residual[residual <= 0.0]
-    noise = 1.4826 * float(np.median(negative)) if negative.size else 0.0
+    if negative.size == 0:
+        return residual <= 1e-12, 0.0
+    noise = max(1.4826 * float(np.median(negative)), float(np.sqrt(np.mean(negative * negative))))
     return residual <= max(2.5 * noise, 1e-12), noise
 
 
