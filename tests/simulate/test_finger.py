@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from splitknit.check import BadInput
-from splitknit.simulate.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface
+from splitknit.simulate.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, place
 from splitknit.simulate.finger_shape import FingerBody, FingerShape
 from splitknit.simulate.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulate.skin_map import Crease, SkinSettings
@@ -106,6 +106,11 @@ def test_every_pixel_lies_on_the_skin(seen: Surface, finger: Finger) -> None:
     facing = seen.mask & (seen.shape_normals[..., 2] > 0.9) & (seen.relief_um > -80)
     drop = 1e3 * (seen.height_mm - seen.shape_mm)[facing] * seen.shape_normals[facing][:, 2]
     np.testing.assert_allclose(drop, seen.relief_um[facing], atol=1.5)
+    rows, columns = np.nonzero(seen.mask & (seen.normals[..., 2] > 0.25))
+    body = FingerBody(finger.shape)
+    x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
+    distance, _, _ = body.distance_and_chart(*place(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
+    np.testing.assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
     ridges = seen.relief_um[facing]
     assert ridges.max() < 2.0
     assert -1.4 * finger.skin.ridge_depth_um < np.percentile(ridges, 3) < -0.6 * finger.skin.ridge_depth_um
@@ -216,14 +221,16 @@ def test_the_creases_are_grooves_where_the_landmarks_say(finger: Finger, master:
     assert surface.landmarks["crease_px"][0][:, 1].mean() < surface.landmarks["crease_px"][1][:, 1].mean()
 
 
-def test_landmarks_show_the_chart_points_they_name(seen: Surface, master: MasterPrint) -> None:
-    chart = seen.landmarks["chart_mm"]
+def test_landmarks_show_the_chart_points_they_name(seen: Surface, finger: Finger, master: MasterPrint) -> None:
+    body = FingerBody(finger.shape)
     named = np.concatenate([master.cores_mm, master.deltas_mm])
     pixels = np.concatenate([seen.landmarks["cores_px"], seen.landmarks["deltas_px"]])
     shown = np.isfinite(pixels).all(axis=1)
     assert shown.any()
     columns, rows = np.rint(pixels[shown]).astype(int).T
-    np.testing.assert_allclose(chart[rows, columns], named[shown], atol=0.12)
+    x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
+    _, u, v = body.distance_and_chart(*place(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
+    np.testing.assert_allclose(np.stack([u, v], 1), named[shown], atol=0.12)
     assert 60 < len(seen.landmarks["minutiae_px"]) < 250
 
 

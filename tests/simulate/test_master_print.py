@@ -129,7 +129,7 @@ def test_pores_sit_on_ridges(prints: list[MasterPrint]) -> None:
         assert print_.ridge[print_.pores > 0.5].mean() > 0.85
         area = np.ptp(print_.u_mm) * np.ptp(print_.v_mm)
         count, _ = cv2.connectedComponents((print_.pores > 0.3).astype(np.uint8))
-        assert 1.5 < count / area < 5.0  # 1 / (0.43 mm x 0.65 mm) = 3.6, thinned
+        assert 2.9 < count / area < 4.4  # 1 / (0.43 mm x 0.65 mm) = 3.6, thinned
 
 
 def test_the_same_seed_gives_the_same_bytes_for_any_threads() -> None:

@@ -191,7 +191,7 @@ def finger_surface(
     body = FingerBody(finger.shape)
     master = master or finger.master()
     skin = skin_map(master, finger.skin)
-    placement = _place(body, pose, camera)
+    placement = place(body, pose, camera)
     box = hits(body, placement, camera)
     rows, columns = camera.image_size
     empty = np.full((rows, columns), np.nan, dtype=np.float32)
@@ -219,8 +219,8 @@ def finger_surface(
     )  # fmt: skip
 
 
-def _place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
-    """Turn and shift: the tip at the insertion length, the pad's highest point at the pose's height."""
+def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
+    """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the pose's height."""
     shape = body.shape
     rotation = pose.rotation()
     y, side = np.meshgrid(np.linspace(1.0, shape.length_mm, 121), np.linspace(-1.0, 1.0, 81), indexing="ij")

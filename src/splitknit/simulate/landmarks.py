@@ -58,7 +58,6 @@ def find_landmarks(
         "insertion_mm": pose.insertion_mm,
         "height_mm": pose.height_mm,
         "period_mm": master.period_mm,
-        "chart_mm": chart,
     }
 
 

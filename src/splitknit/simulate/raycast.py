@@ -168,7 +168,7 @@ def _meet_skin(
         d, u, v = body.distance_and_chart(*placement.to_finger(x[which], y[which], z0[which] - depth))
         return d - skin.displacement(u, v)
 
-    clearance = -0.003 / np.maximum(facing, 0.02)
+    clearance = -0.008 / np.maximum(facing, 0.02)
     depth, met = first_root(along_model, clearance, bound, careful=5)
     refined, close = polish(exact, depth, facing, met)
     lost = np.nonzero(~close)[0]

@@ -35,11 +35,11 @@ def first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[A
     active = np.arange(start.size)
     nowhere = np.full(start.size, np.nan)
     state = np.stack([start, gap(active, start), nowhere, nowhere, bound, bound])
-    for k in range(40):
+    for k in range(64):
         outer, outer_gap, inner, inner_gap, slope, limit = state
         bracketed = np.isfinite(inner)
         inside = 0.5 * (inner - outer) if k % 3 == 2 else (inner - outer) * outer_gap / (outer_gap - inner_gap)
-        trial = outer + np.where(bracketed, inside, np.clip(outer_gap / slope, 1e-3 * 1.15**k, 0.3))
+        trial = outer + np.where(bracketed, inside, np.clip(outer_gap / slope, np.minimum(1e-3 * 1.15**k, 0.3), 0.3))
         now = gap(active, trial)
         done = np.abs(now) < 1e-6
         result[active[done]], met[active[done]] = trial[done], True
