@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.preprocess.regions import blur, dilate, erode
+from splitknit.preprocess.regions import dilate, erode, wide_blur
 from splitknit.types import BoolArray, FloatArray
 
 
@@ -84,16 +84,16 @@ def skin_evidence(
 def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float) -> FloatArray:
     """Mean rise of the finger near every pixel, at most `level`: a shaded part has its own, lower one."""
     weight = inside.astype(np.float32)
-    cover = blur(weight, sigma)
-    mean = blur(np.maximum(rise, 0.0) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
+    cover = wide_blur(weight, sigma)
+    mean = wide_blur(np.maximum(rise, 0.0) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
     return np.minimum(np.where(cover > 1e-2, mean, np.float32(level)), np.float32(level)).astype(np.float32)
 
 
 def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: float) -> FloatArray:
     """Mean of what the backdrop's fit leaves near every pixel; dust, which is bright, hardly counts."""
     weight = outside.astype(np.float32)
-    cover = blur(weight, sigma)
-    offset = blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
+    cover = wide_blur(weight, sigma)
+    offset = wide_blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
     return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
 
 

@@ -36,6 +36,18 @@ def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
 
 
+def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
+    factor = int(sigma / 4.0)
+    if factor < 2:
+        return blur(image, sigma)
+    size = (image.shape[1], image.shape[0])
+    reduced = (-(-size[0] // factor), -(-size[1] // factor))
+    small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    smooth = cv2.resize(blur(small, sigma / factor), size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(smooth, dtype=np.float32)
+
+
 def dilate(mask: BoolArray, radius: float) -> BoolArray:
     """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than small ones."""
     if radius < 1.0 or not mask.any():
