@@ -198,15 +198,20 @@ def _twice_as_fine(wave: Array32) -> Array32:
 
 
 def _profile(rng: np.random.Generator, wave: Array32, settings: MasterPrintSettings) -> Array32:
-    """Flat ridges and narrower valleys: a soft step of the wave, its duty varying over the finger."""
+    """Flat ridges and narrower valleys: a soft step of the wave, its duty varying over the finger.
+
+    The last blur takes the harmonics that the map's pitch cannot carry; edges stay steeper than skin's.
+    """
     pitch = settings.pitch_mm
     duty = np.clip(rng.uniform(0.15, 0.5) + 0.1 * smooth_noise(rng, wave.shape, 2.5 / pitch), 0.0, 0.6)
     rough = smooth_noise(rng, wave.shape, 0.09 / pitch)
     steep = rng.uniform(1.5, 2.2)
+    wave = np.tanh(1.2 * wave) / np.tanh(1.2)  # evens out the amplitude
     flank = np.maximum(1.0 - wave * wave, 0.0)
     level = steep * (wave + duty + settings.roughness * flank * rough)
     low = np.tanh(steep * (duty - 1.1))  # interpolation overshoots 1 a little
-    return np.asarray((np.tanh(level) - low) / (1.0 - low), dtype=np.float32)
+    ridge = ((np.tanh(level) - low) / (1.0 - low)).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(ridge, (0, 0), 0.02 / pitch), dtype=np.float32)
 
 
 def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:

@@ -44,7 +44,7 @@ def grow_ridges(
 
     Returns
     -------
-    (H, W) float32 in [-1, 1], positive on ridges, locally of unit contrast.
+    (H, W) float32, a wave of about unit amplitude without harmonics, positive on ridges.
 
     References
     ----------
@@ -56,7 +56,7 @@ def grow_ridges(
     distances = [factor * reach * mean_period for factor in (0.26, 0.52, 1.04)]
     maps = [_streamline_maps(angle_rad, distance, 2 + k) for k, distance in enumerate(distances)]
     bank, weights = _ring_bank(noise.shape, period_px, bandwidth)
-    ridges = noise.astype(np.float32)
+    ridges = wave = noise.astype(np.float32)
     for _ in range(iterations):
         for pair in maps:
             ridges = _along(ridges, pair)
@@ -65,8 +65,9 @@ def grow_ridges(
         for ring, weight in zip(bank, weights, strict=True):
             out += weight * scipy.fft.irfft2(spectrum * ring, s=noise.shape)
         power = cv2.GaussianBlur(out * out, (0, 0), 1.6 * mean_period, borderType=cv2.BORDER_REFLECT)
-        ridges = np.tanh(1.3 * out / np.sqrt(power + 1e-12))
-    return ridges
+        wave = out / np.sqrt(2.0 * power + 1e-12)
+        ridges = np.tanh(1.84 * wave)
+    return np.asarray(wave, dtype=np.float32)
 
 
 def _streamline_maps(angle_rad: NDArray[np.float64], distance_px: float, steps: int) -> list[tuple[Array32, Array32]]:
