@@ -152,7 +152,7 @@ def test_shape_normals_are_those_of_the_shape(seen: Surface) -> None:
     lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
     np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
     assert (seen.normals[~seen.mask] == 0).all()
-    assert (seen.normals[seen.mask][:, 2] > -1e-3).all()
+    assert (seen.normals[seen.mask][:, 2] > 0).all()
 
 
 def test_smooth_shape_has_no_staircase(seen: Surface) -> None:

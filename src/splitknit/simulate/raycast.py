@@ -205,4 +205,8 @@ def _skin_normals(
     for dx, dy, dz in ((step, 0.0, 0.0), (0.0, step, 0.0), (0.0, 0.0, step)):
         there, there_u, there_v = body.distance_and_chart(x + dx, y + dy, z + dz)
         gradient.append(((there - distance) - along_u * (there_u - u) - along_v * (there_v - v)) / step)
-    return placement.normal_to_camera(gradient[0], gradient[1], gradient[2]), relief, u, v
+    normals = placement.normal_to_camera(gradient[0], gradient[1], gradient[2])
+    grazing = normals[:, 2] < 1e-3  # a few rays that only touch a ridge: no visible skin faces away
+    normals[grazing, 2] = 1e-3
+    normals[grazing] /= np.sqrt((normals[grazing] ** 2).sum(axis=1, keepdims=True))
+    return normals, relief, u, v
