@@ -121,7 +121,7 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
     --------
     >>> small = MasterPrintSettings(half_width_mm=5, distal_mm=20, proximal_mm=2)
     >>> master_print("whorl", seed=1, settings=small).ridge.shape
-    (552, 252)
+    (576, 256)
     """
     settings = settings or MasterPrintSettings()
     draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0x9A17]).spawn(6)]
