@@ -87,12 +87,19 @@ def _measure_all(cases: Sequence[Any], presets: Sequence[str], folder: Path, wor
     folder.mkdir(parents=True, exist_ok=True)
     wanted = {case.name: case for case in cases if not _holds(folder / f"{case.name}.json", presets)}
     bar = tqdm(total=len(wanted), disable=not sys.stderr.isatty(), unit="finger", file=sys.stderr)
-    context = multiprocessing.get_context("spawn")
-    with bar, concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-        jobs = [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]
-        for job in concurrent.futures.as_completed(jobs):
-            job.result()
-            bar.update()
+    with bar:
+        if workers <= 1 or len(wanted) <= 1:
+            _one_thread()
+            for case in wanted.values():
+                _measure_one(case, tuple(presets), folder)
+                bar.update()
+        else:
+            context = multiprocessing.get_context("spawn")
+            with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+                jobs = [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]
+                for job in concurrent.futures.as_completed(jobs):
+                    job.result()
+                    bar.update()
     return [json.loads((folder / f"{case.name}.json").read_text()) for case in cases]
 
 

@@ -1,0 +1,173 @@
+"""The command line from disk to disk: seconds, processor time and peak memory of whole runs.
+
+    python benchmarks/bench_reconstruct.py                  # full and half scale, metric, snk and ea
+    python benchmarks/bench_reconstruct.py --profile        # the dearest functions of one full-frame run, then stops
+
+Every run is a process of its own (what it loads counts). The captures are simulated once into ``benchmarks/out`` and
+carry no truth: comparing is no part of a reconstruction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import json
+import os
+import pstats
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from timing import machine
+
+OUT = Path(__file__).resolve().parent / "out"
+STAGES = ("reading", "finger", "light", "normals", "surface", "result")
+SEED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What one process took."""
+
+    wall_s: float
+    cpu_s: float
+    peak_mb: float
+    facts: dict[str, Any]
+
+
+def run_process(command: Sequence[str]) -> Run:
+    """Run one process to its end and measure it alone; it must succeed and print JSON or nothing."""
+    started = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    text = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    wall = time.perf_counter() - started
+    if process.returncode != 0:
+        raise SystemExit(f"{' '.join(command)} ended with exit code {process.returncode}.")
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    peak_mb = usage.ru_maxrss / unit
+    return Run(wall, usage.ru_utime + usage.ru_stime, peak_mb, json.loads(text) if text.strip() else {})
+
+
+def splitknit(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "splitknit.apps.cli", *arguments, "--json"]
+
+
+def prepare(scale: float) -> tuple[Path, Run]:
+    """Simulate a capture and take its truth away; its cost is that of the twin."""
+    folder = OUT / f"capture_{scale:g}"
+    shutil.rmtree(folder, ignore_errors=True)
+    cost = run_process(splitknit("simulate", "--out", str(folder), "--seed", str(SEED), "--scale", str(scale)))
+    content = json.loads((folder / "capture.json").read_text())
+    content.pop("truth")
+    (folder / "capture.json").write_text(json.dumps(content))
+    (folder / "truth.npz").unlink()
+    return folder, cost
+
+
+def seconds_of(work: Callable[[], object], rounds: int) -> float:
+    """Least seconds of some rounds."""
+    found = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - started)
+    return min(found)
+
+
+def peers(folder: Path, result: Path, rounds: int) -> list[tuple[str, float]]:
+    """The usual ways of reading the images and writing the arrays, in this process."""
+    import cv2  # noqa: PLC0415
+    import numpy as np  # noqa: PLC0415
+
+    files = sorted(folder.glob("*.png"))
+    with np.load(result / "height.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    target = OUT / "peer.npz"
+    rows = [
+        ("OpenCV, imread of all images, one after the other", lambda: [cv2.imread(str(f), -1) for f in files]),
+        ("numpy.savez_compressed of height.npz's arrays", lambda: np.savez_compressed(target, **arrays)),
+        ("numpy.savez (not compressed) of the same", lambda: np.savez(target, **arrays)),
+    ]
+    found = [(words, seconds_of(work, rounds)) for words, work in rows]
+    target.unlink()
+    return found
+
+
+def import_seconds(rounds: int = 10) -> tuple[float, float]:
+    """Median seconds of ``import splitknit`` beyond a bare interpreter, and with all that reconstruct loads."""
+
+    def least(code: str) -> float:
+        times = []
+        for _ in range(rounds):
+            started = time.perf_counter()
+            subprocess.run([sys.executable, "-c", code], check=True)
+            times.append(time.perf_counter() - started)
+        return statistics.median(times)
+
+    bare = least("pass")
+    return least("import splitknit") - bare, least("import splitknit; splitknit.reconstruct") - bare
+
+
+def table(scale: float, presets: Sequence[str], rounds: int) -> None:
+    folder, cost = prepare(scale)
+    rows, columns = (int(n) for n in cost.facts["image_size"])
+    print(f"\n### {columns} x {rows}, {cost.facts['images']} images and two ambient frames, 8-bit PNG\n")
+    print(f"simulate: {cost.wall_s:.1f} s wall, {cost.cpu_s:.1f} s CPU, {cost.peak_mb:.0f} MB\n")
+    print(f"| preset | wall s, least / median | CPU s | peak MB | {' | '.join(STAGES)} | writing |")
+    print("| --- | --- | --- | --- |" + " --- |" * (len(STAGES) + 1))
+    for preset in presets:
+        target = OUT / f"result_{preset}"
+        command = splitknit("reconstruct", str(folder), "--out", str(target), "--preset", preset)
+        runs = [run_process(command) for _ in range(rounds)]
+        best = min(runs, key=lambda run: run.wall_s)
+        stages = best.facts["timings_s"]
+        writing = best.facts["total_s"] - sum(stages.values())
+        cells = [f"{stages.get(stage, 0.0):.2f}" for stage in STAGES] + [f"{writing:.2f}"]
+        median = statistics.median(run.wall_s for run in runs)
+        cpu, peak = min(run.cpu_s for run in runs), max(run.peak_mb for run in runs)
+        print(f"| `{preset}` | {best.wall_s:.2f} / {median:.2f} | {cpu:.2f} | {peak:.0f} | {' | '.join(cells)} |")
+    print("\n| peer | seconds |\n| --- | --- |")
+    for words, seconds in peers(folder, OUT / f"result_{presets[0]}", rounds):
+        print(f"| {words} | {seconds:.2f} |")
+
+
+def profile(scale: float) -> None:
+    """Print where one run spends its processor time (all threads of the process count while a function waits)."""
+    from splitknit.apps.commands import reconstruct_to_folder  # noqa: PLC0415
+
+    folder, _ = prepare(scale)
+    profiler = cProfile.Profile(timer=time.process_time)
+    profiler.runcall(reconstruct_to_folder, folder, OUT / "result_profile")
+    for order, count in (("tottime", 25), ("cumtime", 60)):
+        pstats.Stats(profiler).sort_stats(order).print_stats("splitknit|scipy|cv2|method", count)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 0.5])
+    parser.add_argument("--presets", nargs="+", default=["metric", "snk", "ea"])
+    parser.add_argument("--profile", action="store_true")
+    options = parser.parse_args()
+    OUT.mkdir(exist_ok=True)
+    if options.profile:
+        profile(options.scales[0])
+        return
+    print(f"Whole runs from disk to disk, {machine()}")
+    lean, loaded = import_seconds()
+    print(f"\nimport splitknit: {lean:.3f} s; with all that reconstruct needs: {loaded:.2f} s (beyond a bare Python)")
+    for scale in options.scales:
+        table(scale, options.presets, options.rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""Run every benchmark, one after the other, and print one Markdown document.
+
+python benchmarks/run_all.py [--quick] > benchmarks/out/tables.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+SUITES = {
+    "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
+    "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
+    "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
+}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="few rounds, half scale: does everything run?")
+    quick = parser.parse_args().quick
+    packages = ", ".join(
+        f"{name} {version(name)}" for name in ("splitknit", "numpy", "scipy", "opencv-python-headless")
+    )
+    print(f"# Benchmarks\n\nPython {platform.python_version()}, {packages}, {platform.machine()}", flush=True)
+    failed = 0
+    for script, arguments in SUITES.items():
+        print(f"\n## {script}\n", flush=True)
+        failed |= subprocess.run([sys.executable, str(HERE / script), *arguments[quick]], check=False).returncode
+    return int(failed != 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

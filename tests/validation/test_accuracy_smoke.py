@@ -1,0 +1,122 @@
+"""The accuracy experiment runs and says what it should; its figures are judged by the ratchet."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+ACCURACY = Path(__file__).resolve().parents[2] / "validation" / "accuracy"
+Script = Callable[[str], ModuleType]
+
+
+def run(out: Path, *arguments: str) -> dict:
+    command = [sys.executable, "-W", "error", str(ACCURACY / "run.py"), "--scale", "0.2", "--workers", "1"]
+    command += ["--out", str(out / "results.json"), "--scratch", str(out / "scratch"), *arguments]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "error"}
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    return json.loads((out / "results.json").read_text())
+
+
+def test_one_tiny_finger(tmp_path: Path) -> None:
+    results = run(tmp_path, "--fingers", "1", "--presets", "metric", "ea")
+    population = results["population"]
+    assert set(population["presets"]) == {"metric", "ea"}
+    for preset in population["presets"].values():
+        assert preset["captures"] == 1 and preset["refused"] == []
+        for name in ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area", "yaw_error_deg"):
+            figure = preset["figures"][name]
+            assert np.isfinite(figure["mean"]) and figure["interval"] == [figure["mean"]] * 2
+        assert preset["figures"]["surface_rms_mm"]["meets_least"] in (0.0, 1.0)
+    assert len(population["singles"]) == 1
+    (single,) = (tmp_path / "scratch").glob("*/population_0_*.json")
+
+    # a second run takes the finger from the disk, and a variation leaves the population as it is
+    stamp = single.stat().st_mtime_ns
+    assert run(tmp_path, "--fingers", "1", "--presets", "metric", "ea")["population"] == population
+    assert single.stat().st_mtime_ns == stamp
+    both = run(tmp_path, "--vary", "glare", "0", "--presets", "ea", "--varied-fingers", "1")
+    assert both["population"] == population
+    (entry,) = both["variations"]["glare"]["values"]
+    assert entry["value"] == 0.0 and entry["presets"]["ea"]["refused"] == 0
+
+
+def test_unknown_variation_is_refused(tmp_path: Path) -> None:
+    command = [sys.executable, str(ACCURACY / "run.py"), "--vary", "mood", "--out", str(tmp_path / "results.json")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "mood" in done.stderr and not list(tmp_path.iterdir())
+
+
+def test_statistics(accuracy: Script) -> None:
+    summary = accuracy("summary")
+    values = {1: 0.05, 2: 0.10, 3: 0.12, 4: 0.20}
+    measured = [
+        {
+            "seed": seed,
+            "presets": {"metric": {"figures": {"surface_rms_mm": value, "ridge_gain": 1 + value}, "seconds": 1.0}},
+        }
+        for seed, value in values.items()
+    ]
+    measured.append({"seed": 5, "presets": {"metric": {"refused": "no finger"}}})
+    of = summary.summarise(measured, ["metric"])["metric"]
+    assert of["captures"] == 5 and of["refused"] == ["no finger"]
+    figure = of["figures"]["surface_rms_mm"]
+    assert figure["n"] == 4
+    assert figure["mean"] == pytest.approx(0.1175)
+    assert figure["median"] == pytest.approx(0.11)
+    assert figure["worst"] == 0.20
+    assert figure["meets_least"] == pytest.approx(3 / 5)  # the refused capture counts against
+    assert figure["meets_aim"] == pytest.approx(1 / 5)
+    low, high = figure["interval"]
+    assert 0.05 < low < 0.1175 < high < 0.20
+    assert of["figures"]["ridge_gain"]["worst"] == pytest.approx(1.20)
+
+
+def test_intervals_resample_whole_fingers(accuracy: Script) -> None:
+    interval = accuracy("summary").interval
+    few = [(finger, float(finger % 2)) for finger in range(8) for _ in range(25)]
+    many = [(k, value) for k, (_, value) in enumerate(few)]
+    assert interval(few)[1] - interval(few)[0] > 3 * (interval(many)[1] - interval(many)[0])
+    assert interval(few) == interval(few)  # seeded
+
+
+def test_crease_distance(accuracy: Script) -> None:
+    distance = accuracy("measure").crease_distance_mm
+    points = np.stack([np.linspace(0, 100, 50), np.full(50, 40.0)], axis=1)
+    facts = {"crease_found": True, "crease_line": [[0.0, 30.0], [100.0, 30.0]]}
+    assert distance(facts, points, 0.1) == pytest.approx(1.0)
+    assert distance({**facts, "crease_line": [[0.0, 90.0], [100.0, -10.0]]}, points, 0.1) == pytest.approx(
+        0.1 * 12.5 * np.sqrt(0.5), rel=0.1
+    )
+    assert distance({"crease_found": False}, points, 0.1) is None
+
+
+def test_base_is_measured_once(accuracy: Script) -> None:
+    cases = accuracy("cases")
+    glare = cases.varied("glare", None, [1, 2], 0.5)
+    depth = cases.varied("ridge_depth", None, [1, 2], 0.5)
+    shared = {case.name for case in glare} & {case.name for case in depth}
+    assert shared == {"base_0_00001", "base_0_00002"}
+    for name, variation in cases.VARIATIONS.items():
+        assert variation.base in variation.values, name
+        assert variation.change(cases.BASE, variation.base) == cases.BASE, name
+        other = next(value for value in variation.values if value != variation.base)
+        assert variation.change(cases.BASE, other) != cases.BASE, name
+
+
+def test_page_is_filled_between_its_marks(accuracy: Script) -> None:
+    filled = accuracy("report").filled
+    page = "a\n<!-- one -->\nold\n<!-- /one -->\nb\n"
+    assert filled(page, {"one": "new\nlines"}) == "a\n<!-- one -->\nnew\nlines\n<!-- /one -->\nb\n"
+    with pytest.raises(ValueError, match="two"):
+        filled(page, {"two": "x"})
