@@ -7,6 +7,20 @@ from pathlib import Path
 
 import pytest
 
+from splitknit.io import write_capture
+from splitknit.simulate.finger import Pose
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+
+@pytest.fixture(scope="session")
+def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Capture folder of a simulated finger, 330 x 480 pixels, its crease in view; not to be changed."""
+    folder = tmp_path_factory.mktemp("twin") / "capture"
+    settings = TwinSettings(scale=0.15, pose=Pose(insertion_mm=28.0, yaw_rad=0.1))
+    capture, truth = simulate_capture(3, "whorl", settings)
+    write_capture(capture, folder, truth)
+    return folder
+
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:

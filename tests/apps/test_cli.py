@@ -52,11 +52,11 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_reconstruct_writes_and_says_so(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
     out = capture_folder.parent / "result"
     code = main(
-        ["reconstruct", str(capture_folder), "--out", str(out), "--preset", "snk", "--set", "knit.mode=addition"]
+        ["reconstruct", str(capture_folder), "--out", str(out), "--preset", "snk", "--set", "knit.method=addition"]
     )
     said = capsys.readouterr()
     assert code == 0
-    assert seen == {"preset": "snk", "settings": {"knit.mode": "addition"}, "shape": (440, 640)}
+    assert seen == {"preset": "snk", "settings": {"knit.method": "addition"}, "shape": (440, 640)}
     assert {path.name for path in out.iterdir()} >= set(FILES)
     assert "preset snk" in said.out
     assert "Please note: No flexion crease is in view" in said.out
@@ -90,7 +90,7 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) 
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [
-        (BadInput("the mask is\nempty."), 2, "splitknit: error: the mask is empty."),
+        (BadInput("the mask is\nempty."), 2, "capture: the mask is empty."),
         (KeyError("height"), 1, "KeyError: 'height' (this is our failure; --traceback shows where)"),
         (ValueError("no BadInput"), 1, "this is our failure"),
         (MemoryError(), 1, "not enough memory"),

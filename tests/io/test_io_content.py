@@ -32,7 +32,7 @@ def full(band: Band) -> int:
 
 def test_black_images_name_their_file_and_led(band: Band) -> None:
     for dark in (0, int(0.009 * full(band))):
-        with pytest.raises(BadInput, match=r"white_2\.png is black: .*did LED 2 light\?"):
+        with pytest.raises(BadInput, match=r"white_2\.png is black: .*check LED 2 and capture it again"):
             check_content(changed(band, 2, dark))
     hot = np.zeros_like(band.pixels[0])
     hot[50, 40] = full(band)  # a hot pixel is no light

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from splitknit.apps.outputs import FILES, write_files
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder, read_capture, write_capture
-from splitknit.pipeline import reconstruct
+from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
 from splitknit.simulate.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
@@ -37,17 +38,20 @@ def reconstruct_to_folder(
 ) -> dict[str, Any]:
     """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more."""
     started = time.perf_counter()
+    settings = dict(changes or {})
+    override(preset_settings(preset), settings)  # a wrong setting is refused before the images are read
     check_target(out, "height.npz", "an earlier result", keep=capture_folder)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
         capture = read_capture(capture_folder)
         read_s = time.perf_counter() - started
-        result = reconstruct(
-            capture, preset, dict(changes or {}), progress=lambda stage, share: progress(stage, 0.15 + 0.65 * share)
-        )
-        result = replace(result, timings_s={"reading": read_s, **result.timings_s})
-        progress("writing", 0.8)
-        facts = write_files(result, capture, target, truth_of(capture))
+        with _naming(capture_folder):
+            result = reconstruct(
+                capture, preset, settings, progress=lambda stage, share: progress(stage, 0.15 + 0.65 * share)
+            )
+            result = replace(result, timings_s={"reading": read_s, **result.timings_s})
+            progress("writing", 0.8)
+            facts = write_files(result, capture, target, truth_of(capture))
     progress("done", 1.0)
     return {
         **facts,
@@ -56,6 +60,15 @@ def reconstruct_to_folder(
         "area_mm2": facts["result"]["area_mm2"],
         "total_s": time.perf_counter() - started,
     }
+
+
+@contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    """Let what stages refuse, which know arrays only, name the capture."""
+    try:
+        yield
+    except BadInput as error:
+        raise BadInput(f"{folder}: {error}") from error
 
 
 def check_target(out: Path, marker: str, words: str, keep: Path | None = None) -> None:

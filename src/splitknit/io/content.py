@@ -107,8 +107,8 @@ def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
     light = sample.astype(np.float32) - np.float32(band.black_level[k])
     require(
         float(light.max()) > settings.dark_fraction * scale,
-        f"{_name(band, k)} is black: its largest value is {int(sample.max())} of {int(scale)}; did {_leds(band, k)} "
-        f"light? Capture it again (or, if data of fewer bits were stored unscaled, scale them).",
+        f"{_name(band, k)} is black: its largest value is {int(sample.max())} of {int(scale)}; check "
+        f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
     )
     require(
         int(sample.max()) > int(sample.min()) or sample.size == 1,
@@ -129,8 +129,8 @@ def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
     require(
         peak > settings.dark_fraction,
         f"{_name(band, k)} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
-        f"{' above the ambient image' if band.ambient is not None else ''}; did {_leds(band, k)} light? "
-        f"Capture it again (or, if data of fewer bits were stored unscaled, scale them).",
+        f"{' above the ambient image' if band.ambient is not None else ''}; check "
+        f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
     )
     return peak
 

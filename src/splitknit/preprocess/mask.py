@@ -114,19 +114,37 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse_px = px_per_mm * fine_scale * coarse_scale
     coarse = blur(coarse, 0.5 * settings.blur_mm * coarse_px)
 
-    mask = _seed(coarse, settings.blur_mm * coarse_px, settings)
-    for _ in range(2):
-        evidence, usable = skin_evidence(
-            coarse, mask, settings.edge_margin_mm * coarse_px, settings.edge_share, settings.noise_factor
-        )
-        require(usable, _NO_FINGER)
-        mask = _clean(evidence > 1.0, mask, settings)
-    require(2.0 * float(depth_inside(mask).max()) >= settings.least_width_mm * coarse_px, _NO_FINGER)
-    require(rise_at_edge(coarse, mask, settings.edge_margin_mm * coarse_px) >= settings.least_step, _NO_FINGER)
-
+    try:
+        mask = _coarse_mask(coarse, coarse_px, settings)
+    except BadInput:
+        check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
+        raise
     result = _outline(fine, mask, (height, width), px_per_mm * fine_scale, settings)
     check_borders(result)
     return result
+
+
+def _coarse_mask(image: FloatArray, px_per_mm: float, settings: MaskSettings) -> BoolArray:
+    """The finger on the coarse copy."""
+    margin = settings.edge_margin_mm * px_per_mm
+    mask = _seed(image, settings.blur_mm * px_per_mm, settings)
+    for _ in range(2):
+        evidence, usable = skin_evidence(image, mask, margin, settings.edge_share, settings.noise_factor)
+        require(usable, _NO_FINGER)
+        mask = _clean(evidence > 1.0, mask, settings)
+    require(2.0 * float(depth_inside(mask).max()) >= settings.least_width_mm * px_per_mm, _NO_FINGER)
+    require(rise_at_edge(image, mask, margin) >= settings.least_step, _NO_FINGER)
+    return mask
+
+
+def _bright_side(image: FloatArray) -> BoolArray:
+    """Whatever is far brighter than the rest of the image (nothing, where no such split shows)."""
+    brightness = image if image.ndim == 2 else image.sum(axis=2)
+    second, _ = two_means(brightness.reshape(-1, 1))
+    split = second.reshape(brightness.shape)
+    levels = [float(brightness[part].mean()) if part.any() else 0.0 for part in (split, ~split)]
+    bright = split if levels[0] > levels[1] else ~split
+    return largest_component(bright) if max(levels) > 3.0 * max(min(levels), 0.0) else np.zeros_like(bright)
 
 
 def touched_borders(mask: BoolArray) -> tuple[str, ...]:

@@ -31,6 +31,8 @@ from splitknit.types import Band, BoolArray, Capture, FloatArray
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
+LEAST_WIDTH_MM = 2.0
+"""A mask that is nowhere as wide as this, about four ridges, is no surface to reconstruct."""
 BEYOND_CREASE_MM = 2.5
 """Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
 
@@ -90,7 +92,7 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
         else:
             wide = _enlarged(wider & (usable | ~kept), full, binning)
             mask = _enlarged(usable, full, binning) & wide
-        require(bool(mask.any()), "no usable part of the finger is left; capture again with more light.")
+        _check_width(kept if given else usable, small_px, given)
         notes = [upright.note] if upright.note else []
         if cut and not crease.found:
             notes.append(crease.verdict)
@@ -104,6 +106,20 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
             "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
         }
     return Finger(mask, wide, _window(wide, px_per_mm), large, facts, quality, (*notes, *warnings))
+
+
+def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> None:
+    """Refuse a mask that is nowhere wide enough to hold a surface."""
+    padded = np.pad(mask.astype(np.uint8), 1)
+    width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
+    require(
+        width_mm >= LEAST_WIDTH_MM,
+        f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {LEAST_WIDTH_MM:g} mm are "
+        "needed; mark the whole finger, or check the rig's px_per_mm."
+        if given
+        else f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images; capture it again with "
+        "more light, or give a mask.",
+    )
 
 
 def _quality(  # noqa: PLR0917
@@ -157,7 +173,7 @@ def _reduced(mask: BoolArray | None, shape: tuple[int, ...]) -> BoolArray:
     assert mask is not None
     small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
     if not small.any():
-        raise BadInput("the given mask is too small: not one block of pixels lies inside it.")
+        raise BadInput("the given mask is too small: not one block of pixels lies inside it; mark the whole finger.")
     return np.asarray(small)
 
 
