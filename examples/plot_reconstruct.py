@@ -1,0 +1,79 @@
+"""From a capture to a metric fingerprint in Python: simulate a small capture, reconstruct it, compare with the truth.
+
+python examples/plot_reconstruct.py                     # prints the figures, a few seconds
+python examples/plot_reconstruct.py --preset ea         # the plain method of the thesis's comparison
+python examples/plot_reconstruct.py --out finger.png    # relief and shaded surface as a picture
+python examples/plot_reconstruct.py --capture DIR       # a capture folder of your own
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import splitknit
+from splitknit.apps.compare import compare
+from splitknit.apps.figures import render_views
+from splitknit.apps.pictures import grey, on_paper, to_frame, upright_frame
+from splitknit.io import write_image
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+
+def describe(result: splitknit.Reconstruction) -> None:
+    """Say what was reconstructed, in the units it comes in."""
+    area = float(result.mask.sum()) * result.pitch_mm**2
+    depth = float(np.nanmax(result.height_mm) - np.nanmin(result.height_mm))
+    facing = result.mask & (result.normals[..., 2] > 0.7)
+    low, high = np.percentile(result.ridge_mm[facing], (5, 95))
+    print(
+        f"preset {result.preset}: {area:.0f} mm2 of skin, {depth:.1f} mm deep, one height each {result.pitch_mm:.3f} mm"
+    )
+    print(f"yaw {result.facts['yaw_deg']:.1f} deg; {result.facts['crease_verdict']}")
+    print(f"relief, 5th to 95th percentile: {1000 * (high - low):.0f} um")
+    if result.uncertainty_um is not None:
+        print(f"stated uncertainty of the relief: {np.median(result.uncertainty_um[facing]):.0f} um (median)")
+    for warning in result.warnings:
+        print(f"please note: {warning}")
+
+
+def picture(result: splitknit.Reconstruction, path: Path) -> None:
+    """Save the relief beside the shaded surface."""
+    frame = upright_frame(result, 900)
+    relief, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
+    shaded = render_views(result, frame).above
+    flat = on_paper(grey(relief, -40.0, 40.0), weight)
+    rows = min(flat.shape[0], shaded.shape[0])
+    write_image(path, np.hstack([flat[:rows], shaded[:rows]]))
+    print(f"written: {path}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--capture", type=Path, help="capture folder; a small one is simulated without it")
+    parser.add_argument("--preset", choices=["metric", "snk", "pr", "ea"], default="metric")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--scale", type=float, default=0.2)
+    parser.add_argument("--out", type=Path, help="picture to write")
+    options = parser.parse_args(arguments)
+    truth = None
+    if options.capture is None:
+        capture, truth = simulate_capture(options.seed, "left_loop", TwinSettings(scale=options.scale))
+    else:
+        capture = splitknit.read_capture(options.capture)
+    result = splitknit.reconstruct(capture, preset=options.preset)
+    describe(result)
+    if truth is not None:
+        figures = compare(result, truth).figures
+        print(
+            f"against the truth: surface rms {figures['surface_rms_mm']:.3f} mm, ridge correlation "
+            f"{figures['ridge_correlation']:.2f}, ridge gain {figures['ridge_gain']:.2f}"
+        )
+    if options.out is not None:
+        picture(result, options.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
