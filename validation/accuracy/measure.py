@@ -59,6 +59,8 @@ def _attempt(capture: Any, truth: Truth, preset: str) -> dict[str, Any]:
         comparison = compare(result, truth)
     except splitknit.BadInput as error:  # a refusal is a result: it is counted
         return {"refused": str(error)}
+    except Exception as error:  # so is a failure of ours
+        return {"refused": f"{type(error).__name__}: {error}"}
     figures = {**comparison.figures, **_pose_figures(result, truth), **_honesty(result, comparison)}
     return {"figures": figures, "seconds": seconds, "warnings": list(result.warnings)}
 
