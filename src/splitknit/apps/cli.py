@@ -166,7 +166,7 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
             options.capture, options.out, preset=options.preset, changes=changes, progress=progress.update
         )
     lines = [
-        f"{facts['area_mm2']:.0f} mm² of skin reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
+        f"{facts['area_mm2']:.0f} mm² reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
         f"Written to {options.out}: {', '.join(facts['files'])}.",
     ]
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]

@@ -207,14 +207,10 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
 
     charted = []
     for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
-        lines = []
-        top = 0.0
-        for name, field in (("surface", result.height_mm), *((("truth", truth["height_mm"]),) if truth else ())):
-            x, y = cut(np.asarray(field, dtype=np.float32), extent / 2, along=along)
-            if not bool(np.isfinite(y).any()):
-                continue
-            top = float(np.nanmean(y))
-            lines.append(charts.Line(name, x, y - top))
+        fields = [("measured", result.height_mm), *([("truth", truth["height_mm"])] if truth else [])]
+        lines = _lines(
+            {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
+        )
         if lines:
             chart = charts.line_chart(lines, "mm from the middle", "height, mm", equal=True)
             caption = f"Height {words} the finger, through its middle, both axes to one scale."
@@ -222,16 +218,20 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     half = min(3.0 / pitch, whole.size[0] / 2)
     fields = [("measured", result.ridge_mm)]
     if truth is not None:
-        fields.insert(0, ("truth", truth["height_mm"] - truth["shape_mm"]))
-    lines = []
-    for name, field in fields:
-        x, y = cut(np.asarray(field, dtype=np.float32), half, along=True)
-        if bool(np.isfinite(y).any()):
-            lines.append(charts.Line(name, x, 1000.0 * (y - np.nanmean(y))))
+        fields.append(("truth", truth["height_mm"] - truth["shape_mm"]))
+    lines = _lines({name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}, 1000.0)
     if lines:
         chart = charts.line_chart(lines, "mm from the middle, tip to the left", "relief, µm")
         charted.append(("Ridges along the finger's axis", chart, "Relief along 6 mm of the axis, mean removed."))
     return charted
+
+
+def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float = 1.0) -> list[charts.Line]:
+    """Curves times `factor`, all with a mean of zero over the places where every one of them is known."""
+    known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts.values()])
+    if not known.any():
+        return []
+    return [charts.Line(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
 
 
 def _close_ups(result: Reconstruction, others: Sequence[Reconstruction], truth: Truth | None) -> list[Picture]:

@@ -23,10 +23,7 @@ from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
 
-NO_NIR = (
-    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and glare bend "
-    "it."
-)
+NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
 NO_NETWORK = (
     "direct light is not separated yet: this preset takes the enhanced images as they are (an identity in place of "
     "the thesis's network)."
@@ -139,8 +136,11 @@ def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tu
     white = capture.bands["white"]
     if settings.shape.source == "white":
         return white, white, ()
+    if settings.method == "thesis" and settings.knit.method == "none":
+        return white, white, ()
     if "nir" not in capture.bands:
-        return white, white, (NO_NIR,)
+        skin = capture.material == "skin"
+        return white, white, (NO_NIR.format("ridges, scattering and glare" if skin else "ridges and glare"),)
     return white, capture.bands["nir"], ()
 
 
