@@ -1,0 +1,149 @@
+"""Other people's pictures through the whole pipeline, with every preset: figures, and files through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.apps.cli import main
+from splitknit.apps.outputs import FILES
+from splitknit.io import capture_from_plain_images, read_lights_txt, write_capture
+from splitknit.normals import robust
+from splitknit.pipeline import reconstruct
+from splitknit.radiance import linear_stack
+from splitknit.types import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
+
+pytestmark = pytest.mark.external
+
+PRESETS = ("metric", "snk", "pr", "ea")
+
+
+def needed(path: Path) -> Path:
+    if not path.exists():
+        pytest.skip(f"{path} is absent")
+    return path
+
+
+@pytest.fixture(scope="module")
+def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
+    """DiLiGenT's bear and its scanned normals."""
+    with np.load(needed(data_dir / "diligent" / "bear.npz")) as data:
+        images, lights, mask, normals = (data[name] for name in ("images", "lights", "mask", "normals"))
+    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
+    count = len(leds)
+    band = Band("white", images[..., None], tuple((k,) for k in range(count)), np.ones(count), np.zeros(count))
+    rig = Rig(Camera(4.0, (images.shape[1], images.shape[2])), leds)
+    return Capture(rig, {"white": band}, material="opaque", mask=mask.astype(bool)), normals
+
+
+@pytest.fixture(scope="module")
+def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
+    """The grey ball, and the heights in mm of the sphere that its outline gives."""
+    folder = needed(data_dir / "psm_spheres")
+    images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
+    lights = read_lights_txt(folder / "lights.txt")
+    capture = capture_from_plain_images(images, lights, 5.0, mask=folder / "gray" / "gray.mask.png")
+    assert capture.mask is not None
+    rows, columns = np.nonzero(capture.mask)
+    radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
+    i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
+    x, y = (j - (columns.min() + columns.max()) / 2) / radius, (i - (rows.min() + rows.max()) / 2) / radius
+    sphere = np.where(np.hypot(x, y) < 0.95, np.sqrt(np.clip(1 - x * x - y * y, 0, None)), np.nan)
+    return capture, sphere * radius / 5.0
+
+
+@pytest.fixture(scope="module")
+def phalange(data_dir: Path) -> Capture:
+    """The sculpted phalange, at a scale that makes it 16 mm wide."""
+    folder = needed(data_dir / "blender_finger" / "phalange")
+    images = [folder / f"light_{k:02d}.png" for k in range(12)]
+    lights = read_lights_txt(folder / "lights.txt")
+    return capture_from_plain_images(images, lights, 40.0, mask=folder / "mask.png", background=71)
+
+
+def sound(result: Reconstruction, mask: BoolArray) -> None:
+    np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
+    for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
+        np.testing.assert_array_equal(np.isfinite(field), mask)
+    np.testing.assert_allclose(np.linalg.norm(result.normals[mask], axis=-1), 1.0, atol=1e-5)
+    assert not result.normals[~mask].any()
+
+
+def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
+    return float(np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))[mask].mean())
+
+
+@pytest.mark.parametrize(("preset", "limit_deg"), [("metric", 6.0), ("snk", 9.6), ("ea", 9.6), ("pr", 12.8)])
+def test_normals_of_the_bear(bear: tuple[Capture, np.ndarray], preset: str, limit_deg: float) -> None:
+    """Of the integrated surface; integration costs `metric` less than half a degree on its photometric stereo."""
+    capture, truth = bear
+    assert capture.mask is not None
+    result = reconstruct(capture, preset)
+    sound(result, capture.mask)
+    error = angle_deg(result.normals, truth, capture.mask)
+    assert error < limit_deg
+    if preset == "metric":
+        white = capture.bands["white"]
+        stack = linear_stack(white, capture.encoding)
+        normals, _ = robust(stack, capture.rig.select(white.leds).light_vectors(), capture.mask)
+        assert error < angle_deg(normals, truth, capture.mask) + 0.5
+
+
+@pytest.mark.parametrize(("preset", "limit"), [("metric", 0.04), ("snk", 0.03), ("ea", 0.03), ("pr", 0.05)])
+def test_heights_of_the_ball(ball: tuple[Capture, np.ndarray], preset: str, limit: float) -> None:
+    """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
+    capture, sphere = ball
+    assert capture.mask is not None
+    result = reconstruct(capture, preset)
+    sound(result, capture.mask)
+    error = (result.height_mm - sphere)[np.isfinite(sphere)]
+    assert error.std() < limit * np.nanmax(sphere)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) -> None:
+    assert phalange.mask is not None
+    result = reconstruct(phalange, preset)
+    sound(result, phalange.mask)
+    middle = result.ridge_mm[250:450, 500:700]
+    window = np.outer(np.hanning(200), np.hanning(200))
+    power = np.abs(np.fft.fft2((middle - middle.mean()) * window)) ** 2
+    cycles = np.hypot(np.fft.fftfreq(200)[:, None], np.fft.fftfreq(200)[None, :])  # per pixel
+    ridges = (cycles > 1 / 60) & (cycles < 1 / 4)
+    period_mm = float(power[ridges].sum() / (power * cycles)[ridges].sum()) * result.pitch_mm
+    assert 0.35 < period_mm < 0.55
+    low, high = np.percentile(result.ridge_mm[phalange.mask], [5, 95])
+    assert 0.04 < high - low < 0.4  # sculpted deep
+    across = result.shape_mm[350]
+    inside = np.flatnonzero(np.isfinite(across))
+    flanks = across[inside[[20, -21]]]
+    assert (flanks < np.nanmax(across) - 2.0).all()  # round: high in the middle
+    assert inside[0] + 0.25 * inside.size < np.nanargmax(across) < inside[-1] - 0.25 * inside.size
+    along = result.shape_mm[20:, inside[inside.size // 2]]
+    assert np.ptp(along[np.isfinite(along)]) < 8.0
+
+
+def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Path, capsys) -> None:
+    """Through files and the command line: the same finger, and all results."""
+    assert phalange.mask is not None
+    given = phalange.mask
+    write_capture(phalange, tmp_path / "capture")
+    document = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    del document["mask"]
+    (tmp_path / "capture" / "capture.json").write_text(json.dumps(document))
+    out = tmp_path / "result"
+    assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert {path.name for path in out.iterdir()} >= set(FILES)
+    assert facts["facts"]["separation"] == "none (opaque material)"
+    with np.load(out / "height.npz") as arrays:
+        mask = arrays["mask"]
+        assert (mask & given).sum() > 0.94 * (mask | given).sum()
+        assert np.isfinite(arrays["height_mm"][mask]).all()
+    prints = cv2.imread(str(out / "print.png"), cv2.IMREAD_GRAYSCALE)
+    assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
