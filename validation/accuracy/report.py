@@ -1,4 +1,4 @@
-"""Write the figures of ``results.json`` into ``docs/accuracy.md``, between its marks.
+"""Write the figures of ``results.json`` into ``docs/accuracy.md`` and the README, between their marks.
 
 python validation/accuracy/report.py            # writes
 python validation/accuracy/report.py --check    # exit code 1 if the page does not show what results.json holds
@@ -17,7 +17,12 @@ from typing import Any
 from summary import ROWS, Row
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "accuracy.md"
+ROOT = HERE.parents[1]
+PAGES = {
+    ROOT / "docs" / "accuracy.md": ("run", "targets", "population", "variations_summary", "variations", "singles"),
+    ROOT / "README.md": ("run", "targets"),
+}
+"""The marks of every page."""
 Tree = Mapping[str, Any]
 
 
@@ -183,23 +188,27 @@ def filled(page: str, texts: Mapping[str, str]) -> str:
         pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
         page, count = pattern.subn(lambda match, text=text: f"{match[1]}{text}\n{match[2]}", page)
         if count != 1:
-            raise ValueError(f"{PAGE.name} has {count} places for '{name}'; one was expected.")
+            raise ValueError(f"the page has {count} places for '{name}'; one was expected.")
     return page
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; say whether the page is up to date")
+    parser.add_argument("--check", action="store_true", help="write nothing; say whether the pages are up to date")
     parser.add_argument("--results", type=Path, default=HERE / "results.json")
-    parser.add_argument("--page", type=Path, default=PAGE)
     options = parser.parse_args(arguments)
-    old = options.page.read_text(encoding="utf-8")
-    new = filled(old, parts(json.loads(options.results.read_text())))
+    texts = parts(json.loads(options.results.read_text()))
+    stale = []
+    for page, marks in PAGES.items():
+        old = page.read_text(encoding="utf-8")
+        new = filled(old, {name: texts[name] for name in marks if name in texts})
+        if new != old:
+            stale.append(page.name)
+            if not options.check:
+                page.write_text(new, encoding="utf-8")
     if options.check:
-        print("up to date" if new == old else "not up to date: run validation/accuracy/report.py")
-        return int(new != old)
-    options.page.write_text(new, encoding="utf-8")
-    return 0
+        print(f"not up to date: {', '.join(stale)}" if stale else "up to date")
+    return int(options.check and bool(stale))
 
 
 if __name__ == "__main__":
