@@ -1,4 +1,4 @@
-"""Other people's pictures through the whole pipeline, with every preset: figures, and files through the command line."""
+"""Pictures of others through the whole pipeline, with every preset: figures, and files through the command line."""
 
 from __future__ import annotations
 

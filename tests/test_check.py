@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput, check_image, check_lights, check_mask, check_stack, require
+
+RING = np.array([[np.cos(a), np.sin(a), 2.0] for a in 2 * np.pi * np.arange(5) / 5])
+
+
+def test_bad_input_is_a_value_error() -> None:
+    require(True, "never seen")
+    with pytest.raises(ValueError, match="this is why"):
+        require(False, "this is why")
+
+
+def test_stacks() -> None:
+    stack = check_stack(np.ones((3, 4, 5), dtype=np.uint8), least=3)
+    assert stack.dtype == np.float32
+    for bad, words in (
+        (np.ones((4, 5)), r"\(4, 5\)"),
+        (np.ones((2, 4, 5)), "at least 3"),
+        (np.ones((3, 0, 5)), "empty"),
+        (np.full((3, 4, 5), np.inf), "infinite"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            check_stack(bad, least=3)
+
+
+def test_images() -> None:
+    assert check_image([[1, 2], [3, 4]]).dtype == np.float32
+    for bad in (np.ones(4), np.ones((0, 4)), np.array([[1.0, np.nan]])):
+        with pytest.raises(BadInput, match="the picture"):
+            check_image(bad, name="the picture")
+
+
+def test_masks() -> None:
+    assert check_mask(None, (2, 3)).all()
+    np.testing.assert_array_equal(check_mask([[0, 2]], (1, 2)), [[False, True]])
+    with pytest.raises(BadInput, match="shape"):
+        check_mask(np.ones((2, 2)), (2, 3))
+    with pytest.raises(BadInput, match="empty"):
+        check_mask(np.zeros((2, 3)), (2, 3))
+
+
+def test_lights_keep_their_length() -> None:
+    strong = RING * np.array([[1], [2], [3], [4], [5]])
+    np.testing.assert_array_equal(check_lights(strong, 5), strong)
+
+
+@pytest.mark.parametrize(
+    ("lights", "words"),
+    [
+        (RING[:, :2], r"\(L, 3\)"),
+        (RING[:2], "at least 3"),
+        (np.where(np.eye(5, 3), np.nan, RING), "NaN"),
+        (RING * np.array([[1], [0], [1], [1], [1]]), r"zero vector \(light 1\)"),
+        (np.vstack([RING, 3 * RING[2]]), "2 and 5 have the same direction"),
+        (np.column_stack([np.arange(-2.0, 3.0), np.zeros(5), np.ones(5)]), "coplanar"),
+    ],
+)
+def test_lights_that_determine_no_normal(lights: np.ndarray, words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        check_lights(lights)
+
+
+def test_lights_must_match_the_images() -> None:
+    with pytest.raises(BadInput, match="5 lights for 7 images"):
+        check_lights(RING, 7)
+
+
+def test_weak_but_real_depth_of_lights_is_enough() -> None:
+    """Directions 2 deg about one: all near a line, but not in a plane."""
+    angles = 2 * np.pi * np.arange(3) / 3
+    assert len(check_lights(np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)]))) == 3
