@@ -21,6 +21,9 @@ CHANNELS = {"red": 0, "green": 1, "blue": 2}
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """ITU-R BT.601 luma weights, the conversion behind the thesis's grey images."""
 
+CHUNK_ROWS = 64
+"""Rows of an image that are made at a time."""
+
 Window = tuple[slice, slice]
 
 
@@ -55,21 +58,30 @@ def linear_image(
     (H // binning, W // binning, C) float32
     """
     height, width = (n // binning for n in pixels.shape[:2])
-    stored = np.ascontiguousarray(pixels[: height * binning, : width * binning])
-    table = decode_table(stored.dtype, encoding)
-    if encoding == "linear":
-        light = stored.astype(np.float32)
-        light *= table[1]
-    elif stored.dtype == np.uint8:
-        light = np.asarray(cv2.LUT(stored.view(np.uint8), table), dtype=np.float32).reshape(stored.shape)
-    else:
-        light = table[stored]
-    if binning > 1:
-        light = np.asarray(cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-    light = light.reshape(height, width, pixels.shape[2])
+    table = decode_table(pixels.dtype, encoding)
+    light = np.empty((height, width, pixels.shape[2]), dtype=np.float32)
+    for top in range(0, height, CHUNK_ROWS):  # what is between stored values and means stays small
+        part = slice(top, min(top + CHUNK_ROWS, height))
+        stored = pixels[part.start * binning : part.stop * binning, : width * binning]
+        decoded = _decoded(np.ascontiguousarray(stored), table, encoding)
+        if binning > 1:
+            size = (width, part.stop - part.start)
+            decoded = np.asarray(cv2.resize(decoded, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        light[part] = decoded.reshape(light[part].shape)
     light -= np.float32(np.interp(black_level, np.arange(table.size), table))
     light *= np.float32(1.0 / exposure)
     return light
+
+
+def _decoded(stored: NDArray[Any], table: FloatArray, encoding: str) -> FloatArray:
+    """Linear light of contiguous stored values, by `table` of :func:`decode_table`."""
+    if encoding == "linear":
+        light = stored.astype(np.float32)
+        light *= table[1]
+        return light
+    if stored.dtype == np.uint8:
+        return np.asarray(cv2.LUT(stored.view(np.uint8), table), dtype=np.float32).reshape(stored.shape)
+    return np.asarray(table[stored])
 
 
 def linear_channels(
@@ -92,27 +104,67 @@ def linear_channels(
     """
     for channel in channels:
         require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
-    rows, columns = window if window is not None else (slice(None), slice(None))
-    ambient: FloatArray | None = None
-    if band.ambient is not None:
-        ambient = linear_image(
-            band.ambient[rows, columns], encoding, band.ambient_exposure, band.ambient_black_level, binning
-        )
-    shape = band.pixels[0, rows, columns].shape[:2]
+    where = window if window is not None else (slice(None), slice(None))
+    ambient = _ambient_light(band, encoding, where, binning)
+    shape = band.pixels[0][where].shape[:2]
     count = band.pixels.shape[0]
     stack = np.empty((len(channels), count, shape[0] // binning, shape[1] // binning), dtype=np.float32)
 
     def work(k: int) -> None:
-        exposure, black = float(band.exposure[k]), float(band.black_level[k])
-        light = linear_image(band.pixels[k, rows, columns], encoding, exposure, black, binning)
-        if ambient is not None:
-            light -= ambient
+        light = _lit_light(band, k, encoding, where, binning, ambient)
         for c, channel in enumerate(channels):
             stack[c, k] = pick_channel(light, channel)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(count)))
     return stack
+
+
+def _ambient_light(band: Band, encoding: str, window: Window, binning: int) -> FloatArray | None:
+    if band.ambient is None:
+        return None
+    return linear_image(band.ambient[window], encoding, band.ambient_exposure, band.ambient_black_level, binning)
+
+
+def _lit_light(  # noqa: PLR0917
+    band: Band, k: int, encoding: str, window: Window, binning: int, ambient: FloatArray | None
+) -> FloatArray:
+    """Linear light (h, w, C) of image k without the ambient light."""
+    exposure, black = float(band.exposure[k]), float(band.black_level[k])
+    light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
+    if ambient is not None:
+        light -= ambient
+    return light
+
+
+def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Mean over all images with all their channels, and every image in grey, without ever holding both for all.
+
+    Returns
+    -------
+    mean : (h, w, C) float32
+    grey : (L, h, w) float32
+        As :func:`linear_stack` gives it.
+    """
+    count = band.pixels.shape[0]
+    height, width = (n // binning for n in band.pixels.shape[1:3])
+    total = np.zeros((height, width, band.pixels.shape[3]), dtype=np.float32)
+    grey = np.empty((count, height, width), dtype=np.float32)
+    ambient = _ambient_light(band, encoding, (slice(None), slice(None)), binning)
+
+    def work(k: int) -> FloatArray:
+        light = _lit_light(band, k, encoding, (slice(None), slice(None)), binning, ambient)
+        grey[k] = pick_channel(light, "grey")
+        return light
+
+    with ThreadPoolExecutor(2) as pool:
+        waiting = [pool.submit(work, k) for k in range(min(3, count))]
+        for k in range(count):  # summed in their order, whichever thread was faster
+            total += waiting.pop(0).result()
+            if k + 3 < count:
+                waiting.append(pool.submit(work, k + 3))
+    total /= np.float32(count)
+    return total, grey
 
 
 def linear_stack(

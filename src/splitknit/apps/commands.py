@@ -51,6 +51,7 @@ def reconstruct_to_folder(
             )
             result = replace(result, timings_s={"reading": read_s, **result.timings_s})
             progress("writing", 0.8)
+            capture = _shown_of(capture)
             facts = write_files(result, capture, target, truth_of(capture))
     progress("done", 1.0)
     return {
@@ -69,6 +70,15 @@ def _naming(folder: Path) -> Iterator[None]:
         yield
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
+
+
+def _shown_of(capture: Capture) -> Capture:
+    """The capture with the images that a report shows; the others are let go, for the sake of memory."""
+    bands = {
+        name: band if name == "white" else replace(band, pixels=band.pixels[:0].copy(), ambient=None)
+        for name, band in capture.bands.items()
+    }
+    return replace(capture, bands=bands)
 
 
 def check_target(out: Path, marker: str, words: str, keep: Path | None = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,15 @@ from splitknit.preprocess import (
     shot_motion,
 )
 from splitknit.preprocess.phalange import Crease
-from splitknit.radiance import Window, has_colour, linear_channels, linear_image, pick_channel, saturation_levels
+from splitknit.radiance import (
+    Window,
+    has_colour,
+    linear_image,
+    linear_stack,
+    linear_survey,
+    pick_channel,
+    saturation_levels,
+)
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.types import Band, BoolArray, Capture, FloatArray
@@ -65,22 +74,19 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
         px_per_mm = capture.rig.camera.px_per_mm
         binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
         white = capture.bands["white"]
-        channels = ("red", "green", "blue") if has_colour(white) else ("grey",)
-        survey = linear_channels(white, capture.encoding, channels, binning=binning)
-        mean = np.moveaxis(survey.mean(axis=1), 0, -1)
+        mean, stack = linear_survey(white, capture.encoding, binning)
         grey = pick_channel(mean, "grey")
         small_px = px_per_mm / binning
         given = capture.mask is not None
         if given:
             outline = _reduced(capture.mask, grey.shape)
         else:
-            outline = finger_mask(mean if len(channels) == 3 else grey, small_px, settings.mask)
+            outline = finger_mask(mean if has_colour(white) else grey, small_px, settings.mask)
             check_borders(outline)
         upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
         crease = find_crease(grey, outline, upright, small_px, settings.crease)
         cut = settings.cut_at_crease and not given
         kept = phalange_mask(outline, crease, upright) if cut else outline
-        stack = np.stack([pick_channel(np.moveaxis(survey[:, k], 0, -1), "grey") for k in range(survey.shape[1])])
         limits = saturation_levels(white, capture.encoding)
         usable = photometric_mask(stack, kept, small_px, settings.photometric, saturation=limits) if not given else kept
         wider = _beyond(outline, crease, upright, small_px) if cut else outline
@@ -132,26 +138,28 @@ def _quality(  # noqa: PLR0917
     binning: int,
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Quality figures and warnings of every band."""
-    quality: dict[str, Any] = {}
-    warnings: list[str] = []
-    for name, band in capture.bands.items():
-        stack = white
+
+    def of_band(name: str) -> tuple[dict[str, Any], list[str]]:
+        band, stack, saturation = capture.bands[name], white, limits
         if name != "white":
-            stack = linear_channels(band, capture.encoding, ("grey",), binning=binning)[0]
-            limits = saturation_levels(band, capture.encoding)
+            stack = linear_stack(band, capture.encoding, "grey", binning=binning)
+            saturation = saturation_levels(band, capture.encoding)
         lights = capture.rig.select(band.leds).light_vectors()
         ambient = _ambient(band, capture.encoding, binning)
         found = capture_quality(
-            stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=limits, settings=settings.quality
+            stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation, settings=settings.quality
         )
         words = list(quality_warnings(found, settings.quality))
         if len(stack) >= 4:
             motion = shot_motion(stack, outline, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             words += motion_warnings(motion, settings.motion)
-        quality[name] = found
-        warnings += [f"{name} band: {text}" for text in words]
-    return quality, tuple(warnings)
+        return found, [f"{name} band: {text}" for text in words]
+
+    with ThreadPoolExecutor(2) as pool:
+        found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
+    quality = {name: figures for name, (figures, _) in found.items()}
+    return quality, tuple(text for _, words in found.values() for text in words)
 
 
 def _ambient(band: Band, encoding: str, binning: int) -> FloatArray | None:
