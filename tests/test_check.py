@@ -57,6 +57,7 @@ def test_lights_keep_their_length() -> None:
         (RING * np.array([[1], [0], [1], [1], [1]]), r"zero vector \(light 1\)"),
         (np.vstack([RING, 3 * RING[2]]), "2 and 5 have the same direction"),
         (np.column_stack([np.arange(-2.0, 3.0), np.zeros(5), np.ones(5)]), "coplanar"),
+        (np.column_stack([np.arange(-2.0, 3.0), [0.01, 0, 0.02, 0, 0.01], np.ones(5)]), "coplanar"),
     ],
 )
 def test_lights_that_determine_no_normal(lights: np.ndarray, words: str) -> None:

@@ -1,0 +1,246 @@
+"""The recipe as a whole, on a small simulated finger: what it keeps, where it puts it, and what it says about it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinds import turned
+from splitknit.apps.compare import compare
+from splitknit.apps.outputs import upright_mesh
+from splitknit.check import BadInput
+from splitknit.geometry import height_gradients, normals_from_gradients, warp
+from splitknit.io import read_capture, read_npz
+from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
+from splitknit.settings import flatten
+from splitknit.simulate.finger import Pose
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.types import Capture, Reconstruction
+
+Truth = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def capture(twin_folder: Path) -> Capture:
+    return read_capture(twin_folder)
+
+
+@pytest.fixture(scope="module")
+def truth(twin_folder: Path) -> Truth:
+    return read_npz(twin_folder / "truth.npz")
+
+
+@pytest.fixture(scope="module")
+def results(capture: Capture) -> dict[str, Reconstruction]:
+    return {preset: reconstruct(capture, preset) for preset in PRESETS}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_results_lie_on_the_input_grid(results: dict[str, Reconstruction], capture: Capture, preset: str) -> None:
+    result = results[preset]
+    assert result.preset == preset
+    assert result.pitch_mm == pytest.approx(1 / (0.15 * 75.7), rel=1e-3)
+    fields = [result.height_mm, result.ridge_mm, result.shape_mm, result.albedo]
+    fields += [result.uncertainty_um] if preset == "metric" else []
+    for field in fields:
+        assert field.shape == capture.shape
+        assert field.dtype == np.float32
+        np.testing.assert_array_equal(np.isfinite(field), result.mask)
+    assert (result.uncertainty_um is None) == (preset != "metric")
+    inside = result.mask
+    np.testing.assert_allclose((result.ridge_mm + result.shape_mm)[inside], result.height_mm[inside], atol=1e-4)
+    expected = normals_from_gradients(*height_gradients(result.height_mm, result.pitch_mm))
+    np.testing.assert_allclose(result.normals[inside], expected[inside], atol=1e-5)
+    assert not result.normals[~inside].any()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], truth: Truth, preset: str) -> None:
+    """At a sixth of the full scale a ridge has five pixels; validation holds the accuracy at full scale."""
+    figures = compare(results[preset], truth).figures
+    assert figures["surface_rms_mm"] < 1.2
+    assert figures["mask_on_finger"] > 0.99
+    assert figures["ridge_correlation"] > 0.15
+    assert figures["ridge_gain"] > 0.02
+
+
+def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], capture: Capture) -> None:
+    for preset, result in results.items():
+        words = " ".join(result.warnings)
+        assert ("identity" in result.facts["separation"]) == (preset in ("pr", "snk"))
+        assert ("direct light is not separated yet" in words) == (preset in ("pr", "snk"))
+        assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
+        assert result.facts["mask"] == "found"
+        assert result.settings == asdict(preset_settings(preset))
+        assert result.hashes == capture.hashes
+        assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
+        assert {"finger", "light", "surface", "result"} <= set(result.timings_s)
+        assert all(seconds >= 0 for seconds in result.timings_s.values())
+        assert set(result.quality) == {"white", "nir"}
+        assert len(result.quality["nir"]["led_relative"]) == 7
+
+
+def test_progress_only_grows(capture: Capture) -> None:
+    shares: list[float] = []
+    reconstruct(capture, "snk", progress=lambda _, share: shares.append(share))
+    assert shares == sorted(shares)
+    assert 0 <= shares[0] < shares[-1] <= 1
+
+
+def test_the_phalange_ends_at_the_crease(results: dict[str, Reconstruction], capture: Capture, truth: Truth) -> None:
+    result = results["ea"]
+    assert result.facts["crease_found"]
+    assert 20 < result.facts["crease_distance_mm"] < 30
+    whole = reconstruct(capture, "ea", {"cut_at_crease": False})
+    assert (whole.mask & ~result.mask).sum() > 30 * capture.shape[1] // 10
+    assert not (result.mask & ~whole.mask).any()
+    (left, upper), (right, lower) = result.facts["crease_line"]
+    columns = np.arange(int(left) + 5, int(right) - 5)
+    ends = np.array([np.flatnonzero(result.mask[:, column]).max() for column in columns])
+    assert np.polyfit(columns, ends, 1)[0] == pytest.approx(-np.tan(np.deg2rad(result.facts["yaw_deg"])), abs=0.01)
+    assert ends.mean() == pytest.approx((upper + lower) / 2, abs=1.5)  # straight across, at the crease's middle
+    below = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]][0] > ends.min()
+    lost = truth["mask"].astype(bool) & ~below & ~result.mask
+    assert lost.sum() < 0.02 * result.mask.sum()
+
+
+def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
+    result = results["ea"]
+    assert abs(np.linalg.det(result.input_from_upright) - 1) < 1e-9  # turned and moved, not scaled
+    upright = warp(result.mask.astype(np.float32), result.input_from_upright, result.upright_size) > 0.5
+    assert upright.sum() == pytest.approx(result.mask.sum(), rel=0.01)  # nothing is cut off
+    widths = upright.sum(axis=1)
+    rows = np.flatnonzero(widths)
+    assert rows[0] < 0.1 * upright.shape[0]
+    assert widths[rows[0] + 3] < 0.5 * widths.max()  # round above
+    assert widths[rows[-1] - 3] > 0.8 * widths.max()  # cut straight below
+    middle = [np.flatnonzero(upright[row]).mean() for row in (rows[0] + 20, rows[-1] - 20)]
+    assert abs(middle[0] - middle[1]) < 4
+
+
+def test_mesh_and_heights_are_one_surface(results: dict[str, Reconstruction]) -> None:
+    """Each vertex, taken back to the input by `input_from_upright`'s turn, is its pixel."""
+    result = results["snk"]
+    vertices, _, _, _ = upright_mesh(result)
+    assert len(vertices) == result.mask.sum()
+    rows, columns = np.nonzero(result.mask)
+    np.testing.assert_array_equal(vertices[:, 2], result.height_mm[rows, columns])
+    turn = result.input_from_upright[:2, :2]
+    upright = np.stack([vertices[:, 0], -vertices[:, 1]]) / result.pitch_mm  # column, row
+    back = turn @ upright
+    np.testing.assert_allclose(back[0] - back[0].mean(), columns - columns.mean(), atol=0.01)
+    np.testing.assert_allclose(back[1] - back[1].mean(), rows - rows.mean(), atol=0.01)
+
+
+@pytest.mark.parametrize(("quarter_turns", "tip_deg"), [(1, 90.0), (2, 180.0), (3, -90.0)])
+def test_a_turned_capture_gives_the_turned_surface(
+    capture: Capture, results: dict[str, Reconstruction], quarter_turns: int, tip_deg: float
+) -> None:
+    """Images, lights and tip turned together: the same finger, up to rounding."""
+    result = reconstruct(turned(capture, quarter_turns, tip_deg), "snk")
+    expected = results["snk"]
+    mask = np.rot90(expected.mask, quarter_turns)
+    assert (result.mask & mask).sum() > 0.995 * (result.mask | mask).sum()
+    difference = (result.height_mm - np.rot90(expected.height_mm, quarter_turns))[result.mask & mask]
+    assert difference.std() < 0.03
+    turn = result.facts["yaw_deg"] - expected.facts["yaw_deg"]
+    assert abs((turn - tip_deg + 180) % 360 - 180) < 0.5
+    assert result.upright_size == pytest.approx(expected.upright_size, abs=4)
+
+
+def test_a_yawed_finger_is_the_same_phalange() -> None:
+    """The same finger laid down straight and turned by 17 deg: upright, its relief and outline agree."""
+    uprights = []
+    for yaw in (0.0, 0.3):
+        pose = Pose(insertion_mm=28.0, yaw_rad=yaw)
+        simulated, _ = simulate_capture(3, "whorl", TwinSettings(scale=0.15, pose=pose))
+        result = reconstruct(simulated, "snk")
+        assert result.facts["yaw_deg"] == pytest.approx(np.rad2deg(yaw), abs=1.0)
+        fields = [np.nan_to_num(result.shape_mm), result.mask.astype(np.float32)]
+        size = (330, 200)
+        uprights.append([warp(field, result.input_from_upright, size) for field in fields])
+        uprights[-1].append(result.facts["crease_distance_mm"])
+    (shape_0, mask_0, crease_0), (shape_1, mask_1, crease_1) = uprights
+    assert crease_0 == pytest.approx(crease_1, abs=0.2)
+    both, either = (mask_0 > 0.5) & (mask_1 > 0.5), (mask_0 > 0.5) | (mask_1 > 0.5)
+    assert both.sum() > 0.95 * either.sum()
+    inside = both & (warp(mask_0, np.eye(3), mask_0.shape) > 0.99)
+    difference = (shape_0 - shape_1)[inside]
+    assert (difference - difference.mean()).std() < 0.25
+
+
+def test_a_given_mask_is_used_as_it_is(capture: Capture, truth: Truth) -> None:
+    """Across the crease, with a hole, and touching three borders: not a pixel is changed."""
+    mask = truth["mask"].astype(bool)
+    mask[100:104, 236:240] = False
+    mask[-6:] = True
+    result = reconstruct(replace(capture, mask=mask), "ea")
+    np.testing.assert_array_equal(result.mask, mask)
+    np.testing.assert_array_equal(np.isfinite(result.height_mm), mask)
+    assert result.facts["mask"] == "given"
+    assert not result.facts["crease_found"]
+
+
+def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, Any]:
+    one, two = flatten(asdict(first)), flatten(asdict(second))
+    assert one.keys() == two.keys()
+    return {name: two[name] for name in one if one[name] != two[name]}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"knit.method": "crossover"},
+        {"height.method": "poisson"},
+        {"height.padding": "mirror"},
+        {"enhance.clahe": False},
+        {"shapelets.scales": 4},
+        {"shape.source": "white"},
+        {"normals.method": "robust"},
+    ],
+)
+def test_one_setting_changes_one_thing(
+    capture: Capture, results: dict[str, Reconstruction], change: dict[str, Any]
+) -> None:
+    base = results["snk"]
+    result = reconstruct(capture, "snk", change)
+    before, after = flatten(base.settings), flatten(result.settings)
+    assert {name: after[name] for name in after if after[name] != before[name]} == change
+    np.testing.assert_array_equal(result.mask, base.mask)
+    assert not np.array_equal(result.height_mm, base.height_mm, equal_nan=True)
+
+
+def test_whole_settings_are_taken_too(capture: Capture) -> None:
+    chosen = replace(preset_settings("ea"), cut_at_crease=False)
+    assert reconstruct(capture, "ea", chosen).settings == asdict(chosen)
+
+
+def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
+    assert differing(PRESETS["ea"], PRESETS["pr"]) == {"enhance.clahe": True}
+    assert differing(PRESETS["pr"], PRESETS["snk"]) == {"knit.method": "addition"}
+    assert PRESETS["ea"].height.method == "frankot_chellappa"
+    assert PRESETS["snk"].shapelets.scales == 3
+
+
+def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
+    metric = preset_settings("metric")
+    assert undoes_blur(capture, metric)
+    assert not undoes_blur(replace(capture, material="opaque"), metric)
+    told = replace(metric, skin=replace(metric.skin, invert_blur=False))
+    assert not undoes_blur(capture, told)
+    result = reconstruct(capture, "metric", {"skin.invert_blur": False})
+    assert result.uncertainty_um is None
+    assert result.facts["separation"].startswith("none")
+
+
+def test_what_is_refused(capture: Capture) -> None:
+    with pytest.raises(BadInput, match=r"no preset 'best'; known are metric, snk, pr, ea"):
+        reconstruct(capture, "best")
+    with pytest.raises(BadInput, match="no band 'white'"):
+        reconstruct(replace(capture, bands={"nir": capture.bands["nir"]}))
+    with pytest.raises(BadInput, match=r"there is no setting 'knit\.glue'"):
+        reconstruct(capture, "snk", {"knit.glue": 1})

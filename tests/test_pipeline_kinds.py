@@ -1,0 +1,185 @@
+"""Captures of other kinds than the rig's: each gives a plausible surface with every preset that it concerns."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import kinds
+from small_capture import copy_of, edit
+from splitknit.apps.compare import compare
+from splitknit.check import BadInput
+from splitknit.io import read_capture, read_image, read_npz, write_capture
+from splitknit.pipeline import PRESETS, reconstruct
+from splitknit.simulate.background import BackgroundSettings
+from splitknit.simulate.finger import Pose, draw_finger, finger_surface
+from splitknit.simulate.rig import default_rig
+from splitknit.simulate.sensor import SensorSettings
+from splitknit.simulate.skin import SkinSettings
+from splitknit.simulate.twin import TwinSettings, photograph, simulate_capture
+from splitknit.types import Capture, Reconstruction
+
+Truth = dict[str, np.ndarray]
+
+QUICK = {"metric.rounds": 1, "metric.coarse_steps": [2]}
+"""A short run of the metric recipe: enough to see that a kind of capture gets through."""
+
+
+def quick(capture: Capture, preset: str) -> Reconstruction:
+    return reconstruct(capture, preset, QUICK if preset == "metric" else None)
+
+
+@pytest.fixture(scope="module")
+def capture(twin_folder: Path) -> Capture:
+    return read_capture(twin_folder)
+
+
+@pytest.fixture(scope="module")
+def truth(twin_folder: Path) -> Truth:
+    return read_npz(twin_folder / "truth.npz")
+
+
+def plausible(result: Reconstruction, truth: Truth, rms_mm: float = 1.3) -> None:
+    mask = result.mask
+    for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
+        np.testing.assert_array_equal(np.isfinite(field), mask)
+    assert np.isfinite(result.normals).all()
+    figures = compare(result, truth).figures
+    assert figures["surface_rms_mm"] < rms_mm
+    assert figures["mask_on_finger"] > 0.98
+    assert figures["ridge_correlation"] > 0.1
+
+
+KINDS: dict[str, Callable[[Capture], Capture]] = {
+    "grey skin": lambda capture: kinds.grey(capture, "skin"),
+    "grey opaque": lambda capture: kinds.grey(capture, "opaque"),
+    "three lights": lambda capture: kinds.chosen_lights(capture, [0, 2, 4]),
+    "no ambient": lambda capture: kinds.each_band(capture, lambda band: replace(band, ambient=None)),
+    "several leds": kinds.paired_lights,
+    "distant leds": kinds.distant,
+    "perspective": kinds.perspective,
+    "no nir": lambda capture: replace(capture, bands={"white": capture.bands["white"]}),
+}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_kinds_of_captures(kind: str, preset: str, capture: Capture, truth: Truth) -> None:
+    result = quick(KINDS[kind](capture), preset)
+    plausible(result, truth)
+    words = " ".join(result.warnings)
+    no_nir = kind in ("grey skin", "grey opaque", "no nir")
+    assert ("no near-infrared band" in words) == (no_nir and preset in ("metric", "snk"))
+    assert ("images are grey" in words) == (kind == "grey skin" and preset == "metric")
+    assert ("perspective" in words) == (kind == "perspective" and preset == "metric")
+
+
+@pytest.mark.parametrize("size", [(323, 459), (329, 470)])
+def test_odd_sizes(size: tuple[int, int], capture: Capture, truth: Truth) -> None:
+    rows, columns = slice(0, size[0]), slice(7, 7 + size[1])
+    part = {name: truth[name][rows, columns] for name in ("height_mm", "shape_mm", "mask")}
+    for preset in ("metric", "snk"):
+        plausible(quick(kinds.cropped(capture, rows, columns), preset), part)
+
+
+@pytest.mark.parametrize("preset", ["metric", "ea"])
+def test_a_finger_that_one_side_cuts(preset: str, capture: Capture, truth: Truth) -> None:
+    columns = np.flatnonzero(truth["mask"].any(axis=0))
+    kept = slice(0, int(columns[0] + 0.75 * np.ptp(columns)))
+    part = {name: truth[name][:, kept] for name in ("height_mm", "shape_mm", "mask")}
+    plausible(quick(kinds.cropped(capture, slice(None), kept), preset), part, 1.8)
+
+
+TWINS: dict[str, TwinSettings] = {
+    "tiny": TwinSettings(scale=0.1),
+    "smallest": TwinSettings(scale=0.05),
+    "srgb": TwinSettings(sensor=SensorSettings(encoding="srgb")),
+    "sixteen bits": TwinSettings(sensor=SensorSettings(bits=16)),
+    "short": TwinSettings(pose=Pose(insertion_mm=18.0)),
+    "rolled": TwinSettings(pose=Pose(insertion_mm=27.0, roll_rad=0.35, pitch_rad=0.14)),
+    "dark skin": TwinSettings(skin=SkinSettings(melanin=0.02, glare=1.3, roughness=0.2)),
+    "fair skin": TwinSettings(skin=SkinSettings(melanin=0.0002, blood=0.003)),
+    "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, gradient=0.5, albedo=0.02)),
+    "dust": TwinSettings(background=BackgroundSettings(dust_per_cm2=15.0)),
+}
+
+
+@pytest.mark.parametrize("kind", TWINS)
+def test_kinds_of_fingers_and_cameras(kind: str) -> None:
+    settings = TWINS[kind]
+    capture, truth = simulate_capture(3, "whorl", replace(settings, scale=min(settings.scale, 0.12)))
+    result = quick(capture, "metric")
+    if kind == "smallest":  # a ridge has less than two pixels: there is a shape, but no relief to compare
+        assert compare(result, truth).figures["surface_rms_mm"] < 1.3
+    else:
+        plausible(result, truth)
+
+
+def test_two_creases_in_view() -> None:
+    """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not at its second."""
+    settings = TwinSettings(scale=0.15)
+    rig = default_rig(0.15)
+    camera = replace(rig.camera, image_size=(720, 480))
+    surface = finger_surface(draw_finger(5, "left_loop"), Pose(insertion_mm=57.0), camera)
+    simulated, truth = photograph(
+        surface, replace(rig, camera=camera), SkinSettings(), np.random.SeedSequence(1), settings=settings
+    )
+    result = reconstruct(simulated, "ea")
+    assert result.facts["crease_found"], result.facts["crease_verdict"]
+    assert 20 < result.facts["crease_distance_mm"] < 30
+    assert truth["mask"][-100:].any()
+    plausible(result, truth)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tiff"])
+def test_other_files(suffix: str, twin_folder: Path, truth: Truth, tmp_path: Path) -> None:
+    """JPEG of 8 and TIFF of 16 bits in place of the PNGs."""
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    for file in sorted(folder.glob("*.png")):
+        pixels = read_image(file)
+        picture = pixels[..., ::-1] if suffix == "jpg" else pixels[..., ::-1].astype(np.uint16) * 257
+        options = [cv2.IMWRITE_JPEG_QUALITY, 97] if suffix == "jpg" else []
+        assert cv2.imwrite(str(file.with_suffix(f".{suffix}")), picture, options)
+        file.unlink()
+    text = (folder / "capture.json").read_text().replace(".png", f".{suffix}")
+    (folder / "capture.json").write_text(text)
+    assert json.loads(text)["bands"]["white"]["images"][0] == f"white_0.{suffix}"
+    capture = read_capture(folder)
+    reference = reconstruct(read_capture(twin_folder), "ea")
+    result = reconstruct(capture, "ea")
+    plausible(result, truth)
+    both = result.mask & reference.mask
+    assert both.sum() > 0.99 * reference.mask.sum()
+    difference = (result.height_mm - reference.height_mm)[both]
+    assert difference.std() < (0.05 if suffix == "jpg" else 1e-4)
+
+
+@pytest.mark.parametrize("tip_deg", [90, -90, 180])
+def test_the_tips_direction_from_a_file(tip_deg: int, capture: Capture, tmp_path: Path) -> None:
+    quarter_turns = (tip_deg // 90) % 4
+    write_capture(kinds.turned(capture, quarter_turns, None), tmp_path / "capture")
+    edit(tmp_path / "capture" / "capture.json", lambda document: document.update(tip_direction_deg=tip_deg))
+    result = reconstruct(read_capture(tmp_path / "capture"), "ea")
+    assert abs((result.facts["yaw_deg"] - tip_deg + 180) % 360 - 180) < 60
+    tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
+    assert tip[1] < 0.1 * result.upright_size[0]
+
+
+def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
+    """Column, row of the pixel of `mask` that lies furthest in the tip's direction."""
+    rows, columns = np.nonzero(mask)
+    k = int(np.argmin([rows, columns, -rows, -columns][quarter_turns]))
+    return float(columns[k]), float(rows[k])
+
+
+def test_a_strip_as_a_mask_is_refused(capture: Capture) -> None:
+    mask = np.zeros(capture.shape, dtype=bool)
+    mask[200:300, 240:256] = True
+    with pytest.raises(BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"):
+        reconstruct(replace(capture, mask=mask), "ea")
