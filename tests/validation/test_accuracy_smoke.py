@@ -95,9 +95,8 @@ def test_crease_distance(accuracy: Script) -> None:
     points = np.stack([np.linspace(0, 100, 50), np.full(50, 40.0)], axis=1)
     facts = {"crease_found": True, "crease_line": [[0.0, 30.0], [100.0, 30.0]]}
     assert distance(facts, points, 0.1) == pytest.approx(1.0)
-    assert distance({**facts, "crease_line": [[0.0, 90.0], [100.0, -10.0]]}, points, 0.1) == pytest.approx(
-        0.1 * 12.5 * np.sqrt(0.5), rel=0.1
-    )
+    below = {**facts, "crease_line": [[100.0, 45.0], [0.0, 45.0]]}
+    assert distance(below, points, 0.1) == pytest.approx(-0.5)
     assert distance({"crease_found": False}, points, 0.1) is None
 
 

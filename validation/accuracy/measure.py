@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 import splitknit
 from cases import Case, Truth, photographed
 from splitknit.apps.compare import Comparison, compare
+from splitknit.simulate.finger import draw_finger
 from splitknit.types import Reconstruction
 
 CREASE_TOLERANCE_MM = 1.0
-"""Half-way between two lines of one joint; a cut that is off by more has left skin of the next phalanx or lost some."""
+"""A cut that lies further below the crease has kept skin of the next phalanx."""
+SIDE_LINES_MM = 3.4
+"""Lines beside the crease belong to the same joint; where a finger has any, a cut at the uppermost is right as well."""
 IN_VIEW_MM = 1.5
 """A crease nearer to the lower border than this is too close to tell."""
 
@@ -46,12 +49,13 @@ def measure(case: Case, presets: Sequence[str]) -> dict[str, Any]:
         "simulate_s": time.perf_counter() - started,
         "presets": {},
     }
+    side_lines = draw_finger(case.seed).skin.creases[0].side_lines > 0
     for preset in presets:
-        measured["presets"][preset] = _attempt(capture, truth, preset)
+        measured["presets"][preset] = _attempt(capture, truth, preset, side_lines)
     return measured
 
 
-def _attempt(capture: Any, truth: Truth, preset: str) -> dict[str, Any]:
+def _attempt(capture: Any, truth: Truth, preset: str, side_lines: bool) -> dict[str, Any]:
     started = time.perf_counter()
     try:
         result = splitknit.reconstruct(capture, preset)
@@ -61,7 +65,7 @@ def _attempt(capture: Any, truth: Truth, preset: str) -> dict[str, Any]:
         return {"refused": str(error)}
     except Exception as error:  # so is a failure of ours
         return {"refused": f"{type(error).__name__}: {error}"}
-    figures = {**comparison.figures, **_pose_figures(result, truth), **_honesty(result, comparison)}
+    figures = {**comparison.figures, **_pose_figures(result, truth, side_lines), **_honesty(result, comparison)}
     return {"figures": figures, "seconds": seconds, "warnings": list(result.warnings)}
 
 
@@ -73,15 +77,16 @@ def _drawn(truth: Truth) -> dict[str, Any]:
     return {name.removeprefix("landmark_"): truth[name].item() for name in names}
 
 
-def _pose_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
+def _pose_figures(result: Reconstruction, truth: Truth, side_lines: bool) -> dict[str, float]:
     """Yaw, and whether the first crease was found, or rightly not found."""
     yaw = result.facts["yaw_deg"] - float(np.rad2deg(truth["landmark_yaw_rad"]))
     figures = {"yaw_error_deg": abs(yaw)}
     distance = crease_distance_mm(result.facts, truth["landmark_crease_px_0"], result.pitch_mm)
     view = _crease_in_view(truth, result.pitch_mm)
     if distance is not None:
-        figures["crease_error_mm"] = distance
-    right = distance is not None and distance < CREASE_TOLERANCE_MM
+        figures["crease_error_mm"] = abs(distance)
+    above = SIDE_LINES_MM if side_lines else CREASE_TOLERANCE_MM
+    right = distance is not None and -CREASE_TOLERANCE_MM < distance < above
     if view is None:  # at the border of the picture: seeing it and not seeing it are both right
         right = right or not result.facts["crease_found"]
     elif not view:
@@ -101,15 +106,15 @@ def _crease_in_view(truth: Truth, pitch_mm: float) -> bool | None:
 
 
 def crease_distance_mm(facts: Mapping[str, Any], points: NDArray[Any], pitch_mm: float) -> float | None:
-    """Median distance of the middle half of the true crease (N, 2) from the line that was found."""
+    """Median distance of the line that was found from the middle half of the true crease (N, 2); positive: above it."""
     if not facts.get("crease_found") or not facts.get("crease_line") or len(points) < 4:
         return None
-    first, last = (np.asarray(end, dtype=np.float64) for end in facts["crease_line"])
+    first, last = sorted((np.asarray(end, dtype=np.float64) for end in facts["crease_line"]), key=lambda end: end[0])
     low, high = np.quantile(points[:, 0], (0.25, 0.75))
     middle = points[(points[:, 0] >= low) & (points[:, 0] <= high)]
     along = (last - first) / np.linalg.norm(last - first)
     offset = middle - first
-    return float(np.median(np.abs(offset[:, 0] * along[1] - offset[:, 1] * along[0]))) * pitch_mm
+    return float(np.median(offset[:, 1] * along[0] - offset[:, 0] * along[1])) * pitch_mm
 
 
 def _honesty(result: Reconstruction, comparison: Comparison) -> dict[str, float]:
