@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.check import require
 from splitknit.integrate import poisson
 from splitknit.metric.grid import Grid
 from splitknit.normals import light_vectors_at, pseudo_normals
@@ -42,12 +43,32 @@ class Lighting:
     """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
 
 
+@dataclass(frozen=True, slots=True)
+class CoarsePrior:
+    """What is expected of the slopes on the coarse grid."""
+
+    knee_per_mm: float = 5.0
+    """Angular frequency (rad/mm) from which the shape's slopes fall off."""
+    glare_ratio: float = 0.16
+    """Apparent slope of the glare (in red) over the shape's slopes at low frequencies."""
+    noise_ratio: float = 0.1
+    """Noise of the slopes over the shape's slopes at low frequencies."""
+    cutoff_per_mm: float = 8.0
+    """Angular frequency beyond which slopes are left to the fine grid."""
+
+    def __post_init__(self) -> None:
+        require(
+            min(self.knee_per_mm, self.cutoff_per_mm, self.noise_ratio) > 0 and self.glare_ratio >= 0,
+            "metric.coarse must hold positive numbers.",
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseStep:
     """Result of one comparison of prediction and images."""
 
     slope_x: FloatArray
-    """(h, w) correction of dz/dx."""
+    """(h, w) of all that comparisons have put into the surface."""
     slope_y: FloatArray
     brightness: Mapping[str, float]
     """Diffuse brightness of each channel over the prediction for an albedo of one."""
@@ -100,10 +121,13 @@ def compare(  # noqa: PLR0917
     height_mm: FloatArray,
     mean_normals: FloatArray,
     skin: Mapping[str, Diffusion],
-    glare_ratio: float,
-    cutoff_per_mm: float,
+    added: tuple[FloatArray, FloatArray],
+    prior: CoarsePrior,
 ) -> CoarseStep:
-    """Predict the images of all bands and return the slopes that the surface lacks.
+    """Predict the images of all bands and correct the slopes.
+
+    As on the fine grid the regularised inverse acts on everything that was measured, z <- W (p - F(z) + M z), so that
+    repeating it settles.
 
     Parameters
     ----------
@@ -112,8 +136,8 @@ def compare(  # noqa: PLR0917
     mean_normals : (h, w, 3)
         Mean over each block of the unit normals of the surface with its ridges: shorter than one where it is ridged.
     skin : transfer function of each channel
-    glare_ratio : expected amplitude of the glare's apparent slope (red) over the true slope
-    cutoff_per_mm : angular frequency beyond which slopes are left to the fine grid
+    added : slopes (h, w) along x and y that earlier comparisons have put into the surface
+    prior : what is expected of shape and glare
     """
     normals = unit(mean_normals)
     residuals: list[tuple[FloatArray, FloatArray]] = []
@@ -144,9 +168,16 @@ def compare(  # noqa: PLR0917
             residuals.append(_lacking(found[c], found[c + len(band.channels)], grid))
             names.append(name)
         groups.append(list(range(start, len(names))))
-    weights = _weights(grid, names, groups, brightness, skin, glare_ratio, cutoff_per_mm)
-    slopes = [sum(w * grid.forward(r[axis]) for w, r in zip(weights, residuals, strict=True)) for axis in range(2)]
-    slope_x, slope_y = (grid.inverse(np.asarray(s)) * grid.mask for s in slopes)
+    weights = _weights(grid, names, groups, brightness, skin, prior)
+    kept = sum(w * _transfer(grid, skin[name]) for w, name in zip(weights, names, strict=True))
+    slope_x, slope_y = (
+        grid.inverse(
+            kept * grid.forward(added[axis])
+            + sum(w * grid.forward(r[axis]) for w, r in zip(weights, residuals, strict=True))
+        )
+        * grid.mask
+        for axis in range(2)
+    )
     return CoarseStep(slope_x, slope_y, brightness, glare)
 
 
@@ -190,8 +221,7 @@ def _weights(  # noqa: PLR0917
     groups: list[list[int]],
     brightness: Mapping[str, float],
     skin: Mapping[str, Diffusion],
-    glare_ratio: float,
-    cutoff_per_mm: float,
+    prior: CoarsePrior,
 ) -> list[FloatArray]:
     """Weights of the channels on the grid's frequencies; each band has a glare of its own."""
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
@@ -201,7 +231,8 @@ def _weights(  # noqa: PLR0917
     for g, members in enumerate(groups):
         for c in members:
             glare[c, g] = reference / max(brightness[names[c]], 1e-6)
-    signal = np.full(omega.shape, 9.0)
-    weights = unmixing_weights(transfer, glare, signal, signal * glare_ratio**2, np.full(len(names), 0.004))
-    weights = weights * np.exp(-0.5 * (omega / cutoff_per_mm) ** 2)
+    signal = 1 / (1 + (omega / prior.knee_per_mm) ** 2) ** 2
+    mirrored = np.full(omega.shape, prior.glare_ratio**2)
+    weights = unmixing_weights(transfer, glare, signal, mirrored, np.full(len(names), prior.noise_ratio**2))
+    weights = weights * np.exp(-0.5 * (omega / prior.cutoff_per_mm) ** 2)
     return [grid.radial(omega, w) for w in weights]

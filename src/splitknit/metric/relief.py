@@ -25,8 +25,12 @@ from splitknit.separate import (
 )
 from splitknit.types import FloatArray
 
-CROSSOVER_MM = 0.5
+CROSSOVER_MM = 0.22
 """Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
+
+
+RIDGE_TRUST = 4.0
+"""Factor on the expected power of the ridges, so that the unmixing shrinks them less than the least-squares optimum."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +77,11 @@ def measure(  # noqa: PLR0917
     weights = light.trust * entering * entering
     g = pseudo_normals(band.stack / entering, band.rig, surface_mm, grid.mask, weights, grid.x_mm, grid.y_mm)
     slant_deg = np.rad2deg(np.arccos(np.clip(normals[..., 2], 0, 1))).astype(np.float32)
-    trust = smooth_step((np.float32(74) - slant_deg) / np.float32(14)) * smooth_step((grid.depth_mm - np.float32(0.1)) / np.float32(0.3)) * grid.mask
+    trust = (
+        smooth_step((np.float32(74) - slant_deg) / np.float32(14))
+        * smooth_step((grid.depth_mm - np.float32(0.1)) / np.float32(0.3))
+        * grid.mask
+    )
     inner = (grid.mask & (grid.depth_mm > 0.5) & (slant_deg < 50)).astype(np.float32)
     if not inner.any():
         inner = (grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())).astype(np.float32)
@@ -90,10 +98,22 @@ def mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
     return normals_from_gradients(slope_x, slope_y) * grid.mask[..., None]
 
 
-def lacking_slopes(
-    measured: Measured, grid: Grid, surface_mm: FloatArray
-) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray]:
-    """Slopes (C pairs) that the measurement has beyond the current surface's, and the channels' glare weights (C,).
+@dataclass(frozen=True, slots=True, eq=False)
+class Lacking:
+    """What the measurement has beyond the current surface."""
+
+    slopes: list[tuple[FloatArray, FloatArray]]
+    """C pairs (h, w)."""
+    glare: FloatArray
+    """(C,) weight of glare in each channel's slopes, one in the first."""
+    expected: FloatArray
+    """(h, w, 3) expected pseudo-normals of the first channel."""
+    diffuse: FloatArray
+    """(h, w) diffuse brightness of the first channel."""
+
+
+def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> Lacking:
+    """Slopes that the measurement has beyond the current surface's.
 
     The expectation is the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with
     it the darkening of valleys (1 + k h), drops out; the share of the glare in the brightness is found by colour.
@@ -106,18 +126,20 @@ def lacking_slopes(
     level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in expected]
     albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
     inner = measured.region > 0
-    middle = float(np.median(albedo[inner]))
+    middle = np.float32(np.median(albedo[inner]))
     albedo = grid.smooth(np.clip(albedo, 0.6 * middle, 1.6 * middle), grid.mask, 0.8)
     glare = np.array([1.0 / max(float(np.median((albedo * z)[inner])), 1e-9) for z in level])
-    slopes = []
+    slopes, scales = [], []
     for c, e in enumerate(expected):
         length = np.sqrt((e * e).sum(axis=-1))
         z = np.maximum(e[..., 2], 0.05 * length + np.float32(1e-6))
-        diffuse = albedo * np.maximum(z, np.float32(0.1) * measured.brightness[c])
+        diffuse = np.maximum(albedo, np.float32(0.1) * middle) * np.maximum(z, np.float32(0.1) * measured.brightness[c])
+        scales.append(diffuse)
+        e[..., 2] = z
         g = measured.pseudo_normals[c]
         slopes.append(tuple(-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2)))
     trusted = [tuple(_ridge_band(s, grid) * measured.trust for s in pair) for pair in slopes]
-    return [(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32)
+    return Lacking([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), expected[0], scales[0])
 
 
 def _ridge_band(slope: FloatArray, grid: Grid) -> FloatArray:
@@ -149,6 +171,8 @@ def unmixing(
     # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth features
     signal = np.array([fit.signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
     signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
+    # ridges are unmixed with little shrinkage: steep flanks shade less than linearly, and noise is removed later
+    signal = signal * (1 + (RIDGE_TRUST - 1) * smooth_step(((centres - 7) / 4).astype(np.float32)))
     mirrored = np.maximum(4 * fit.glare, 1e-5)
     log_omega = np.log(np.maximum(omega, 1e-3))
     fine_signal = np.exp(np.interp(log_omega, np.log(centres), np.log(signal)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -12,7 +12,9 @@ import numpy as np
 from splitknit.check import require
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric import relief as fine
-from splitknit.metric.coarse import BandImages, Lighting, compare, integrate, lighting, start_shape, unit
+from splitknit.metric.coarse import BandImages, CoarsePrior, Lighting, compare, integrate, lighting, start_shape, unit
+from splitknit.metric.facets import Facets, measure_facets, ridged_normals
+from splitknit.metric.gloss import Gloss, Seen, fit_gloss, glare_normals, glare_stack
 from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.radiance import bin_mean
 from splitknit.separate import Diffusion, LocalWienerSettings, SkinSettings, diffusion
@@ -35,10 +37,10 @@ class MetricSettings:
     """Corrections of the shape in each round; the last entry holds for all further rounds."""
     relief_steps: int = 2
     """Corrections of the relief in each round."""
-    glare_ratio: float = 0.16
-    """Expected apparent slope of the glare over the true slope, for the shape."""
-    coarse_cutoff_per_mm: float = 6.0
-    """Angular frequency (rad/mm) up to which the coarse grid corrects."""
+    coarse: CoarsePrior = field(default_factory=CoarsePrior)
+    """What is expected of shape and glare on the coarse grid."""
+    predict_glare: bool = False
+    """Predict the glare of the ridges from the current surface, so that colour has to tell only the rest."""
     seed: int = 0
     """Seed of the noise that is sent through the filters to learn its spectrum."""
     denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
@@ -54,8 +56,6 @@ class MetricSettings:
             len(self.coarse_steps) > 0 and min(self.coarse_steps) >= 1,
             "metric.coarse_steps must hold positive numbers.",
         )
-        require(self.glare_ratio >= 0, "metric.glare_ratio must not be negative.")
-        require(self.coarse_cutoff_per_mm > 0, "metric.coarse_cutoff_per_mm must be positive.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,29 +95,38 @@ def reconstruct_skin(
     cropped = np.s_[..., : rows * factor, : columns * factor]
     small = tuple(BandImages(b.channels, bin_mean(b.stack[cropped], factor) * low.mask, b.rig) for b in bands)
     optics = _optics(skin, bands)
-    shape = start_shape(small[-1], low, settings.plane_mm)
+    start = start_shape(small[-1], low, settings.plane_mm)
+    first = low.smooth(start, low.mask, 0.5) * low.mask
+    shape = first
     relief = np.zeros(grid.shape, dtype=np.float32)
+    gloss: Gloss | None = None
+    facets: Facets | None = None
     total = settings.rounds
     for turn in range(total):
         for _ in range(settings.coarse_steps[min(turn, len(settings.coarse_steps) - 1)]):
             surface = _placed(shape, low, factor, grid, settings.plane_mm) + relief
             ridged = np.moveaxis(fine.mean_normals(surface, grid), -1, 0)[cropped]
             normals = np.ascontiguousarray(np.moveaxis(bin_mean(np.ascontiguousarray(ridged), factor), 0, -1))
+            normals = ridged_normals(normals, shape, low, facets)
             height = (shape - _mean(shape, low) + np.float32(settings.plane_mm)) * low.mask
-            step = compare(small, low, height, normals, optics, settings.glare_ratio, settings.coarse_cutoff_per_mm)
-            shape = shape + integrate(step.slope_x, step.slope_y, low, unit(normals)[..., 2])
+            added = height_gradients(np.where(low.mask, shape - first, np.float32(np.nan)), low.pitch_mm)
+            step = compare(small, low, height, normals, optics, added, settings.coarse)
+            shape = shape + integrate(step.slope_x - added[0], step.slope_y - added[1], low, unit(normals)[..., 2])
         smooth = _placed(shape, low, factor, grid, settings.plane_mm)
         light = _fine_lighting(white, low, shape, settings.plane_mm, factor, grid)
         measured = fine.measure(white, grid, smooth, light, optics, step.brightness)
-        for turn_of_relief in range(settings.relief_steps):
-            slopes, glare = fine.lacking_slopes(measured, grid, smooth + relief)
-            if turn_of_relief == 0 or turn < total - 1:
-                lifted = _with_relief(slopes, measured, grid, relief)
-                mix = fine.unmixing(measured, grid, lifted, glare)
-            relief = fine.update(measured, grid, slopes, mix, relief)
+        for _ in range(settings.relief_steps):
+            lacking = fine.lacking_slopes(measured, grid, smooth + relief)
+            mix = fine.unmixing(measured, grid, _with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
+            if settings.predict_glare and len(white.channels) > 1 and relief.any():
+                clean, gloss = _without_glare(white, grid, smooth, relief, light, measured, lacking, mix)
+                lacking = fine.lacking_slopes(clean, grid, smooth + relief)
+                mix = fine.unmixing(clean, grid, _with_relief(lacking.slopes, clean, grid, relief), lacking.glare)
+            raw = fine.update(measured, grid, lacking.slopes, mix, relief)
+            relief, noise = fine.denoise(raw, grid, mix, settings.denoise, settings.seed)
+        facets = measure_facets(relief, smooth, grid, low, factor, mix.fit)
         if progress is not None:
             progress((turn + 1) / (total + 1))
-    relief, noise = fine.denoise(relief, grid, mix, settings.denoise, settings.seed)
     other = _optics(skin, bands, 1 + skin.scattering_uncertainty)
     sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
     deviation = np.sqrt(noise**2 + (np.float32(sensitivity) * relief) ** 2)
@@ -127,6 +136,7 @@ def reconstruct_skin(
         "scattering_assumed": True,
         "gain_sensitivity": sensitivity,
         "colour": {name: step.brightness[name] / step.brightness[white.channels[0]] for name in white.channels},
+        "gloss": None if gloss is None else {"roughness": gloss.roughness, "strength": gloss.strength},
         "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in step.glare.items()},
         "working_pitch_mm": grid.pitch_mm,
     }
@@ -165,7 +175,38 @@ def _fine_lighting(  # noqa: PLR0917
         missing = ((0, 0), (0, grid.shape[0] - size[1]), (0, grid.shape[1] - size[0]))
         return np.asarray(np.pad(np.stack(large), missing, mode="edge"), dtype=np.float32)
 
-    return Lighting(light.vectors, enlarge(light.entering), np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask)
+    vectors = np.stack([enlarge(v) for v in light.vectors])
+    return Lighting(vectors, enlarge(light.entering), np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask)
+
+
+def _without_glare(  # noqa: PLR0917
+    band: BandImages,
+    grid: Grid,
+    smooth: FloatArray,
+    relief: FloatArray,
+    light: Lighting,
+    measured: fine.Measured,
+    lacking: fine.Lacking,
+    mix: fine.Unmixing,
+) -> tuple[fine.Measured, Gloss]:
+    """The measurement less the glare that the current surface predicts."""
+    normals = fine.mean_normals(smooth + relief, grid)
+    wx = np.asarray(grid.omega[0][0], dtype=np.float64)
+    transfer = np.stack([np.interp(mix.fit.omega_per_mm, wx, t[0]) for t in measured.transfer])
+    seen = Seen(
+        lacking.slopes,
+        lacking.expected,
+        lacking.diffuse,
+        measured.region,
+        mix.fit,
+        transfer,
+        lacking.glare,
+        fine.CROSSOVER_MM,
+    )
+    gloss = fit_gloss(band, grid, smooth, normals, light, seen)
+    stack = glare_stack(normals, light, gloss.roughness) * np.float32(gloss.strength)
+    glare = glare_normals(band, grid, smooth, light, stack)
+    return replace(measured, pseudo_normals=measured.pseudo_normals - glare), gloss
 
 
 def _with_relief(

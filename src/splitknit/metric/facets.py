@@ -1,0 +1,129 @@
+"""What ridges do to the shading of the shape below them.
+
+A pixel of the coarse grid sees many facets of ridge and valley. The mean of their normals, weighted by how much of each
+the camera sees, is flatter than the shape: on a slope, the flank that leans away is foreshortened or hidden. Where the
+ridges are resolved they account for this by themselves. Towards the outline they are resolved less and less, although
+they are as high there as elsewhere; there the distribution of facets is taken from the middle of the finger and carried
+along the ridges' direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.metric.grid import Grid, smooth_step
+from splitknit.separate import SpectralFit
+from splitknit.types import FloatArray
+
+RIDGES_PER_MM = (8.0, 64.0)
+"""Angular frequencies (rad/mm) whose slopes belong to ridges."""
+RESOLVED_DEG = (15.0, 30.0)
+"""Up to the first slant ridges are taken as resolved, beyond the second as unresolved."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Facets:
+    """Slopes of the skin across its ridges, and where across is."""
+
+    slopes: NDArray[np.float64]
+    """(K,) equally likely slopes of facets against the shape, in the middle of the finger."""
+    across_x: FloatArray
+    """(h, w) direction across the ridges in the image, on the coarse grid; unit length, sign free."""
+    across_y: FloatArray
+
+
+def measure_facets(  # noqa: PLR0917
+    relief_mm: FloatArray,
+    shape_mm: FloatArray,
+    grid: Grid,
+    low: Grid,
+    factor: int,
+    fit: SpectralFit,
+    count: int = 12,
+) -> Facets:
+    """Distribution and direction of the ridges' slopes.
+
+    The distribution is that of the recovered relief where the finger faces the camera; its spread is brought to that of
+    the relief's spectrum, from which noise is taken off and nothing is shrunk.
+    """
+    x, y = height_gradients(relief_mm, grid.pitch_mm)
+    doubled = [grid.smooth(p, grid.mask, 0.6) for p in (x * x - y * y, 2 * x * y)]
+    angle = np.float32(0.5) * np.arctan2(doubled[1], doubled[0])
+    gx, gy = height_gradients(shape_mm, grid.pitch_mm)
+    facing = (gx * gx + gy * gy < 0.25) & grid.mask & (grid.depth_mm > 1.0)
+    if not facing.any():
+        facing = grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())
+    slope = (x * np.cos(angle) + y * np.sin(angle))[facing]
+    slope = slope - slope.mean(dtype=np.float64)
+    quantiles = np.quantile(slope, (np.arange(count) + 0.5) / count)
+    scale = np.sqrt(max(ridge_power(fit, grid.pitch_mm), 0.0)) / max(float(slope.std(dtype=np.float64)), 1e-6)
+    rows, columns = low.shape
+    small = [
+        cv2.resize(np.ascontiguousarray(p[: rows * factor, : columns * factor]), (columns, rows), interpolation=3)
+        for p in doubled
+    ]
+    coarse = 0.5 * np.arctan2(small[1], small[0])
+    return Facets(
+        np.asarray(quantiles * min(float(scale), 1.5)),
+        np.cos(coarse).astype(np.float32),
+        np.sin(coarse).astype(np.float32),
+    )
+
+
+def ridge_power(fit: SpectralFit, pitch_mm: float) -> float:
+    """Mean square slope of the ridges, from the spectrum of the relief."""
+    omega = fit.omega_per_mm
+    ratio = float(omega[1] / omega[0])
+    modes = np.pi * omega**2 * (ratio - 1 / ratio) * (pitch_mm / (2 * np.pi)) ** 2
+    used = (omega >= RIDGES_PER_MM[0]) & (omega < RIDGES_PER_MM[1])
+    return float((fit.signal * modes)[used].sum())
+
+
+def ridged_normals(resolved: FloatArray, shape_mm: FloatArray, low: Grid, facets: Facets | None) -> FloatArray:
+    """Mean normals (h, w, 3) that the camera sees on the coarse grid.
+
+    Parameters
+    ----------
+    resolved : (h, w, 3)
+        Block means of the normals of shape and relief together.
+    shape_mm : (h, w)
+        The shape alone.
+    low : the coarse grid
+    facets : None before there is a relief
+    """
+    if facets is None:
+        return resolved
+    x, y = height_gradients(shape_mm, low.pitch_mm)
+    slant = np.rad2deg(np.arctan(np.hypot(x, y))).astype(np.float32)
+    first, second = RESOLVED_DEG
+    unresolved = smooth_step((slant - np.float32(first)) / np.float32(second - first))[..., None]
+    expected = facet_normals(x, y, facets)
+    return np.asarray((resolved + unresolved * (expected - resolved)) * low.mask[..., None], dtype=np.float32)
+
+
+def facet_normals(x: FloatArray, y: FloatArray, facets: Facets) -> FloatArray:
+    """Mean normals (h, w, 3) of the visible facets on a shape with the slopes `x` and `y` (y up)."""
+    normals = normals_from_gradients(x, y)
+    nx, ny, nz = normals[..., 0], normals[..., 1], normals[..., 2]
+    # along the ridge in the image, lifted to the surface; across it in the surface
+    tx, ty = -facets.across_y, facets.across_x
+    tz = x * tx + y * ty
+    length = np.sqrt(tx * tx + ty * ty + tz * tz)
+    tx, ty, tz = tx / length, ty / length, tz / length
+    cx, cy, cz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    total = np.zeros_like(normals)
+    weight = np.zeros_like(nz)
+    for slope in facets.slopes.astype(np.float32):
+        facet_z = nz - slope * cz  # times the facet's area: what the camera sees of it
+        seen = np.maximum(facet_z, np.float32(0.0))
+        share = seen / np.sqrt(1 + slope * slope)
+        total[..., 0] += (nx - slope * cx) * share
+        total[..., 1] += (ny - slope * cy) * share
+        total[..., 2] += facet_z * share
+        weight += seen
+    return np.asarray(total / np.maximum(weight, np.float32(1e-6))[..., None], dtype=np.float32)
