@@ -13,13 +13,13 @@ from kinds import turned
 from splitknit.apps.compare import compare
 from splitknit.apps.outputs import upright_mesh
 from splitknit.check import BadInput
-from splitknit.geometry import height_gradients, normals_from_gradients, warp
+from splitknit.geometry import height_gradients, normals_from_gradients, pixel_axes_mm, warp
 from splitknit.io import read_capture, read_npz
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
 from splitknit.settings import flatten
 from splitknit.simulate.finger import Pose
 from splitknit.simulate.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture, Reconstruction
+from splitknit.types import Band, Camera, Capture, Led, Reconstruction, Rig
 
 Truth = dict[str, np.ndarray]
 
@@ -244,3 +244,34 @@ def test_what_is_refused(capture: Capture) -> None:
         reconstruct(replace(capture, bands={"nir": capture.bands["nir"]}))
     with pytest.raises(BadInput, match=r"there is no setting 'knit\.glue'"):
         reconstruct(capture, "snk", {"knit.glue": 1})
+
+
+def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
+    """A matt dome 11 mm right of the picture's middle under four near lights; and its height in mm."""
+    camera = Camera(px_per_mm, (240, 440))
+    x, y = (axis.astype(np.float64) for axis in pixel_axes_mm(camera))
+    x, y = np.meshgrid(x - 11.0, y)
+    inside = x**2 + y**2 < 8.0**2
+    height = np.where(inside, np.sqrt(np.maximum(12.0**2 - x**2 - y**2, 0.0)) - 11.0, 0.0)
+    points = np.stack([x + 11.0, y, height], axis=-1)
+    normals = np.stack([x, y, height + 11.0], axis=-1) / 12.0
+    leds = [Led("white", position_mm=place) for place in ((50, 0, 90), (0, 50, 90), (-50, 0, 90), (0, -50, 90))]
+    images = []
+    for led in leds:
+        towards = np.array(led.position_mm) - points
+        distance = np.linalg.norm(towards, axis=-1)
+        images.append((normals * towards).sum(axis=-1) / distance**3 * inside)
+    pixels = np.round(np.stack(images) / np.max(images) * 60000).astype(np.uint16)[..., None]
+    band = Band("white", pixels, tuple((k,) for k in range(4)), np.ones(4), np.zeros(4))
+    return Capture(Rig(camera, tuple(leds)), {"white": band}, material="opaque", mask=inside), height
+
+
+def test_near_lights_on_a_matt_dome_beside_the_middle() -> None:
+    """To a micrometre, as nothing is noisy; the lights must be placed against the picture, not the window."""
+    capture, height = lambertian_dome()
+    assert capture.mask is not None
+    result = reconstruct(capture, "metric", {"metric.plane_mm": float(height[capture.mask].mean())})
+    error = (result.height_mm - height)[capture.mask]
+    assert error.std() < 0.001
+    far = (reconstruct(capture, "ea").height_mm - height)[capture.mask]
+    assert far.std() > 0.1  # what taking the lights for distant ones costs here
