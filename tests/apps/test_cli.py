@@ -212,15 +212,15 @@ def test_simulate_then_reconstruct(tmp_path: Path, capsys: Captured) -> None:
         "--pattern",
         "whorl",
         "--scale",
-        "0.2",
+        "0.15",
         "--json",
     ]
     assert main(arguments) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["pattern"] == "whorl"
     assert facts["images"] == 14
-    assert facts["image_size"] == [440, 640]
+    assert facts["image_size"] == [330, 480]
     assert (tmp_path / "c" / "truth.npz").is_file()
     assert main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["comparison"]["metric"]["surface_rms_mm"] < 0.5
+    assert facts["comparison"]["metric"]["surface_rms_mm"] < 0.8  # a fifth of the scale; validation holds the accuracy
