@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
+from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.integrate import poisson
+from splitknit.metric.facets import Facets, at, mean_glare
 from splitknit.metric.grid import Grid
 from splitknit.normals import light_vectors_at, pseudo_normals
-from splitknit.separate import Diffusion, fit_glare, fresnel_transmission, microfacet_glare, unmixing_weights
+from splitknit.separate import (
+    Diffusion,
+    GlareFit,
+    fit_glare,
+    fresnel_transmission,
+    microfacet_glare,
+    unmixing_weights,
+)
 from splitknit.types import BoolArray, FloatArray, Rig
 
 AnyFloat = NDArray[np.floating[Any]]
@@ -123,6 +132,7 @@ def compare(  # noqa: PLR0917
     skin: Mapping[str, Diffusion],
     added: tuple[FloatArray, FloatArray],
     prior: CoarsePrior,
+    facets: Facets | None = None,
 ) -> CoarseStep:
     """Predict the images of all bands and correct the slopes.
 
@@ -138,30 +148,45 @@ def compare(  # noqa: PLR0917
     skin : transfer function of each channel
     added : slopes (h, w) along x and y that earlier comparisons have put into the surface
     prior : what is expected of shape and glare
+    facets : of the ridges, once there are any
     """
     normals = unit(mean_normals)
+    shape_normals = normals_from_gradients(*height_gradients(height_mm, grid.pitch_mm))
     residuals: list[tuple[FloatArray, FloatArray]] = []
     names: list[str] = []
     brightness: dict[str, float] = {}
     glare: dict[str, tuple[float, float]] = {}
     groups: list[list[int]] = []
+    gloss: GlareFit | None = None
+    scale = 1.0
     for band in bands:
         light = lighting(band.rig, grid, height_mm, normals)
-        lit = light.vectors * light.entering[:, None]
         reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
-        fit = fit_glare(band.stack[-1], normals, lit, reached)
-        mirrored = np.float32(fit.strength) * microfacet_glare(normals, light.vectors, fit.roughness) * grid.mask
-        glare[band.channels[-1]] = (fit.roughness, fit.strength)
+        reached = reached if reached.any() else grid.mask
         irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
         spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
-        seen = band.stack - mirrored
-        dull = _dullest(mirrored, reached if reached.any() else grid.mask)
-        expected = np.empty_like(seen)
+        expected = np.stack([grid.inverse(spectrum * _transfer(grid, skin[n])) * grid.mask for n in band.channels])
+        dull = _dullest(microfacet_glare(shape_normals, light.vectors, 0.3), reached)
         for c, name in enumerate(band.channels):
-            expected[c] = grid.inverse(spectrum * _transfer(grid, skin[name])) * grid.mask
-            brightness[name] = _median_ratio(seen[c], expected[c], dull)
+            brightness[name] = _median_ratio(band.stack[c], expected[c], dull)
             expected[c] *= np.float32(brightness[name])
-        both = np.concatenate([seen, expected])
+        if len(band.channels) > 1:
+            gloss = _fit_by_colour(band, expected, brightness, reached, light, shape_normals, facets)
+            scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
+        elif gloss is None:
+            gloss = _fit_by_lights(band, light, reached, shape_normals, facets)
+            scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
+        gloss = replace(gloss, strength=min(gloss.strength, MOST_GLARE * float(np.pi) * scale))
+        # the same surface mirrors both bands: their glare differs by exposure only, as their diffuse light shows
+        strength = gloss.strength * (brightness[band.channels[0]] / skin[band.channels[0]].albedo) / scale
+        glare[band.channels[-1]] = (gloss.roughness, strength)
+        mirrored = mean_glare(shape_normals, facets, light.vectors, gloss.roughness)
+        seen = band.stack - mirrored * np.float32(strength) * grid.mask
+        for c, name in enumerate(band.channels):
+            correction = _median_ratio(seen[c], expected[c], dull)
+            brightness[name] *= correction
+            expected[c] *= np.float32(correction)
+        both = np.concatenate([seen, expected]).astype(np.float32)
         found = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, grid.x_mm, grid.y_mm)
         start = len(names)
         for c, name in enumerate(band.channels):
@@ -179,6 +204,68 @@ def compare(  # noqa: PLR0917
         for axis in range(2)
     )
     return CoarseStep(slope_x, slope_y, brightness, glare)
+
+
+MOST_GLARE = 1.0
+"""Most glare, over that of a clean boundary with the skin's refractive index."""
+ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
+
+
+def _fit_by_colour(  # noqa: PLR0917
+    band: BandImages,
+    expected: FloatArray,
+    brightness: Mapping[str, float],
+    reached: BoolArray,
+    light: Lighting,
+    normals: FloatArray,
+    facets: Facets | None,
+) -> GlareFit:
+    """Glare of a colour band: what the images have beyond the expectation, and alike in all channels.
+
+    Per pixel and light the excess is split, by least squares over the channels, into a part with the skin's colour (the
+    shape is not right yet) and a white part; strength and roughness fit the white part.
+    """
+    some = _some(reached)
+    excess = (band.stack - expected)[:, :, some]
+    skin = np.array([brightness[name] for name in band.channels], dtype=np.float32)
+    n, sum_b, sum_bb = np.float32(len(skin)), skin.sum(), (skin * skin).sum()
+    tinted = np.einsum("c,cln->ln", skin, excess)
+    white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
+    vectors = light.vectors[:, :, some][:, :, None]
+    there = at(facets, some)
+    best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
+    total = float((white * white).sum(dtype=np.float64))
+    for roughness in ROUGHNESSES:
+        lobe = mean_glare(normals[some][None], there, vectors, roughness)[:, 0]
+        power = float((lobe * lobe).sum(dtype=np.float64))
+        product = max(float((lobe * white).sum(dtype=np.float64)), 0.0)
+        if power > 0 and product * product / power > best.explained * total:
+            best = GlareFit(roughness, product / power, product * product / power / max(total, 1e-30))
+    return best
+
+
+def _fit_by_lights(
+    band: BandImages, light: Lighting, reached: BoolArray, normals: FloatArray, facets: Facets | None
+) -> GlareFit:
+    """Glare of a grey band: what no matt surface explains."""
+    some = _some(reached)
+    vectors = light.vectors[:, :, some]
+    there = at(facets, some)
+
+    def model(roughness: float) -> FloatArray:
+        return mean_glare(normals[some][None], there, vectors[:, :, None], roughness)[:, 0]
+
+    lit = vectors * light.entering[:, None][:, :, some]
+    return fit_glare(band.stack[-1][:, some], lit, model, ROUGHNESSES)
+
+
+def _some(region: BoolArray) -> BoolArray:
+    """Every other row of a large region."""
+    if int(region.sum()) < 8000:
+        return region
+    chosen = region.copy()
+    chosen[::2] = False
+    return chosen
 
 
 def _transfer(grid: Grid, skin: Diffusion) -> FloatArray:

@@ -9,6 +9,7 @@ along the ridges' direction.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -17,8 +18,8 @@ from numpy.typing import NDArray
 
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.grid import Grid, smooth_step
-from splitknit.separate import SpectralFit
-from splitknit.types import FloatArray
+from splitknit.separate import SpectralFit, microfacet_glare
+from splitknit.types import BoolArray, FloatArray
 
 RIDGES_PER_MM = (8.0, 64.0)
 """Angular frequencies (rad/mm) whose slopes belong to ridges."""
@@ -44,24 +45,30 @@ def measure_facets(  # noqa: PLR0917
     low: Grid,
     factor: int,
     fit: SpectralFit,
+    region: FloatArray,
     count: int = 12,
 ) -> Facets:
     """Distribution and direction of the ridges' slopes.
 
-    The distribution is that of the recovered relief where the finger faces the camera; its spread is brought to that of
-    the relief's spectrum, from which noise is taken off and nothing is shrunk.
+    The distribution is that of the recovered relief where the finger faces the camera; its spread grows by what the
+    relief's spectrum on `region`, from which noise is taken off and nothing is shrunk, has beyond the recovered relief.
     """
     x, y = height_gradients(relief_mm, grid.pitch_mm)
     doubled = [grid.smooth(p, grid.mask, 0.6) for p in (x * x - y * y, 2 * x * y)]
     angle = np.float32(0.5) * np.arctan2(doubled[1], doubled[0])
+    across_x, across_y = np.cos(angle), np.sin(angle)
     gx, gy = height_gradients(shape_mm, grid.pitch_mm)
-    facing = (gx * gx + gy * gy < 0.25) & grid.mask & (grid.depth_mm > 1.0)
+    steep = 1 + gx * gx + gy * gy
+    # slopes against the surface, of a relief measured along the line of sight
+    tilted = (x * across_x + y * across_y) / np.sqrt(steep * (1 + (gx * across_x + gy * across_y) ** 2))
+    facing = (steep < 1.25) & grid.mask & (grid.depth_mm > 1.0)
     if not facing.any():
         facing = grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())
-    slope = (x * np.cos(angle) + y * np.sin(angle))[facing]
-    slope = slope - slope.mean(dtype=np.float64)
+    slope = tilted[facing] - tilted[facing].mean(dtype=np.float64)
     quantiles = np.quantile(slope, (np.arange(count) + 0.5) / count)
-    scale = np.sqrt(max(ridge_power(fit, grid.pitch_mm), 0.0)) / max(float(slope.std(dtype=np.float64)), 1e-6)
+    weight = region * region
+    recovered = float((weight * (x * x + y * y)).sum(dtype=np.float64)) / float(weight.sum(dtype=np.float64))
+    scale = np.sqrt(max(ridge_power(fit, grid.pitch_mm), 0.0) / max(recovered, 1e-9))
     rows, columns = low.shape
     small = [
         cv2.resize(np.ascontiguousarray(p[: rows * factor, : columns * factor]), (columns, rows), interpolation=3)
@@ -108,22 +115,47 @@ def ridged_normals(resolved: FloatArray, shape_mm: FloatArray, low: Grid, facets
 
 def facet_normals(x: FloatArray, y: FloatArray, facets: Facets) -> FloatArray:
     """Mean normals (h, w, 3) of the visible facets on a shape with the slopes `x` and `y` (y up)."""
-    normals = normals_from_gradients(x, y)
+    total = np.zeros((*x.shape, 3), dtype=np.float32)
+    weight = np.zeros_like(x)
+    for normal, seen in each_facet(normals_from_gradients(x, y), facets):
+        total += normal * seen[..., None]
+        weight += seen
+    return np.asarray(total / np.maximum(weight, np.float32(1e-6))[..., None], dtype=np.float32)
+
+
+def each_facet(normals: FloatArray, facets: Facets, step: int = 1) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield unit normals (h, w, 3) of every `step`-th facet on a shape with these normals, and what is seen of it."""
     nx, ny, nz = normals[..., 0], normals[..., 1], normals[..., 2]
     # along the ridge in the image, lifted to the surface; across it in the surface
     tx, ty = -facets.across_y, facets.across_x
-    tz = x * tx + y * ty
+    tz = np.asarray(-(nx * tx + ny * ty) / np.maximum(nz, np.float32(0.05)), dtype=np.float32)
     length = np.sqrt(tx * tx + ty * ty + tz * tz)
-    tx, ty, tz = tx / length, ty / length, tz / length
-    cx, cy, cz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    total = np.zeros_like(normals)
-    weight = np.zeros_like(nz)
-    for slope in facets.slopes.astype(np.float32):
-        facet_z = nz - slope * cz  # times the facet's area: what the camera sees of it
-        seen = np.maximum(facet_z, np.float32(0.0))
-        share = seen / np.sqrt(1 + slope * slope)
-        total[..., 0] += (nx - slope * cx) * share
-        total[..., 1] += (ny - slope * cy) * share
-        total[..., 2] += facet_z * share
+    tx, ty, tz = (np.asarray(t / length, dtype=np.float32) for t in (tx, ty, tz))
+    across = np.stack([ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx], axis=-1)
+    for slope in facets.slopes.astype(np.float32)[step // 2 :: step]:
+        leaning = np.asarray(
+            normals - slope * across, dtype=np.float32
+        )  # as long as the facet's area: its z is what the camera sees of it
+        yield leaning / np.sqrt(1 + slope * slope), np.maximum(leaning[..., 2], np.float32(0.0))
+
+
+def mean_glare(normals: FloatArray, facets: Facets | None, lights: FloatArray, roughness: float) -> FloatArray:
+    """Glare images (L, h, w) of strength one: of the shape, or the mean over its visible facets.
+
+    Ridges spread a highlight across their direction and hardly along it.
+    """
+    if facets is None:
+        return microfacet_glare(normals, lights, roughness)
+    total = np.zeros((lights.shape[0], *normals.shape[:-1]), dtype=np.float32)
+    weight = np.zeros(normals.shape[:-1], dtype=np.float32)
+    for normal, seen in each_facet(normals, facets, step=2):
+        total += microfacet_glare(normal, lights, roughness) * seen
         weight += seen
-    return np.asarray(total / np.maximum(weight, np.float32(1e-6))[..., None], dtype=np.float32)
+    return np.asarray(total / np.maximum(weight, np.float32(1e-6)), dtype=np.float32)
+
+
+def at(facets: Facets | None, region: BoolArray) -> Facets | None:
+    """Facets at the pixels of `region` only, as one row."""
+    if facets is None:
+        return None
+    return Facets(facets.slopes, facets.across_x[region][None], facets.across_y[region][None])

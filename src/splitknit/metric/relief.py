@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.metric.coarse import BandImages, Lighting
+from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid, smooth_step
 from splitknit.normals import pseudo_normals
 from splitknit.separate import (
@@ -25,12 +25,22 @@ from splitknit.separate import (
 )
 from splitknit.types import FloatArray
 
-CROSSOVER_MM = 0.22
+CROSSOVER_MM = 0.3
 """Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
 
 
 RIDGE_TRUST = 4.0
 """Factor on the expected power of the ridges, so that the unmixing shrinks them less than the least-squares optimum."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FineLight:
+    """The white lights on the fine grid, as far as they vary with the surface's slant."""
+
+    entering: FloatArray
+    """(L, h, w) light that enters the skin, over normal incidence."""
+    trust: FloatArray
+    """(L, h, w) in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +75,7 @@ def measure(  # noqa: PLR0917
     band: BandImages,
     grid: Grid,
     surface_mm: FloatArray,
-    light: Lighting,
+    light: FineLight,
     skin: Mapping[str, Diffusion],
     brightness: Mapping[str, float],
 ) -> Measured:

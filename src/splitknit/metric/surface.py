@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -12,10 +12,10 @@ import numpy as np
 from splitknit.check import require
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric import relief as fine
-from splitknit.metric.coarse import BandImages, CoarsePrior, Lighting, compare, integrate, lighting, start_shape, unit
+from splitknit.metric.coarse import BandImages, CoarsePrior, compare, integrate, lighting, start_shape, unit
 from splitknit.metric.facets import Facets, measure_facets, ridged_normals
-from splitknit.metric.gloss import Gloss, Seen, fit_gloss, glare_normals, glare_stack
 from splitknit.metric.grid import Grid, coarsen, refine
+from splitknit.metric.relief import FineLight
 from splitknit.radiance import bin_mean
 from splitknit.separate import Diffusion, LocalWienerSettings, SkinSettings, diffusion
 from splitknit.types import FloatArray
@@ -39,8 +39,6 @@ class MetricSettings:
     """Corrections of the relief in each round."""
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
-    predict_glare: bool = False
-    """Predict the glare of the ridges from the current surface, so that colour has to tell only the rest."""
     seed: int = 0
     """Seed of the noise that is sent through the filters to learn its spectrum."""
     denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
@@ -99,7 +97,6 @@ def reconstruct_skin(
     first = low.smooth(start, low.mask, 0.5) * low.mask
     shape = first
     relief = np.zeros(grid.shape, dtype=np.float32)
-    gloss: Gloss | None = None
     facets: Facets | None = None
     total = settings.rounds
     for turn in range(total):
@@ -110,7 +107,7 @@ def reconstruct_skin(
             normals = ridged_normals(normals, shape, low, facets)
             height = (shape - _mean(shape, low) + np.float32(settings.plane_mm)) * low.mask
             added = height_gradients(np.where(low.mask, shape - first, np.float32(np.nan)), low.pitch_mm)
-            step = compare(small, low, height, normals, optics, added, settings.coarse)
+            step = compare(small, low, height, normals, optics, added, settings.coarse, facets)
             shape = shape + integrate(step.slope_x - added[0], step.slope_y - added[1], low, unit(normals)[..., 2])
         smooth = _placed(shape, low, factor, grid, settings.plane_mm)
         light = _fine_lighting(white, low, shape, settings.plane_mm, factor, grid)
@@ -118,13 +115,9 @@ def reconstruct_skin(
         for _ in range(settings.relief_steps):
             lacking = fine.lacking_slopes(measured, grid, smooth + relief)
             mix = fine.unmixing(measured, grid, _with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
-            if settings.predict_glare and len(white.channels) > 1 and relief.any():
-                clean, gloss = _without_glare(white, grid, smooth, relief, light, measured, lacking, mix)
-                lacking = fine.lacking_slopes(clean, grid, smooth + relief)
-                mix = fine.unmixing(clean, grid, _with_relief(lacking.slopes, clean, grid, relief), lacking.glare)
             raw = fine.update(measured, grid, lacking.slopes, mix, relief)
             relief, noise = fine.denoise(raw, grid, mix, settings.denoise, settings.seed)
-        facets = measure_facets(relief, smooth, grid, low, factor, mix.fit)
+        facets = measure_facets(relief, smooth, grid, low, factor, mix.fit, measured.region)
         if progress is not None:
             progress((turn + 1) / (total + 1))
     other = _optics(skin, bands, 1 + skin.scattering_uncertainty)
@@ -136,7 +129,6 @@ def reconstruct_skin(
         "scattering_assumed": True,
         "gain_sensitivity": sensitivity,
         "colour": {name: step.brightness[name] / step.brightness[white.channels[0]] for name in white.channels},
-        "gloss": None if gloss is None else {"roughness": gloss.roughness, "strength": gloss.strength},
         "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in step.glare.items()},
         "working_pitch_mm": grid.pitch_mm,
     }
@@ -145,9 +137,8 @@ def reconstruct_skin(
 
 
 def _optics(skin: SkinSettings, bands: tuple[BandImages, ...], factor: float = 1.0) -> dict[str, Diffusion]:
-    absorption = skin.absorption()
     names = [name for band in bands for name in band.channels]
-    return {name: diffusion(skin.scattering(name) * factor, absorption[name]) for name in names}
+    return {name: diffusion(skin.scattering(name) * factor, skin.absorption(name)) for name in names}
 
 
 def _mean(field: FloatArray, grid: Grid) -> np.float32:
@@ -161,7 +152,7 @@ def _placed(shape: FloatArray, low: Grid, factor: int, grid: Grid, plane_mm: flo
 
 def _fine_lighting(  # noqa: PLR0917
     band: BandImages, low: Grid, shape: FloatArray, plane_mm: float, factor: int, grid: Grid
-) -> Lighting:
+) -> FineLight:
     """Fresnel transmission and trust of the lights on the smooth shape, enlarged from the coarse grid."""
     height = refine(shape - _mean(shape, low) + np.float32(plane_mm), low.mask, 1, low.shape)
     height = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
@@ -175,38 +166,7 @@ def _fine_lighting(  # noqa: PLR0917
         missing = ((0, 0), (0, grid.shape[0] - size[1]), (0, grid.shape[1] - size[0]))
         return np.asarray(np.pad(np.stack(large), missing, mode="edge"), dtype=np.float32)
 
-    vectors = np.stack([enlarge(v) for v in light.vectors])
-    return Lighting(vectors, enlarge(light.entering), np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask)
-
-
-def _without_glare(  # noqa: PLR0917
-    band: BandImages,
-    grid: Grid,
-    smooth: FloatArray,
-    relief: FloatArray,
-    light: Lighting,
-    measured: fine.Measured,
-    lacking: fine.Lacking,
-    mix: fine.Unmixing,
-) -> tuple[fine.Measured, Gloss]:
-    """The measurement less the glare that the current surface predicts."""
-    normals = fine.mean_normals(smooth + relief, grid)
-    wx = np.asarray(grid.omega[0][0], dtype=np.float64)
-    transfer = np.stack([np.interp(mix.fit.omega_per_mm, wx, t[0]) for t in measured.transfer])
-    seen = Seen(
-        lacking.slopes,
-        lacking.expected,
-        lacking.diffuse,
-        measured.region,
-        mix.fit,
-        transfer,
-        lacking.glare,
-        fine.CROSSOVER_MM,
-    )
-    gloss = fit_gloss(band, grid, smooth, normals, light, seen)
-    stack = glare_stack(normals, light, gloss.roughness) * np.float32(gloss.strength)
-    glare = glare_normals(band, grid, smooth, light, stack)
-    return replace(measured, pseudo_normals=measured.pseudo_normals - glare), gloss
+    return FineLight(enlarge(light.entering), np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask)
 
 
 def _with_relief(

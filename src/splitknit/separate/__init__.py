@@ -6,11 +6,12 @@ the enhanced images as they are.
 
 from splitknit.separate.colour import SpectralFit, cross_spectra, fit_spectra, unmixing_weights
 from splitknit.separate.diffusion import Diffusion, SkinSettings, diffusion
-from splitknit.separate.glare import fit_glare, fresnel_transmission, microfacet_glare
+from splitknit.separate.glare import GlareFit, fit_glare, fresnel_transmission, microfacet_glare
 from splitknit.separate.local_wiener import LocalWienerSettings, local_wiener, window_power
 
 __all__ = [
     "Diffusion",
+    "GlareFit",
     "LocalWienerSettings",
     "SkinSettings",
     "SpectralFit",

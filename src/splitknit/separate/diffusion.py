@@ -15,18 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from splitknit.check import require
 
 CHANNELS = ("red", "green", "blue", "nir")
-
-_MELANIN = np.array([1.0, 1.58, 2.70, 0.35])
-"""Absorption of melanin at 620, 540, 460 and 850 nm over that at 620 nm: wavelength^-3.33 (Jacques 2013, eq. 23)."""
-_BLOOD = np.array([0.05, 1.0, 0.75, 0.02])
-"""Absorption of blood (75 % oxygenated) at the same wavelengths over that at 540 nm."""
-_SPREAD = np.array([0.1, 0.1])
-"""Spread per mm of the absorption by melanin and by blood between people: the scale of a weak prior."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +35,6 @@ class SkinSettings:
     """Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
     absorption_per_mm: tuple[float, float, float, float] = (0.030, 0.20, 0.40, 0.020)
     """Absorption of the same channels in light skin."""
-    absorption_from_colour: bool = True
-    """Adapt the absorption (melanin and blood) to the colour of this finger."""
 
     def __post_init__(self) -> None:
         require(
@@ -64,30 +54,9 @@ class SkinSettings:
         """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""
         return self.scattering_per_mm[CHANNELS.index(channel)] * self.scattering_factor
 
-    def absorption(self, colour: dict[str, float] | None = None) -> dict[str, float]:
-        """Absorption per mm by channel, adapted to the finger's `colour` if that is given.
-
-        `colour` holds the brightness of green and blue over red of the diffuse light under white light. Melanin and
-        blood are added to (or taken from) the settings' values until the albedos of :func:`diffusion` have these
-        ratios; a weak prior keeps them near the settings' values where the colours say little.
-        """
-        base = np.array(self.absorption_per_mm)
-        if colour is None or not self.absorption_from_colour:
-            return dict(zip(CHANNELS, base.tolist(), strict=True))
-        target = np.log([colour["green"], colour["blue"]])
-
-        def misfit(amounts: NDArray[np.float64]) -> NDArray[np.float64]:
-            absorbed = _absorption(base, amounts)
-            albedo = [diffusion(self.scattering(CHANNELS[c]), float(absorbed[c])).albedo for c in range(3)]
-            found = np.log([albedo[1] / albedo[0], albedo[2] / albedo[0]])
-            return np.concatenate([found - target, 0.03 * amounts / _SPREAD])
-
-        best = least_squares(misfit, np.zeros(2), bounds=([-0.05, -0.15], [3.0, 1.0]), x_scale=_SPREAD)
-        return dict(zip(CHANNELS, _absorption(base, best.x).tolist(), strict=True))
-
-
-def _absorption(base: NDArray[np.float64], amounts: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.maximum(base + amounts[0] * _MELANIN + amounts[1] * _BLOOD, 0.3 * base + 1e-4))
+    def absorption(self, channel: str) -> float:
+        """Absorption per mm in `channel`."""
+        return self.absorption_per_mm[CHANNELS.index(channel)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,12 +5,13 @@ It has the colour of the light and not of the skin, and it moves with the light:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from splitknit.types import BoolArray, FloatArray
+from splitknit.types import FloatArray
 
 INDEX = 1.42
 """Refractive index of the stratum corneum, about."""
@@ -77,7 +78,7 @@ class GlareFit:
     """Glare that best explains what no matt surface explains."""
 
     roughness: float
-    """GGX alpha, ridges included: a ridged finger is rougher than its skin."""
+    """GGX alpha."""
     strength: float
     """Factor on :func:`microfacet_glare`, in the images' units; never negative."""
     explained: float
@@ -86,9 +87,8 @@ class GlareFit:
 
 def fit_glare(
     stack: FloatArray,
-    normals: FloatArray,
     lights: FloatArray,
-    region: BoolArray,
+    model: Callable[[float], FloatArray],
     roughnesses: tuple[float, ...] = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42),
 ) -> GlareFit:
     """Fit strength and roughness of the glare in the images of one band.
@@ -99,21 +99,20 @@ def fit_glare(
 
     Parameters
     ----------
-    stack : (L, H, W), four lights at least
-    normals : (H, W, 3) of the current surface
-    lights : (L, 3, H, W)
-    region : (H, W) bool, where all lights reach the surface
+    stack : (L, n), four lights at least
+        Images at n pixels that all lights reach.
+    lights : (L, 3, n)
+    model : glare (L, n) of strength one for a roughness, as :func:`microfacet_glare`
     roughnesses : values to try
     """
-    if stack.shape[0] < 4 or not region.any():
+    if stack.shape[0] < 4 or stack.shape[1] == 0:
         return GlareFit(roughnesses[0], 0.0, 0.0)
-    basis = _orthonormal(lights[:, :, region])
-    left = _project_out(stack[:, region], basis)
+    basis = _orthonormal(lights)
+    left = _project_out(stack, basis)
     total = float((left * left).sum(dtype=np.float64))
     best = GlareFit(roughnesses[0], 0.0, 0.0)
     for roughness in roughnesses:
-        trial = microfacet_glare(normals[region][None], lights[:, :, region][:, :, None], roughness)[:, 0]
-        trial = _project_out(trial, basis)
+        trial = _project_out(model(roughness), basis)
         power = float((trial * trial).sum(dtype=np.float64))
         if power <= 0 or total <= 0:
             continue
