@@ -23,12 +23,19 @@ PAGES = {
     ROOT / "README.md": ("run", "targets"),
 }
 """The marks of every page."""
+ORDER = ("metric", "snk", "pr", "ea")
 Tree = Mapping[str, Any]
+
+
+def in_order(presets: Tree) -> list[str]:
+    """Ours first."""
+    return sorted(presets, key=ORDER.index)
 
 
 def population_table(population: Tree) -> str:
     """One table for each preset, the first with what is asked."""
-    return "\n\n".join(_preset_table(name, preset) for name, preset in population["presets"].items())
+    presets = population["presets"]
+    return "\n\n".join(_preset_table(name, presets[name]) for name in in_order(presets))
 
 
 def _preset_table(name: str, preset: Tree) -> str:
@@ -71,7 +78,7 @@ def _wanted(row: Row, wanted: Sequence[float]) -> str:
 
 def targets_table(population: Tree) -> str:
     """What is asked, and the mean of every preset."""
-    presets = list(population["presets"])
+    presets = in_order(population["presets"])
     lines = [
         f"| figure (mean over the fingers) | at least | aim for | {' | '.join(f'`{p}`' for p in presets)} |",
         "| --- | --- | --- |" + " --- |" * len(presets),
@@ -91,12 +98,12 @@ def targets_table(population: Tree) -> str:
 
 def variation_table(variation: Tree) -> str:
     """One line for each value; means over the fingers."""
-    presets = list(variation["values"][0]["presets"])
+    presets = in_order(variation["values"][0]["presets"])
     keys = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area", "normals_mean_deg")
     head = [f"{ROWS[k].words}" + (f", {ROWS[k].unit}" if ROWS[k].unit else "") for k in keys]
     unit = f", {variation['unit']}" if variation["unit"] else ""
     lines = [
-        f"**{variation['words']}{unit}** ({variation['fingers']} fingers; {variation['base']:g} elsewhere)",
+        f"**{variation['words']}{unit}** ({_fingers(variation['fingers'])}; {variation['base']:g} elsewhere)",
         "",
         f"| value | {'preset | ' if len(presets) > 1 else ''}{' | '.join(head)} |",
         "| --- |" + " --- |" * (len(keys) + (len(presets) > 1)),
@@ -108,6 +115,10 @@ def variation_table(variation: Tree) -> str:
             first = f"| {entry['value']:g} | " + (f"`{preset}` | " if len(presets) > 1 else "")
             lines.append(f"{first}{' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _fingers(count: int) -> str:
+    return "1 finger" if count == 1 else f"{count} fingers"
 
 
 def variations_summary(variations: Tree, preset: str = "metric") -> str:
@@ -122,7 +133,7 @@ def variations_summary(variations: Tree, preset: str = "metric") -> str:
         value, worst = max(others, key=lambda pair: _loss(pair[1], base))
         rows.append((_loss(worst, base), name, value, variation, worst))
     lines = [
-        "| what | worst value | surface rms, mm | ridge correlation | ridge gain | area > 0.8 |",
+        "| what is varied | worst value | surface rms, mm | ridge correlation | ridge gain | area > 0.8 |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for _, name, value, variation, worst in sorted(rows, key=lambda row: -row[0]):
@@ -132,7 +143,9 @@ def variations_summary(variations: Tree, preset: str = "metric") -> str:
             for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area")
         ]
         unit = f" {variation['unit']}" if variation["unit"] else ""
-        lines.append(f"| {name} | {value:g}{unit} (base {variation['base']:g}) | {' | '.join(cells)} |")
+        lines.append(
+            f"| {name.replace('_', ' ')} | {value:g}{unit} (base {variation['base']:g}) | {' | '.join(cells)} |"
+        )
     return "\n".join(lines)
 
 

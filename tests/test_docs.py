@@ -1,0 +1,77 @@
+"""The pages say what is true: links lead somewhere, generated pages are current, examples on them are read."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitknit
+from splitknit.io import write_image
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("benchmarks/*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f"{page.name}: {target}"
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+            slugs = {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
+            assert anchor in slugs, f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    named = set(re.findall(r"(?:examples|benchmarks|validation|tools|docs|tests)/[\w/]+\.(?:py|md|json|png|jpg)", text))
+    missing = [name for name in named if not (ROOT / name).exists() and not (page.parent / name).exists()]
+    assert missing == []
+
+
+def test_settings_page_is_current() -> None:
+    script = ROOT / "tools" / "make_settings_page.py"
+    done = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert done.returncode == 0, "run tools/make_settings_page.py"
+
+
+def test_verbs_of_the_readme_exist() -> None:
+    from splitknit.apps.cli import build_parser
+
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    verbs = set(re.findall(r"^\| `splitknit (\w+)", text, flags=re.MULTILINE))
+    known = set(build_parser()._subparsers._group_actions[0].choices)  # type: ignore[union-attr]
+    assert verbs == known
+
+
+def test_captures_by_hand_are_read(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "bring-your-own-data.md").read_text(encoding="utf-8")
+    examples = re.findall(r"<!-- example (\S+) -->\n```json\n(.*?)```", text, flags=re.DOTALL)
+    rigs = [body for name, body in examples if name == "rig.json"]
+    captures = [body for name, body in examples if name == "capture.json"]
+    assert len(rigs) == 1 and len(captures) == 2
+    rows, columns = json.loads(rigs[0])["camera"]["image_size"]
+    grey = np.tile(np.linspace(20, 200, columns).astype(np.uint8)[None, :, None], (rows, 1, 3))
+    for name in ("a", "b", "c", "d"):
+        write_image(tmp_path / f"{name}.png", grey)
+    write_image(tmp_path / "dark.png", np.full_like(grey, 5))
+    write_image(tmp_path / "mask.png", np.full((rows, columns), 255, dtype=np.uint8))
+    (tmp_path / "rig.json").write_text(rigs[0])
+    for body in captures:
+        (tmp_path / "capture.json").write_text(body)
+        capture = splitknit.read_capture(tmp_path)
+        assert len(capture.bands["white"].leds) == 4
+    assert capture.bands["white"].exposure.tolist() == pytest.approx([0.02, 0.02, 0.04, 0.04])
+    assert capture.tip_direction_deg == 20
