@@ -16,6 +16,7 @@ from splitknit.radiance import bin_mean
 from splitknit.separate import SkinSettings, diffusion
 
 FACTOR = 3
+GLARE = 0.4
 SKIN = SkinSettings()
 OPTICS = {n: diffusion(SKIN.scattering(n), SKIN.absorption(n)) for n in (*COLOURS, "nir")}
 
@@ -59,7 +60,7 @@ def matt():
 
 @pytest.fixture(scope="module")
 def glossy():
-    return Coarse(make_scene(0.5, depth=0.0))
+    return Coarse(make_scene(GLARE, depth=0.0))
 
 
 def test_lights_at_the_surface_are_near_and_enter_by_fresnel(matt):
@@ -91,6 +92,10 @@ def test_trust_ends_where_light_grazes_and_outside(matt):
     opposite = int(np.argmin([led.position_mm[0] for led in matt.white.rig.leds]))
     assert light.trust[opposite, row, first] > 0.99
     assert light.trust[opposite, row, last] < 0.01
+    cosine = np.einsum("lihw,hwi->lhw", light.vectors, slanted) / np.linalg.norm(light.vectors, axis=1)
+    half = (cosine > 0.12) & (cosine < 0.13) & grid.mask
+    assert half.any()
+    assert (np.abs(light.trust[half] - 0.5) < 0.04).all()
     assert (light.trust >= 0).all()
     assert (light.trust <= 1.001).all()
 
@@ -162,7 +167,7 @@ def test_glare_is_found_on_a_smooth_dome(glossy, bands):
     assert set(step.glare) == {band.channels[-1] for band in chosen}
     for roughness, strength in step.glare.values():
         assert roughness == 0.30
-        assert strength == pytest.approx(0.5 * np.pi * origin, rel=0.1)
+        assert strength == pytest.approx(GLARE * np.pi * origin, rel=0.1)
     assert step.slope_x[glossy.inner].std() < 0.01
     assert step.brightness[chosen[0].channels[0]] == pytest.approx(ALBEDO[chosen[0].channels[0]] * origin, rel=0.02)
 
@@ -197,6 +202,13 @@ def test_corrections_are_those_of_the_images_whatever_the_albedo_ramp(glossy):
     plain = glossy.compare((glossy.nir,))
     ramped = glossy.compare((replace(glossy.nir, stack=glossy.nir.stack * rows),))
     assert np.abs(ramped.slope_x - plain.slope_x)[glossy.inner].max() < 0.02
+    flat = (0.8 * (glossy.height - 1.0) + 1.0).astype(np.float32) * glossy.grid.mask
+    lacking = glossy.compare((glossy.nir,), flat)
+    strong = np.linspace(0.5, 1.6, glossy.grid.shape[0], dtype=np.float32)[:, None]
+    tinted = glossy.compare((replace(glossy.nir, stack=glossy.nir.stack * strong),), flat)
+    middle = glossy.grid.depth_mm > 1.5
+    size = lacking.slope_x[middle].std()
+    assert np.abs(tinted.slope_x - lacking.slope_x)[middle].std() < 0.12 * size
     brighter = glossy.compare((replace(glossy.nir, stack=glossy.nir.stack * np.float32(3)),))
     np.testing.assert_allclose(brighter.slope_x, plain.slope_x, atol=1e-3)
     assert brighter.brightness["nir"] == pytest.approx(3 * plain.brightness["nir"], rel=1e-3)

@@ -196,6 +196,29 @@ def test_slopes_and_direction_are_those_of_the_relief(across_deg):
     assert along[5:-5, 5:-5].min() > 0.99
 
 
+def test_slopes_are_those_against_the_sloping_surface():
+    """The relief is measured along the line of sight: on a slope across the ridges its facets lean less."""
+    grid, relief = ridges(0.0)
+    low = coarsen(grid, 3)
+    powers = SpectralFit(np.geomspace(5, 70, 30), np.full(30, 1.0), np.zeros(30), np.ones(1))
+    tilt = 0.45
+    inner = np.ones(grid.shape, dtype=np.float32)
+    level = measure_facets(relief, 0 * relief, grid, low, 3, powers, inner)
+    plane = (tilt * grid.x_mm[None, :] * np.ones((grid.shape[0], 1))).astype(np.float32)
+    sloping = measure_facets(relief, plane, grid, low, 3, powers, inner)
+    assert sloping.slopes.std() == pytest.approx(level.slopes.std() / (1 + tilt**2), rel=1e-3)
+    along = measure_facets(
+        relief,
+        (tilt * grid.y_mm[:, None] * np.ones((1, grid.shape[1]))).astype(np.float32),
+        grid,
+        low,
+        3,
+        powers,
+        inner,
+    )
+    assert along.slopes.std() == pytest.approx(level.slopes.std() / np.sqrt(1 + tilt**2), rel=1e-3)
+
+
 def test_power_of_the_ridges_is_their_mean_square_slope():
     grid, relief = ridges(30.0)
     window = np.outer(*(np.sin(np.pi * (np.arange(n) + 0.5) / n) for n in grid.shape)).astype(np.float32)

@@ -147,6 +147,13 @@ def test_nothing_is_lacking_where_nothing_is_trusted():
             assert not slope[~GRID.mask].any()
 
 
+def test_a_tilt_is_left_to_the_coarse_grid():
+    gx, gy = dome_slopes()
+    for x, y in lacking_slopes(measured_of(gx + 0.2, gy), GRID, DOME).slopes:
+        assert np.abs(x[INNER]).max() < 0.02
+        assert np.abs(y[INNER]).max() < 0.02
+
+
 def test_mean_normals_are_unit_and_end_at_the_mask():
     normals = mean_normals(DOME, GRID)
     assert not normals[~GRID.mask].any()
@@ -181,6 +188,9 @@ def test_measure_gives_albedo_times_normal():
     np.testing.assert_allclose(found.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
     assert not found.trust[~GRID.mask].any()
     assert found.trust[INNER].min() > 0.99
+    assert not found.trust[GRID.depth_mm <= 0.1].any()
+    rim = np.abs(GRID.depth_mm - 0.25) < 0.01
+    assert np.abs(found.trust[rim] - 0.5).max() < 0.06
     assert not found.region[GRID.depth_mm < 0.5].any()
     assert found.region[75, 85] == pytest.approx(1.0, abs=1e-3)
 

@@ -75,6 +75,29 @@ def test_energy_is_that_of_the_facets_that_mirror_the_sky(roughness):
     assert 0.92 < albedo / NORMAL_REFLECTANCE * (1 + roughness**2) < 1.02
 
 
+def test_glare_of_any_facet_is_the_textbooks():
+    """Cook and Torrance with GGX and Smith's shadowing, written out in double precision."""
+    rng = np.random.default_rng(4)
+    tilts, around = rng.uniform(0, 70, 40), rng.uniform(0, 360, 40)
+    light, normal = direction(35.0, 20.0), direction(tilts, around)
+    half = light + np.array([0.0, 0.0, 1.0])
+    half /= np.linalg.norm(half)
+    for roughness in (0.15, 0.45):
+        a2 = roughness**2
+        nl, nv, nh, lh = normal @ light, normal[:, 2], normal @ half, light @ half
+        facets = a2 / (np.pi * ((nh * nh) * (a2 - 1) + 1) ** 2)
+        unshadowed = [2 / (1 + np.sqrt(1 + a2 * (1 / c**2 - 1))) for c in (nl, nv)]
+        g = np.sqrt(1.42**2 - 1 + lh**2)
+        reflectance = (
+            0.5 * ((g - lh) / (g + lh)) ** 2 * (1 + ((lh * (g + lh) - 1) / (lh * (g - lh) + 1)) ** 2)
+        )  # Walter et al., eq. 22
+        expected = facets * unshadowed[0] * unshadowed[1] * reflectance / (4 * nv)
+        found = microfacet_glare(flat(normal), lights_at(light, pixels=40), roughness)[0, 0]
+        lit = nl > 0.05
+        np.testing.assert_allclose(found[lit], expected[lit], rtol=1e-3)
+        assert lit.sum() > 20
+
+
 def test_light_from_behind_gives_no_glare():
     glare = microfacet_glare(
         flat([[0, 0, 1], direction(60.0, 180.0)]), lights_at((0.1, 0, -0.5), (1, 0, 0.2), pixels=2), 0.3
