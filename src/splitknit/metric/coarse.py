@@ -207,7 +207,8 @@ def compare(  # noqa: PLR0917
 
 
 MOST_GLARE = 1.0
-"""Most glare, over that of a clean boundary with the skin's refractive index."""
+"""Most glare that is predicted, over that of a clean boundary with the skin's refractive index. What is left over is
+told by its colour; what is predicted in excess draws relief that is not there."""
 ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
 
 

@@ -29,6 +29,8 @@ CROSSOVER_MM = 0.3
 """Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
 
 
+KNIT_MM = 0.5
+"""Standard deviation of the Gaussian that parts relief and shape in the result."""
 RIDGE_TRUST = 4.0
 """Factor on the expected power of the ridges, so that the unmixing shrinks them less than the least-squares optimum."""
 
@@ -152,9 +154,9 @@ def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> La
     return Lacking([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), expected[0], scales[0])
 
 
-def _ridge_band(slope: FloatArray, grid: Grid) -> FloatArray:
+def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
     """A slope less its local mean, so that what belongs to the coarse grid does not ring at the outline."""
-    return slope - grid.smooth(slope, grid.mask, CROSSOVER_MM)
+    return slope - grid.smooth(slope, grid.mask, sigma_mm)
 
 
 def _diffuse_scale(expected: list[FloatArray], seen: list[FloatArray]) -> FloatArray:
@@ -193,9 +195,9 @@ def unmixing(
     return Unmixing([grid.radial(omega, w) for w in weights], fit, glare)
 
 
-def high_pass(grid: Grid) -> FloatArray:
+def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
     """Share of the fine grid at each frequency; the coarse grid has the rest."""
-    return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * np.float32(CROSSOVER_MM)) ** 2), dtype=np.float32)
+    return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * np.float32(sigma_mm)) ** 2), dtype=np.float32)
 
 
 def update(
@@ -226,6 +228,16 @@ def _integrated(
     square = omega * omega
     square[0, 0] = 1.0
     return np.asarray(total * (-1j / square), dtype=np.complex64)
+
+
+def detail_of(shape_mm: FloatArray, measured: Measured, grid: Grid) -> FloatArray:
+    """The ridge band (h, w) of the shape from the coarse grid: creases and what else is finer than the crossover.
+
+    Taken from the slopes less their local mean, so that the curvature at the outline is not mistaken for a ridge.
+    """
+    x, y = (_ridge_band(s, grid, KNIT_MM) * measured.trust for s in height_gradients(shape_mm, grid.pitch_mm))
+    whole = _integrated(grid, [(x, y)], [np.ones(1, dtype=np.float32)])
+    return grid.inverse(whole * high_pass(grid, KNIT_MM)) * grid.mask
 
 
 def denoise(

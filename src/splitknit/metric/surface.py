@@ -132,8 +132,9 @@ def reconstruct_skin(
         "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in step.glare.items()},
         "working_pitch_mm": grid.pitch_mm,
     }
+    detail = fine.detail_of(smooth, measured, grid)
     albedo = np.sqrt((measured.pseudo_normals[0] ** 2).sum(axis=-1))
-    return SkinSurface(smooth, relief, deviation.astype(np.float32), albedo.astype(np.float32), facts)
+    return SkinSurface(smooth - detail, relief + detail, deviation.astype(np.float32), albedo.astype(np.float32), facts)
 
 
 def _optics(skin: SkinSettings, bands: tuple[BandImages, ...], factor: float = 1.0) -> dict[str, Diffusion]:

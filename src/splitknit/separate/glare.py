@@ -55,18 +55,22 @@ def microfacet_glare(normals: FloatArray, lights: FloatArray, roughness: float) 
     B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
     """
     a2 = np.float32(roughness**2)
-    nx, ny, nz = normals[..., 0], normals[..., 1], normals[..., 2]
-    strength = np.sqrt((lights * lights).sum(axis=1))
-    safe = np.maximum(strength, np.float32(1e-12))
-    lx, ly, lz = (lights[:, axis] / safe for axis in range(3))
-    cosine = lx * nx + ly * ny + lz * nz
-    length = np.sqrt(lx * lx + ly * ly + (lz + 1) ** 2)
-    nh = np.clip((lx * nx + ly * ny + (lz + 1) * nz) / length, 0, 1)
+    nx, ny, nz = (np.ascontiguousarray(normals[..., axis]) for axis in range(3))
     view = np.clip(nz, np.float32(0.05), 1)
-    spread = a2 / (np.float32(np.pi) * (nh * nh * (a2 - 1) + 1) ** 2)
-    shadow = _one_way(np.maximum(cosine, np.float32(1e-4)), a2) * _one_way(view, a2)
-    mirrored = spread * shadow * _fresnel((lz + 1) / length) / (4 * view)
-    return np.where(cosine > 0, mirrored * strength, np.float32(0)).astype(np.float32)
+    seen = _one_way(view, a2) / (4 * view)
+    glare = np.empty((lights.shape[0], *nz.shape), dtype=np.float32)
+    for k, light in enumerate(lights):
+        strength = np.sqrt(light[0] * light[0] + light[1] * light[1] + light[2] * light[2])
+        safe = np.maximum(strength, np.float32(1e-12))
+        lx, ly, lz = light[0] / safe, light[1] / safe, light[2] / safe
+        cosine = lx * nx + ly * ny + lz * nz
+        length = np.sqrt(np.maximum(2 * (lz + 1), np.float32(1e-12)))  # of light plus view
+        nh = np.clip((cosine + nz) / length, 0, 1)
+        falloff = nh * nh * (a2 - 1) + 1
+        spread = a2 / (np.float32(np.pi) * falloff * falloff)
+        incoming = _one_way(np.maximum(cosine, np.float32(1e-4)), a2) * _fresnel(length / 2) * strength
+        glare[k] = np.where(cosine > 0, spread * seen * incoming, np.float32(0.0))
+    return glare
 
 
 def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
