@@ -39,6 +39,9 @@ class MetricSettings:
     """Corrections of the relief in each round."""
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
+    model_error: float = 0.5
+    """Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved), as a part of the
+    relief's local rms height; measured on simulated fingers, see docs/accuracy.md."""
     seed: int = 0
     """Seed of the noise that is sent through the filters to learn its spectrum."""
     denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
@@ -49,6 +52,7 @@ class MetricSettings:
             0 < self.working_pitch_mm <= self.coarse_pitch_mm,
             "metric.working_pitch_mm must be positive and at most metric.coarse_pitch_mm.",
         )
+        require(self.model_error >= 0, "metric.model_error must not be negative.")
         require(self.rounds >= 1 and self.relief_steps >= 1, "metric.rounds and metric.relief_steps must be positive.")
         require(
             len(self.coarse_steps) > 0 and min(self.coarse_steps) >= 1,
@@ -63,7 +67,7 @@ class SkinSurface:
     shape_mm: FloatArray
     relief_mm: FloatArray
     deviation_mm: FloatArray
-    """Standard deviation of the relief: noise, what denoising took, and what is not known of the scattering."""
+    """Standard deviation of the relief: noise, what denoising took, unknown scattering, and model error."""
     albedo: FloatArray
     """Diffuse brightness of the first channel, relative."""
     facts: Mapping[str, Any]
@@ -122,7 +126,9 @@ def reconstruct_skin(
             progress((turn + 1) / (total + 1))
     other = _optics(skin, bands, 1 + skin.scattering_uncertainty)
     sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
-    deviation = np.sqrt(noise**2 + (np.float32(sensitivity) * relief) ** 2)
+    height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), np.float32(0.0)))
+    model = np.float32(np.hypot(sensitivity, settings.model_error)) * height
+    deviation = np.sqrt(noise**2 + model**2)
     facts = {
         "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
         "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
