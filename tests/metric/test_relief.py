@@ -14,6 +14,7 @@ from splitknit.metric.relief import (
     Measured,
     Unmixing,
     denoise,
+    detail_of,
     high_pass,
     lacking_slopes,
     mean_normals,
@@ -193,6 +194,59 @@ def test_measure_gives_albedo_times_normal():
     assert np.abs(found.trust[rim] - 0.5).max() < 0.06
     assert not found.region[GRID.depth_mm < 0.5].any()
     assert found.region[75, 85] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_lights_that_are_not_trusted_do_not_count():
+    rig = ring("white")
+    stack = np.empty((1, 7, *SHAPE), dtype=np.float32)
+    for k, led in enumerate(rig.leds):
+        towards = np.asarray(led.position_mm)[:, None, None] - np.stack([X, Y, np.ones(SHAPE)])
+        stack[0, k] = led.intensity * towards[2] / np.linalg.norm(towards, axis=0) ** 3 * 149.52**2
+    stack[0, 2] = 0.0  # in shadow
+    trust = np.ones((7, *SHAPE), dtype=np.float32)
+    trust[2] = 1e-3
+    level = np.ones(SHAPE, dtype=np.float32)
+    band = BandImages(("green",), stack, rig)
+    found, fooled = (
+        measure(band, GRID, level, FineLight(np.ones_like(trust), t), OPTICS, {"green": 1.0}).pseudo_normals[0]
+        for t in (trust, np.ones_like(trust))
+    )
+    for g, straight in ((found, True), (fooled, False)):
+        tilt = np.hypot(g[INNER][:, 0], g[INNER][:, 1]) / g[INNER][:, 2]
+        assert (tilt.max() < 0.01) == straight
+
+
+def test_strong_ridges_are_hardly_shrunk_by_noise():
+    relief, sx, sy = ridge(0.03)
+    zero = np.zeros(SHAPE)
+    gains = []
+    for amplitude in (1.0, 0.1):
+        measured, slopes, glare = synthetic((amplitude * sx, amplitude * sy), (zero, zero), 0.03)
+        mix = unmixing(measured, GRID, slopes, glare)
+        found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+        gains.append(gain_of(found[INNER], (amplitude * relief)[INNER]))
+    assert gains[0] == pytest.approx(1.0, abs=0.05)
+    assert gains[1] < gains[0] - 0.05
+
+
+def test_detail_of_the_shape_is_what_is_finer_than_the_crossover():
+    measured = measured_of(*dome_slopes())
+    wave = (0.02 * np.cos(2 * np.pi * X)).astype(np.float32)
+    smooth = detail_of(DOME, measured, GRID)
+    assert np.abs(smooth[INNER]).max() < 0.002
+    detail = detail_of(DOME + wave, measured, GRID)
+    assert gain_of((detail - smooth)[INNER], wave[INNER]) == pytest.approx(0.97, abs=0.04)
+    assert not detail[~GRID.mask].any()
+
+
+def test_smooth_features_are_expected_even_where_none_are_seen():
+    zero = np.zeros(SHAPE)
+    measured, slopes, glare = synthetic((zero, zero), (zero, zero), 0.0)
+    mix = unmixing(measured, GRID, slopes, glare)
+    kept = sum(w * t for w, t in zip(mix.weights, measured.transfer, strict=True))
+    slow = (GRID.omega[2] > 5) & (GRID.omega[2] < 12)
+    assert kept[slow].min() > 0.9
+    assert kept.max() < 1.02
 
 
 def test_steep_slopes_are_not_trusted():
