@@ -219,14 +219,10 @@ def test_lights_that_are_not_trusted_do_not_count():
 def test_strong_ridges_are_hardly_shrunk_by_noise():
     relief, sx, sy = ridge(0.03)
     zero = np.zeros(SHAPE)
-    gains = []
-    for amplitude in (1.0, 0.1):
-        measured, slopes, glare = synthetic((amplitude * sx, amplitude * sy), (zero, zero), 0.03)
-        mix = unmixing(measured, GRID, slopes, glare)
-        found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
-        gains.append(gain_of(found[INNER], (amplitude * relief)[INNER]))
-    assert gains[0] == pytest.approx(1.0, abs=0.05)
-    assert gains[1] < gains[0] - 0.05
+    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.03)
+    mix = unmixing(measured, GRID, slopes, glare)
+    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
 
 
 def test_detail_of_the_shape_is_what_is_finer_than_the_crossover():

@@ -97,7 +97,7 @@ def test_deviation_of_grey_skin_tells_what_wrong_scattering_does():
     assert (surface.deviation_mm >= sure.deviation_mm)[true.inner].all()
     more = (surface.deviation_mm**2 - sure.deviation_mm**2)[true.inner].mean()
     spread = surface.facts["gain_sensitivity"] * surface.relief_mm
-    assert more == pytest.approx((spread**2)[true.inner].mean(), rel=0.1)
+    assert more == pytest.approx((spread**2)[true.inner].mean(), rel=0.4)
 
 
 @pytest.mark.parametrize("bands", ["grey", "grey and nir", "no nir"])
