@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -29,6 +29,8 @@ CROSSOVER_MM = 0.3
 """Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
 
 
+RIDGE_PER_MM = (9.0, 24.0)
+"""Angular frequencies (rad/mm) of ridges: periods of 0.70 to 0.26 mm, as seen from above."""
 KNIT_MM = 0.5
 """Standard deviation of the Gaussian that parts relief and shape in the result."""
 RIDGE_TRUST = 4.0
@@ -179,7 +181,7 @@ def unmixing(
     wx = np.asarray(grid.omega[0][0], dtype=np.float64)
     rows = [np.asarray(t[0], dtype=np.float64) for t in measured.transfer]
     transfer = np.stack([np.interp(centres, wx, row) for row in rows])
-    fit = fit_spectra(centres, along, across, transfer, glare)
+    fit = plausible(fit_spectra(centres, along, across, transfer, glare))
     # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth features
     signal = np.array([fit.signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
     signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
@@ -193,6 +195,19 @@ def unmixing(
     colours = len(measured.channels) > 1
     weights = unmixing_weights(fine_transfer, glare, fine_signal, fine_glare * colours, fit.noise)
     return Unmixing([grid.radial(omega, w) for w in weights], fit, glare)
+
+
+def plausible(fit: SpectralFit) -> SpectralFit:
+    """The fit with the relief's power above the ridges' own frequency limited to the fall of a ridge's harmonics.
+
+    Where skin passes next to nothing, an error in the glare's colour looks like relief. The slopes of flat ridges with
+    narrow, steep valleys fall off about as one over the frequency; nothing rougher is believed.
+    """
+    omega = fit.omega_per_mm
+    ridges = np.flatnonzero((omega >= RIDGE_PER_MM[0]) & (omega <= RIDGE_PER_MM[1]))
+    peak = int(ridges[np.argmax(fit.signal[ridges])])
+    limit = fit.signal[peak] * (omega[peak] / omega) ** 2
+    return replace(fit, signal=np.where(omega > omega[peak], np.minimum(fit.signal, limit), fit.signal))
 
 
 def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:

@@ -114,6 +114,8 @@ def reconstruct_skin(
             step = compare(small, low, height, normals, optics, added, settings.coarse, facets)
             shape = shape + integrate(step.slope_x - added[0], step.slope_y - added[1], low, unit(normals)[..., 2])
         smooth = _placed(shape, low, factor, grid, settings.plane_mm)
+        colour = {name: step.brightness[name] / step.brightness[white.channels[0]] for name in white.channels}
+        optics = _optics(skin, bands, 1.0, colour if len(colour) > 1 else None)
         light = _fine_lighting(white, low, shape, settings.plane_mm, factor, grid)
         measured = fine.measure(white, grid, smooth, light, optics, step.brightness)
         for _ in range(settings.relief_steps):
@@ -124,7 +126,7 @@ def reconstruct_skin(
         facets = measure_facets(relief, smooth, grid, low, factor, mix.fit, measured.region)
         if progress is not None:
             progress((turn + 1) / (total + 1))
-    other = _optics(skin, bands, 1 + skin.scattering_uncertainty)
+    other = _optics(skin, bands, 1 + skin.scattering_uncertainty, colour if len(colour) > 1 else None)
     sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), np.float32(0.0)))
     model = np.float32(np.hypot(sensitivity, settings.model_error)) * height
@@ -134,7 +136,7 @@ def reconstruct_skin(
         "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
         "scattering_assumed": True,
         "gain_sensitivity": sensitivity,
-        "colour": {name: step.brightness[name] / step.brightness[white.channels[0]] for name in white.channels},
+        "colour": colour,
         "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in step.glare.items()},
         "working_pitch_mm": grid.pitch_mm,
     }
@@ -143,9 +145,14 @@ def reconstruct_skin(
     return SkinSurface(smooth - detail, relief + detail, deviation.astype(np.float32), albedo.astype(np.float32), facts)
 
 
-def _optics(skin: SkinSettings, bands: tuple[BandImages, ...], factor: float = 1.0) -> dict[str, Diffusion]:
+def _optics(
+    skin: SkinSettings, bands: tuple[BandImages, ...], factor: float = 1.0, colour: Mapping[str, float] | None = None
+) -> dict[str, Diffusion]:
     names = [name for band in bands for name in band.channels]
-    return {name: diffusion(skin.scattering(name) * factor, skin.absorption(name)) for name in names}
+    return {
+        name: diffusion(skin.scattering(name) * factor, skin.absorption(name, (colour or {}).get(name)))
+        for name in names
+    }
 
 
 def _mean(field: FloatArray, grid: Grid) -> np.float32:

@@ -36,7 +36,11 @@ class SkinSettings:
     absorption_per_mm: tuple[float, float, float, float] = (0.030, 0.20, 0.40, 0.020)
     """Absorption of the same channels in light skin."""
 
+    colour_trust: float = 0.6
+    """How far green's and blue's absorption follow the colour of this finger: 0 not at all, 1 wholly."""
+
     def __post_init__(self) -> None:
+        require(0 <= self.colour_trust <= 1, "skin.colour_trust must lie between 0 and 1.")
         require(
             all(np.isfinite(v) and v > 0 for v in (*self.scattering_per_mm, self.scattering_factor)),
             "skin.scattering_per_mm and skin.scattering_factor must be positive numbers.",
@@ -54,9 +58,23 @@ class SkinSettings:
         """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""
         return self.scattering_per_mm[CHANNELS.index(channel)] * self.scattering_factor
 
-    def absorption(self, channel: str) -> float:
-        """Absorption per mm in `channel`."""
-        return self.absorption_per_mm[CHANNELS.index(channel)]
+    def absorption(self, channel: str, colour: float | None = None) -> float:
+        """Absorption per mm in `channel`, adapted to the finger's colour if that is given.
+
+        `colour` is the channel's diffuse brightness over that of red under white light. The absorption in red is taken
+        as it is; green and blue get what brings the ratio of the albedos of :func:`diffusion` to the colour, as far as
+        `colour_trust` says (in the logarithm).
+        """
+        assumed = self.absorption_per_mm[CHANNELS.index(channel)]
+        if colour is None or channel not in ("green", "blue") or self.colour_trust == 0:
+            return assumed
+        scattering = self.scattering(channel)
+        red = diffusion(self.scattering("red"), self.absorption_per_mm[0]).albedo
+        usual = diffusion(scattering, assumed).albedo / red
+        wanted = red * usual * (max(colour, 1e-3) / usual) ** self.colour_trust
+        trial = np.geomspace(assumed / 4 + 1e-4, assumed * 12 + 1e-2, 60)
+        albedo = np.array([diffusion(scattering, float(a)).albedo for a in trial])
+        return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
