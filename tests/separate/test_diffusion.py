@@ -116,3 +116,19 @@ def test_settings_scale_all_channels_and_refuse_nonsense():
     ):
         with pytest.raises(BadInput, match="skin"):
             SkinSettings(**wrong)
+
+
+def test_absorption_follows_the_colour_of_the_finger() -> None:
+    skin = SkinSettings(colour_trust=1.0)
+    red = diffusion(skin.scattering("red"), skin.absorption("red")).albedo
+    usual = {c: diffusion(skin.scattering(c), skin.absorption(c)).albedo / red for c in ("green", "blue")}
+    for channel, ratio in usual.items():
+        assert skin.absorption(channel, ratio) == pytest.approx(skin.absorption(channel), rel=0.03)
+        redder = skin.absorption(channel, 0.8 * ratio)
+        assert diffusion(skin.scattering(channel), redder).albedo / red == pytest.approx(0.8 * ratio, rel=0.02)
+        half = SkinSettings(colour_trust=0.5).absorption(channel, 0.8 * ratio)
+        assert skin.absorption(channel) < half < redder
+        assert SkinSettings(colour_trust=0.0).absorption(channel, 0.8 * ratio) == skin.absorption(channel)
+    assert skin.absorption("red", 0.5) == skin.absorption("red")
+    with pytest.raises(BadInput, match="colour_trust"):
+        SkinSettings(colour_trust=1.5)
