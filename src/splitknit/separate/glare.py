@@ -6,6 +6,7 @@ It has the colour of the light and not of the skin, and it moves with the light:
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,7 +60,9 @@ def microfacet_glare(normals: FloatArray, lights: FloatArray, roughness: float) 
     view = np.clip(nz, np.float32(0.05), 1)
     seen = _one_way(view, a2) / (4 * view)
     glare = np.empty((lights.shape[0], *nz.shape), dtype=np.float32)
-    for k, light in enumerate(lights):
+
+    def one(k: int) -> None:
+        light = lights[k]
         strength = np.sqrt(light[0] * light[0] + light[1] * light[1] + light[2] * light[2])
         safe = np.maximum(strength, np.float32(1e-12))
         lx, ly, lz = light[0] / safe, light[1] / safe, light[2] / safe
@@ -70,6 +73,9 @@ def microfacet_glare(normals: FloatArray, lights: FloatArray, roughness: float) 
         spread = a2 / (np.float32(np.pi) * falloff * falloff)
         incoming = _one_way(np.maximum(cosine, np.float32(1e-4)), a2) * _fresnel(length / 2) * strength
         glare[k] = np.where(cosine > 0, spread * seen * incoming, np.float32(0.0))
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(one, range(lights.shape[0])))
     return glare
 
 
