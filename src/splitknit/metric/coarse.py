@@ -157,6 +157,7 @@ def compare(  # noqa: PLR0917
     brightness: dict[str, float] = {}
     glare: dict[str, tuple[float, float]] = {}
     groups: list[list[int]] = []
+    transfer = {name: grid.sampled(skin[name]) for band in bands for name in band.channels}
     gloss: GlareFit | None = None
     scale = 1.0
     for band in bands:
@@ -165,7 +166,7 @@ def compare(  # noqa: PLR0917
         reached = reached if reached.any() else grid.mask
         irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
         spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
-        expected = np.stack([grid.inverse(spectrum * _transfer(grid, skin[n])) * grid.mask for n in band.channels])
+        expected = np.stack([grid.inverse(spectrum * transfer[n]) * grid.mask for n in band.channels])
         dull = _dullest(microfacet_glare(shape_normals, light.vectors, 0.3), reached)
         for c, name in enumerate(band.channels):
             brightness[name] = _median_ratio(band.stack[c], expected[c], dull)
@@ -194,7 +195,7 @@ def compare(  # noqa: PLR0917
             names.append(name)
         groups.append(list(range(start, len(names))))
     weights = _weights(grid, names, groups, brightness, skin, prior)
-    kept = sum(w * _transfer(grid, skin[name]) for w, name in zip(weights, names, strict=True))
+    kept = sum(w * transfer[name] for w, name in zip(weights, names, strict=True))
     slope_x, slope_y = (
         grid.inverse(
             kept * grid.forward(added[axis])
@@ -267,11 +268,6 @@ def _some(region: BoolArray) -> BoolArray:
     chosen = region.copy()
     chosen[::2] = False
     return chosen
-
-
-def _transfer(grid: Grid, skin: Diffusion) -> FloatArray:
-    omega = np.linspace(0, float(grid.omega[2].max()), 1024)
-    return grid.radial(omega, skin(omega))
 
 
 def _dullest(mirrored: FloatArray, region: BoolArray) -> BoolArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -78,6 +79,11 @@ class Grid:
     def radial(self, omega: NDArray[np.float64], gain: NDArray[np.float64]) -> FloatArray:
         """Sample a radial gain, given at increasing `omega`, on the frequencies of :meth:`forward`."""
         return np.interp(self.omega[2], omega, gain).astype(np.float32)
+
+    def sampled(self, gain: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> FloatArray:
+        """A smooth radial gain, a function of rad/mm, on the frequencies of :meth:`forward`."""
+        omega = np.linspace(0, float(self.omega[2].max()), 1024)
+        return self.radial(omega, gain(omega))
 
     def smooth(self, field: FloatArray, region: BoolArray | FloatArray, sigma_mm: float) -> FloatArray:
         """Gaussian mean of (h, w) over `region` only; wide Gaussians on a reduced copy."""

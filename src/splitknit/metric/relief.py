@@ -100,8 +100,7 @@ def measure(  # noqa: PLR0917
     if not inner.any():
         inner = (grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())).astype(np.float32)
     region = cv2.GaussianBlur(inner, (0, 0), 0.2 / grid.pitch_mm) * inner
-    omega = np.linspace(0, float(grid.omega[2].max()), 1024)
-    transfer = np.stack([grid.radial(omega, skin[name](omega)) for name in band.channels])
+    transfer = np.stack([grid.sampled(skin[name]) for name in band.channels])
     levels = np.array([brightness[name] for name in band.channels], dtype=np.float32)
     return Measured(band.channels, g, transfer, levels, trust.astype(np.float32), np.asarray(region, dtype=np.float32))
 
@@ -279,9 +278,8 @@ def scattering_sensitivity(
     measured: Measured, grid: Grid, mix: Unmixing, other: Mapping[str, Diffusion], relief_mm: FloatArray
 ) -> float:
     """Relative change of the relief's gain if the skin scattered as `other` does and the unmixing did not know."""
-    omega = np.linspace(0, float(grid.omega[2].max()), 1024)
     gain = sum(
-        w * (grid.radial(omega, other[name](omega)) - t)
+        w * (grid.sampled(other[name]) - t)
         for w, t, name in zip(mix.weights, measured.transfer, measured.channels, strict=True)
     )
     power = np.abs(grid.forward(relief_mm * measured.region)) ** 2
