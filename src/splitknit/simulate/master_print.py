@@ -137,13 +137,13 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
     minutiae = phase_singularities(wave, field.angle_rad)
     minutiae[:, 0] = u_mm[0] + coarse * minutiae[:, 0]
     minutiae[:, 1] = v_mm[0] - coarse * minutiae[:, 1]
-    fine = _twice_as_fine(wave)
+    fine = twice_as_fine(wave)
     fine_u = u_mm[0] + settings.pitch_mm * np.arange(fine.shape[1])
     fine_v = v_mm[0] - settings.pitch_mm * np.arange(fine.shape[0])
     return MasterPrint(
         pattern,
         seed,
-        _profile(draws[3], fine, settings),
+        ridge_profile(draws[3], fine, settings),
         scatter_pores(
             draws[4],
             fine,
@@ -186,7 +186,7 @@ def _periods(
     return mean, mean * np.exp(logs)
 
 
-def _twice_as_fine(wave: Array32) -> Array32:
+def twice_as_fine(wave: Array32) -> Array32:
     """Band-limited interpolation to half the pitch (the wave is periodic on its grid)."""
     rows, columns = wave.shape
     spectrum = scipy.fft.rfft2(wave)
@@ -197,7 +197,7 @@ def _twice_as_fine(wave: Array32) -> Array32:
     return np.asarray(4.0 * scipy.fft.irfft2(padded, s=(2 * rows, 2 * columns)), dtype=np.float32)
 
 
-def _profile(rng: np.random.Generator, wave: Array32, settings: MasterPrintSettings) -> Array32:
+def ridge_profile(rng: np.random.Generator, wave: Array32, settings: MasterPrintSettings) -> Array32:
     """Flat ridges and narrower valleys: a soft step of the wave, its duty varying over the finger.
 
     The last blur takes the harmonics that the map's pitch cannot carry; edges stay steeper than skin's.

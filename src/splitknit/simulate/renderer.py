@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.diffusion import WalkTable, diffuse_transmittance, diffusion_profile, fresnel
@@ -99,8 +101,8 @@ def render_band(
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
-    blur = _Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
-    gains = list(_relief_gains(surface, patch, optics, settings))
+    blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
+    gains = list(relief_gains(surface, patch, optics, settings))
     shape = patch.mask.shape
     diffuse = np.empty((len(leds), len(optics), *shape), dtype=np.float32)
     gloss = np.empty((len(leds), *shape), dtype=np.float32)
@@ -132,13 +134,13 @@ def render_ambient(
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
-    blur = _Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
+    blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + patch.nz), 0)
-    gains = _relief_gains(surface, patch, optics, settings)
+    gains = relief_gains(surface, patch, optics, settings)
     return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
 
 
-class _Diffusion:
+class Diffusion:
     """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to the viewer.
 
     At grazing view the facets of a rough surface that the viewer sees are turned towards him: the cosine of emergence
@@ -155,6 +157,7 @@ class _Diffusion:
         reach_mm: float,
         roughness: float,
     ) -> None:
+        """Prepare the transfer of every medium, and what of the light leaves towards the viewer."""
         profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
         reach = int(np.ceil(min(reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm))
         mask = patch.mask
@@ -169,27 +172,35 @@ class _Diffusion:
         self.transfers = [p.transfer_grid(self.fft_shape, pitch_mm) for p in profiles]
         emergence = np.sqrt(patch.nz**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nz**2))
         out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
-        covered = list(self._spread(mask.astype(np.float32)))
+        covered = list(self.spread(self.pad(mask.astype(np.float32))))
         self.out = []
         for profile, cover in zip(profiles, covered, strict=True):
             seen = np.clip(cover / np.float32(profile.albedo), 0.05, 1.0)
             self.out.append(np.where(mask, out * seen ** np.float32(-EDGE_EXPONENT), 0.0).astype(np.float32))
 
     def __call__(self, entering: FloatArray) -> Iterator[FloatArray]:
-        for light, out in zip(self._spread(entering), self.out, strict=True):
+        """Yield the (h, w) radiance of each channel under the (h, w) light that enters."""
+        for light, out in zip(self.spread(self.pad(entering)), self.out, strict=True):
             yield np.maximum(light, 0.0) * out
 
-    def _spread(self, entering: FloatArray) -> Iterator[FloatArray]:
-        """The light that leaves, a channel at a time."""
+    def pad(self, entering: FloatArray) -> FloatArray:
+        """(h', w') `entering`, its border repeated over the reach where the skin goes on beyond the picture."""
         padding = ((self.before[0], self.after[0]), (self.before[1], self.after[1]))
-        spectrum = scipy.fft.rfft2(np.pad(entering, padding, mode="edge"), self.fft_shape)
+        return np.pad(entering, padding, mode="edge")
+
+    def spread(self, padded: FloatArray, transfers: Sequence[NDArray[Any]] | None = None) -> Iterator[FloatArray]:
+        """(h, w) light that leaves, a channel at a time, from the (h', w') light that enters.
+
+        `transfers` on the grid of the FFT replace those of the channels.
+        """
+        spectrum = scipy.fft.rfft2(padded, self.fft_shape)
         rows = slice(self.before[0], self.before[0] + self.shape[0])
         columns = slice(self.before[1], self.before[1] + self.shape[1])
-        for transfer in self.transfers:
+        for transfer in self.transfers if transfers is None else transfers:
             yield np.asarray(scipy.fft.irfft2(spectrum * transfer, self.fft_shape)[rows, columns], dtype=np.float32)
 
 
-def _relief_gains(
+def relief_gains(
     surface: Surface, patch: Patch, optics: Sequence[ChannelOptics], settings: RenderSettings
 ) -> Iterator[FloatArray]:
     """(h, w) for each channel: pigment times 1 + k h, h the band-passed relief in um."""
