@@ -1,0 +1,79 @@
+"""Direct light of skin from one photograph, by the network of the thesis (section 3.3.1.4)."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import require
+from splitknit.separate.unet import TILE, Network, load_network, run_network
+from splitknit.types import FloatArray
+
+DEFAULT_NETWORK = "direct"
+
+
+def exposure_level(image: FloatArray) -> float:
+    """Brightness that the network takes as one: the 99.9th percentile of an image's positive values.
+
+    Taken on every second pixel in each direction, over all channels together, so that colours keep their ratios.
+    """
+    sample = image[..., ::2, ::2]
+    sample = sample[sample > 0]
+    return float(np.percentile(sample, 99.9)) if sample.size else 1.0
+
+
+def direct_light(
+    images: Any,
+    network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
+    *,
+    tile: int = TILE,
+    workers: int = 2,
+) -> FloatArray:
+    """Direct light of every image; what is left, image minus direct, is global light.
+
+    Parameters
+    ----------
+    images : (N, H, W) grey or (N, 3, H, W) red, green, blue
+        Linear light, or images enhanced by CLAHE; any scale, zero outside the skin. Grey images are given to the
+        network three times, as the thesis does.
+    network : Network, name of a shipped network, or path of an ``.onnx`` file
+    tile, workers
+        As of :func:`splitknit.separate.unet.run_network`.
+
+    Returns
+    -------
+    Array of the shape of `images`, float32
+        Direct light in the images' units, between zero and the image. For enhanced images it is what enhancement makes
+        of the image times the direct share of its light.
+
+    Raises
+    ------
+    BadInput
+        If the images have the wrong shape, hold NaN, or are smaller than the network's stride.
+
+    Notes
+    -----
+    Every image is divided by its :func:`exposure_level` and the result multiplied by it, so that exposure does not
+    matter. What "direct" is depends on the size of the checks that the network was trained with; its card tells.
+
+    References
+    ----------
+    The thesis, 3.3.1.4; O. Ronneberger, P. Fischer and T. Brox, "U-Net", MICCAI 2015.
+    """
+    ready = network if isinstance(network, Network) else load_network(network)
+    stack = np.asarray(images, dtype=np.float32)
+    require(
+        stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3),
+        f"images must have the shape (N, H, W) or (N, 3, H, W), but they have {stack.shape}.",
+    )
+    require(stack.size > 0, f"images are empty: shape {stack.shape}.")
+    result = np.empty_like(stack)
+    levels = np.array([max(exposure_level(image), 1e-12) for image in stack], dtype=np.float32)
+    levels = levels.reshape(-1, *(1,) * (stack.ndim - 1))
+    made = run_network(ready, stack / levels, tile=tile, workers=workers)
+    if stack.ndim == 3:
+        made = made.mean(axis=1, dtype=np.float32)
+    np.multiply(made, levels, out=result)
+    return np.clip(result, 0.0, np.maximum(stack, 0.0), out=result)
