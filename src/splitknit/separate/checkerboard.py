@@ -1,0 +1,124 @@
+"""Direct and global light from shifted checkerboards (or any binary high-frequency patterns).
+
+The plain method takes each pixel's maximum and minimum over the images. Over *noisy* images both are biased: of 25
+images with noise of standard deviation sigma the direct light comes out about 3.3 sigma too large. Where the pattern's
+state at each pixel is known, or found with :func:`splitknit.separate.states.estimate_patterns`, least squares over the
+lit and the dark images has no such bias and less variance.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from splitknit.separate.stack_checks import check_contrast, check_repeats
+from splitknit.separate.stacks import (
+    DEFAULTS,
+    Separation,
+    StackSettings,
+    by_rows,
+    from_extremes,
+    light_stack,
+    mean_brightness,
+)
+from splitknit.separate.states import check_patterns, check_shifts
+from splitknit.types import BoolArray, FloatArray
+
+
+def checkerboard(
+    stack: Any,
+    *,
+    alpha: float = 0.5,
+    dark: float = 0.0,
+    patterns: Any = None,
+    shifts: Any = None,
+    period: Any = None,
+    mask: Any = None,
+    settings: StackSettings = DEFAULTS,
+) -> Separation:
+    """Separate direct from global light.
+
+    Without `patterns`: each pixel's maximum and minimum over the images (Nayar et al.; the thesis's 3.54 to 3.57).
+    With `patterns`: least squares of L = s L_direct + k L_global over a pixel's images, s = dark + (1 - dark) P, with
+    images left out in which the pixel lies on the rim of a check (P neither lit nor dark: there P is uncertain and
+    the direct light partly missing). It is unbiased, since the states do not depend on the noise.
+
+    Parameters
+    ----------
+    stack : (N, H, W) or (N, H, W, C), two images at least
+        Linear light, black level removed. All patterns have the same `alpha`.
+    alpha : share of the source that is lit, in (0, 1]
+    dark : brightness of the unlit part relative to the lit one, in [0, 1)
+        Zero where an image of the "black" source was subtracted.
+    patterns : (N, H, W) in [0, 1], optional
+        State P of the pattern at each camera pixel: 1 lit, 0 dark.
+    shifts : (N,) or (N, 2), optional
+        Shift of each image's pattern. It must be a full grid, each shift once.
+    period : number or pair, optional
+        Period of the pattern in the units of `shifts`, which are then compared modulo it.
+    mask : (H, W) bool, optional
+    settings : StackSettings
+
+    Returns
+    -------
+    Separation
+
+    Raises
+    ------
+    BadInput
+        If the stack is inconsistent: a shift missing or repeated, pixels that were never lit or never dark, saturated
+        or black images, sizes that differ, NaN, images that do not show their patterns.
+
+    References
+    ----------
+    S. K. Nayar et al., "Fast separation of direct and global components of a scene using high frequency
+    illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from splitknit.separate.states import checkerboard_patterns
+    >>> patterns = checkerboard_patterns((8, 8), 4.0, [(0, 0), (0, 4)])
+    >>> parts = checkerboard(0.3 * patterns + 0.5 * 0.2, patterns=patterns)
+    >>> bool(np.allclose(parts.direct, 0.3) and np.allclose(parts.global_, 0.2))
+    True
+    """
+    mean_brightness(alpha, dark)
+    if shifts is not None:
+        check_shifts(shifts, len(stack), period)
+    images = light_stack(stack, least=2, mask=mask, settings=settings)
+    if patterns is None:
+        low, high = images.light.min(axis=0), images.light.max(axis=0)
+        words = ("never lit or never dark", "let the patterns reach every pixel, or give a mask")
+        check_contrast(low, high, images.mask, settings, words)
+        check_repeats(images.light, images.mask, settings)
+        return Separation(*map(images.shaped, from_extremes(low, high, alpha, dark)))
+    states = check_patterns(patterns, images, settings)
+    return Separation(*map(images.shaped, _by_states(images.light, states, alpha, dark, settings)))
+
+
+def _by_states(
+    light: FloatArray, states: FloatArray, alpha: float, dark: float, settings: StackSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Direct and global light (H, W, C) by least squares over the images in which a pixel is lit or dark."""
+    k = mean_brightness(alpha, dark)
+    direct = np.empty(light.shape[1:], dtype=np.float32)
+    global_ = np.empty_like(direct)
+
+    def work(rows: slice) -> None:
+        state = states[:, rows].astype(np.float64)
+        used: BoolArray = (state <= settings.edge) | (state >= 1 - settings.edge)
+        number = np.maximum(used.sum(axis=0), 1)[..., None]
+        s = np.where(used, dark + (1 - dark) * state, 0.0)
+        mean_s = s.sum(axis=0)[..., None] / number
+        values = light[:, rows]
+        mean = np.einsum("nhw,nhwc->hwc", used.astype(np.float64), values) / number
+        centred = np.where(used, s - mean_s[..., 0], 0.0)
+        spread = (centred * centred).sum(axis=0)[..., None]
+        slope = np.einsum("nhw,nhwc->hwc", centred, values - mean) / np.maximum(spread, 1e-12)
+        direct[rows] = slope
+        global_[rows] = (mean - slope * mean_s) / k
+
+    by_rows(light[:, 0].size, light.shape[1], work)
+    return direct, global_
