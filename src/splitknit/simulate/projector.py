@@ -26,7 +26,8 @@ class Checkerboard:
     check_mm: float
     """Side of one check on the finger plane."""
     steps: int = 5
-    """Shifts along each axis; 5 gives the thesis's 25 patterns."""
+    """Shifts along each axis; 5 gives the thesis's 25 patterns. With an even number every checkerboard occurs twice,
+    since a shift by one check along both axes changes nothing."""
     alpha: float = 0.5
     """Share of the plane that is lit: 0.5 is the checkerboard; below it lit squares on dark, above it dark squares on
     light, one a period of two checks."""
