@@ -1,0 +1,28 @@
+"""Training of the network that separates direct light: the public names of the parts.
+
+The thesis, 3.3.1.4: a U-Net of three encoder and three decoder blocks, trained on 72 x 72 patches of 50 palms whose
+direct light was measured with 25 shifted checkerboards. Arrays in, arrays and bytes out; what reads and writes files is
+``splitknit train separation``.
+"""
+
+from splitknit.separate.train_batches import Patches
+from splitknit.separate.train_data import Enhance, Photograph, photographs
+from splitknit.separate.train_loop import Trainer, learning_factor
+from splitknit.separate.train_network import export_onnx, load_torch, unet, unet_reach
+from splitknit.separate.train_settings import DataSettings, TrainSettings, wide_skin
+
+__all__ = [
+    "DataSettings",
+    "Enhance",
+    "Patches",
+    "Photograph",
+    "TrainSettings",
+    "Trainer",
+    "export_onnx",
+    "learning_factor",
+    "load_torch",
+    "photographs",
+    "unet",
+    "unet_reach",
+    "wide_skin",
+]

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.separate.direct import direct_light, exposure_level
+from splitknit.separate.tiles import padded_index, plan_tiles
+from splitknit.separate.unet import Network, load_network, run_network
+
+TINY = Path(__file__).parent / "tiny.onnx"
+"""A U-Net of width 2 with random weights; its card tells how it was made."""
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    return load_network(TINY)
+
+
+@pytest.fixture(scope="module")
+def images() -> np.ndarray:
+    return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
+
+
+def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None:
+    covered = np.zeros((208, 152), dtype=int)
+    for tile in plan_tiles((208, 152), 50, reach=46, stride=8):
+        covered[tile.target] += 1
+        for axis in range(2):
+            source, inner, target = tile.source[axis], tile.inner[axis], tile.target[axis]
+            assert source.start % 8 == 0 and source.stop % 8 == 0
+            assert source.start + inner.start == target.start
+            assert inner.stop - inner.start == target.stop - target.start <= 56
+            assert source.start in (0, target.start - 48)
+            assert source.stop in (covered.shape[axis], target.stop + 48)
+    assert (covered == 1).all()
+
+
+def test_reflection_lengthens_to_the_stride() -> None:
+    assert padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
+    assert padded_index(16, 8).tolist() == list(range(16))
+
+
+@pytest.mark.parametrize("tile", [40, 64, 120])
+def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: int) -> None:
+    whole = run_network(network, images, tile=4096)
+    assert whole.shape == images.shape
+    assert np.ptp(whole) > 0.05
+    np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
+
+
+def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:
+    """A pixel at the reach's end still changes the result, so that a smaller margin would be wrong."""
+    reach = network.card.reach
+    image = images[:1, :, :200, :144].copy()
+    before = run_network(network, image)
+    changed = image.copy()
+    changed[0, :, 80 - reach] += 100.0  # row 80 is a tile's first
+    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() > 0
+    changed = image.copy()
+    changed[0, :, 80 - reach - 1] += 100.0
+    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() == 0
+
+
+def test_the_same_bytes_on_one_two_and_four_threads(network: Network, images: np.ndarray) -> None:
+    one, two, four = (run_network(network, images, tile=64, workers=n).tobytes() for n in (1, 2, 4))
+    assert one == two == four
+
+
+def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network: Network, images: np.ndarray) -> None:
+    padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
+    expected = run_network(network, padded)[:, :, :203, :150]
+    np.testing.assert_array_equal(run_network(network, images), expected)
+
+
+def test_one_channel_is_repeated(network: Network, images: np.ndarray) -> None:
+    grey = images[:, 0]
+    expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
+    np.testing.assert_array_equal(run_network(network, grey), expected)
+    np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
+
+
+def test_images_are_independent(network: Network, images: np.ndarray) -> None:
+    np.testing.assert_array_equal(run_network(network, images[1:]), run_network(network, images)[1:])
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ((1, 3, 7, 100), "stride is 8 pixels"),
+        ((1, 2, 64, 64), "3 channels, but these have 2"),
+        ((64, 64), "shape"),
+        ((0, 3, 64, 64), "shape"),
+    ],
+)
+def test_bad_images_are_refused(network: Network, shape: tuple[int, ...], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        run_network(network, np.ones(shape, dtype=np.float32))
+
+
+def test_nan_is_refused(network: Network) -> None:
+    image = np.ones((1, 16, 16), dtype=np.float32)
+    image[0, 3, 3] = np.nan
+    with pytest.raises(BadInput, match="NaN"):
+        run_network(network, image)
+
+
+def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: np.ndarray) -> None:
+    once = direct_light(images, network)
+    np.testing.assert_allclose(direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6)
+    assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
+
+
+def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarray) -> None:
+    grey = images[:, 0]
+    made = direct_light(grey, network)
+    assert made.shape == grey.shape
+    level = np.float32(exposure_level(grey[0]))
+    raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
+    np.testing.assert_allclose(made[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+
+
+def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
+    assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
