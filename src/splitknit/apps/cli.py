@@ -53,6 +53,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_demo(verbs)
     _add_simulate(verbs)
     _add_reconstruct(verbs)
+    _add_separate(verbs)
     return parser
 
 
@@ -89,6 +90,29 @@ def _add_reconstruct(verbs: Any) -> None:
         help="metric (ours, the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain)",
     )
     _add_settings(verb)
+
+
+def _add_separate(verbs: Any) -> None:
+    verb = _verb(verbs, "separate", "split images under fine patterns into direct and global light", run_separate)
+    verb.add_argument("folder", type=Path, metavar="FOLDER", help="folder of images, with or without separation.json")
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
+    verb.add_argument(
+        "--method",
+        choices=("checkerboard", "sinusoid", "occluder", "single"),
+        default=None,
+        help="how the light was patterned (default: what separation.json says, else checkerboard)",
+    )
+    verb.add_argument("--alpha", type=float, default=None, help="share of the pattern that is lit (default: 0.5)")
+    verb.add_argument("--dark", type=float, default=None, help="brightness of its unlit part (default: 0)")
+    verb.add_argument(
+        "--patterns",
+        default=None,
+        metavar="WHERE",
+        help="folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise",
+    )
+    verb.add_argument("--encoding", choices=("linear", "srgb"), default=None, help="of the images (default: linear)")
+    verb.add_argument("--check-px", type=float, default=None, help="side of a check, for one image")
+    verb.add_argument("--block", type=_natural, default=None, help="side of a block of the result, for one image")
 
 
 def _verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
@@ -176,6 +200,30 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
             f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}."
         )
     lines.append(f"Open {options.out / 'report.html'} in a browser.")
+    return facts, lines
+
+
+def run_separate(options: argparse.Namespace) -> Outcome:
+    """Write direct and global light."""
+    from splitknit.apps.separate import separate_to_folder  # noqa: PLC0415
+
+    names = ("method", "alpha", "dark", "patterns", "encoding", "check_px", "block")
+    with _Progress(options) as progress:
+        facts = separate_to_folder(
+            options.folder,
+            options.out,
+            changes={name: getattr(options, name) for name in names},
+            progress=progress.update,
+        )
+    lines = [
+        f"{len(facts['images'])} images separated by {facts['method']}: "
+        f"{100 * facts['direct_share']:.0f} % of the light is direct in the median.",
+        f"Written to {options.out}: {', '.join(facts['files'])}.",
+    ]
+    if facts["against_white"] is not None:
+        error = facts["against_white"]["median_error"]
+        lines.append(f"Direct and global light add up to the white image within {100 * error:.1f} % in the median.")
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
     return facts, lines
 
 

@@ -1,0 +1,216 @@
+"""A folder of images of one scene under patterns: what is in it, and how it is to be separated.
+
+Without more, all PNG, TIFF and JPEG images of the folder are the stack, in the order of their names (``a_2`` before
+``a_10``), except files named ``black``, ``white`` and ``mask``. Numbers in the names, one or two of them, are taken for
+the shifts and must leave no gap. A file ``separation.json`` says it exactly; all but its first two fields are
+optional::
+
+    {
+      "format": "splitknit-separation", "version": 1,
+      "method": "checkerboard",                 checkerboard, sinusoid, occluder or single
+      "images": ["p_0.png", "p_1.png", "..."],  in order; paths stay inside the folder
+      "encoding": "linear",                     or srgb
+      "black": "black.png",                     source off or showing black; taken off every image
+      "white": "white.png",                     whole source lit; the report compares direct + global with it
+      "mask": "mask.png",                       white = to be separated
+      "alpha": 0.5, "dark": 0.0,                lit share; brightness of the unlit part (0 if `black` shows it)
+      "patterns": ["s_0.png", "..."],           state of each image on the camera's pixels, 255 = lit; or "estimate"
+      "shifts": [[0, 0], [0, 3], "..."],        of each image: numbers, or pairs; a full grid, each once
+      "period": 16,                             of the pattern, in units of the shifts
+      "kind": "line", "shadow_percent": 0,      of an occluder: line or mesh (with alpha); share of images in shadow
+      "check_px": 4, "block": 16,               of a single image: side of a check, and of a block of the result
+      "noise_std": 0.0                          of one image, linear light (sinusoid)
+    }
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.io.fields import Fields, as_number, inside, read_json
+from splitknit.separate import check_shifts
+
+METHODS = ("checkerboard", "sinusoid", "occluder", "single")
+DOCUMENT = "separation.json"
+ESTIMATE = "estimate"
+_SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
+_ROLES = ("black", "white", "mask")
+
+
+@dataclass(frozen=True, slots=True)
+class PatternFolder:
+    """What is separated, and how."""
+
+    images: tuple[Path, ...]
+    """In order."""
+    method: str = "checkerboard"
+    """One of `METHODS`."""
+    encoding: str = "linear"
+    """``linear`` or ``srgb``."""
+    black: Path | None = None
+    """Image without the pattern's light."""
+    white: Path | None = None
+    """Image with the whole source lit."""
+    mask: Path | None = None
+    """White = to be separated."""
+    alpha: float | None = None
+    """Lit share of the pattern; the method's default where None."""
+    dark: float = 0.0
+    """Brightness of the unlit part of the pattern."""
+    patterns: tuple[Path, ...] | str | None = None
+    """State images, ``estimate``, or None for maximum and minimum."""
+    shifts: tuple[tuple[float, ...], ...] | None = None
+    """Of each image."""
+    period: float | None = None
+    """Of the pattern, in units of the shifts."""
+    kind: str | None = None
+    """``line`` or ``mesh``; a mesh where None and `alpha` is given."""
+    shadow_percent: float = 0.0
+    """Share of an occluder's images in which a pixel is surely in shadow."""
+    check_px: float | None = None
+    """Side of a check in a single image."""
+    block: int | None = None
+    """Side of a block of a single image's result."""
+    noise_std: float = 0.0
+    """Of one image, linear light."""
+
+    def __post_init__(self) -> None:
+        require(self.method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{self.method}'.")
+        require(
+            self.encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'."
+        )
+        require(len(self.images) > 0, "there are no images.")
+        if self.method == "single":
+            require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
+            require(self.block is not None, "method single needs block, the side of a block in pixels.")
+
+    def settings(self) -> dict[str, Any]:
+        """All choices but the files, as JSON can hold them."""
+        files = ("images", *_ROLES)
+        plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in files}
+        if isinstance(self.patterns, tuple):
+            plain["patterns"] = "given"
+        return plain
+
+
+def read_pattern_folder(folder: Path, changes: Mapping[str, Any] | None = None) -> PatternFolder:
+    """Read ``separation.json``, or take the folder as it is; then `changes`, fields of :class:`PatternFolder`.
+
+    ``patterns`` may name a folder of state images in `changes`.
+
+    Raises
+    ------
+    BadInput
+        Naming the folder, the field or the file that is at fault.
+    """
+    require(folder.is_dir(), f"'{folder}' is not a folder; name the folder that holds the images.")
+    found = _read_document(folder) if (folder / DOCUMENT).is_file() else _by_names(folder)
+    changed = {name: value for name, value in (changes or {}).items() if value is not None}
+    if isinstance(changed.get("patterns"), str) and changed["patterns"] != ESTIMATE:
+        states = Path(changed["patterns"])
+        require(states.is_dir(), f"'{states}' is not a folder of patterns (nor the word '{ESTIMATE}').")
+        changed["patterns"] = tuple(_images_in(states))
+    try:
+        plan = PatternFolder(**{**found, **changed})
+        return plan if "shifts" in found else replace(plan, shifts=_shifts_by_names(plan))
+    except BadInput as error:
+        raise BadInput(f"{folder}: {error}") from error
+
+
+def _read_document(folder: Path) -> dict[str, Any]:
+    document, _ = read_json(folder / DOCUMENT)
+    name = str(folder / DOCUMENT)
+    given = Fields(document, name)
+    given.format("splitknit-separation", 1)
+    known = {"format", "version", *(item.name for item in fields(PatternFolder))}
+    unknown = sorted(set(given.keys()) - known)
+    require(not unknown, f"{name}: the field '{unknown[0] if unknown else ''}' is not known; correct or remove it.")
+    found: dict[str, Any] = {}
+    if given.has("images"):
+        found["images"] = tuple(inside(folder, item, name, "images") for item in given.items("images"))
+    else:
+        found.update(_by_names(folder))
+    for key in _ROLES:
+        if given.has(key):
+            found[key] = inside(folder, given.get(key), name, key)
+    for key in ("method", "encoding", "kind"):
+        if given.has(key):
+            found[key] = given.text(key)
+    limits = {"alpha": 1.0, "dark": 1.0, "period": 1e6, "shadow_percent": 50.0, "check_px": 1e4, "noise_std": 1.0}
+    for key, high in limits.items():
+        if given.has(key):
+            found[key] = given.number(key, 0.0, high)
+    if given.has("block"):
+        found["block"] = _whole(given, "block")
+    if given.has("patterns"):
+        value = given.get("patterns")
+        found["patterns"] = (
+            ESTIMATE
+            if value == ESTIMATE
+            else tuple(inside(folder, item, name, "patterns") for item in given.items("patterns"))
+        )
+    if given.has("shifts"):
+        found["shifts"] = _shifts(given)
+    return found
+
+
+def _whole(given: Fields, key: str) -> int:
+    value = given.number(key, 1, 1e6)
+    if value != int(value):
+        given.refuse(key, "a whole number")
+    return int(value)
+
+
+def _shifts(given: Fields) -> tuple[tuple[float, ...], ...]:
+    rows = [item if isinstance(item, list) else [item] for item in given.items("shifts")]
+    table = [tuple(as_number(value) for value in row) for row in rows]
+    good = len({len(row) for row in table}) == 1 and len(table[0]) in (1, 2)
+    if not good or any(value is None for row in table for value in row):
+        given.refuse("shifts", "a list of numbers, or of pairs of numbers, one for each image")
+    return tuple(tuple(float(value or 0.0) for value in row) for row in table)
+
+
+def _by_names(folder: Path) -> dict[str, Any]:
+    files = _images_in(folder)
+    roles = {file.stem.lower(): file for file in files if file.stem.lower() in _ROLES}
+    images = tuple(file for file in files if file.stem.lower() not in _ROLES)
+    require(len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does.")
+    return {"images": images, **roles}
+
+
+def _images_in(folder: Path) -> list[Path]:
+    files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
+    return sorted(files, key=lambda file: (_in_order(file.stem), file.name))
+
+
+def _in_order(stem: str) -> list[tuple[int, int | str]]:
+    parts = re.split(r"(\d+)", stem)
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
+
+
+def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:
+    """The numbers in which the names differ, one or two of them, checked to leave no gap; None where names do not tell.
+
+    They are places in a table, not lengths: nothing but completeness is read from them.
+    """
+    if plan.method not in ("checkerboard", "sinusoid") or len(plan.images) < 3:
+        return None
+    words = {re.sub(r"\d+", "#", image.stem) for image in plan.images}
+    if len(words) > 1:
+        return None
+    table = np.array([[int(number[:15]) for number in re.findall(r"\d+", image.stem)] for image in plan.images])
+    varying = table[:, np.ptp(table, axis=0) > 0]
+    if varying.shape[1] not in (1, 2):
+        return None
+    try:
+        check_shifts(varying, len(varying))
+    except BadInput as error:
+        raise BadInput(f"by the numbers in the names of the images: {error}") from error
+    return None
