@@ -26,7 +26,7 @@ from splitknit.types import FloatArray, Led
 EDGE_EXPONENT = 0.75
 """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by the
 share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk in an
-elliptic cylinder best (``validation/twin_volume.py``)."""
+elliptic cylinder best (``validation/twin/volume.py``)."""
 
 
 @dataclass(frozen=True, slots=True)

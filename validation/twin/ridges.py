@@ -1,6 +1,6 @@
 """The twin's relief term against random walks under a ridged surface.
 
-Run ``python validation/twin_ridges.py``: two to three minutes. Walks start at the camera, wander below parallel ridges
+Run ``python validation/twin/ridges.py``: two to three minutes. Walks start at the camera, wander below parallel ridges
 and end at a distant light 20.6 deg off the axis, across the ridges or along them. Printed, for each ridge profile and
 channel: the gain k that makes the twin's convolution follow the walks best, the twin's k, and the contrast of both.
 """

@@ -1,6 +1,6 @@
 """The twin's image-space skin against random walks in the volume of an elliptic cylinder, the shape of a finger.
 
-Run ``python validation/twin_volume.py``: about a minute. It prints, for each channel and light, the twin's radiance
+Run ``python validation/twin/volume.py``: about a minute. It prints, for each channel and light, the twin's radiance
 over that of the walks along the cross-section, relative to the middle.
 """
 
