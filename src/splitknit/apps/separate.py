@@ -193,10 +193,11 @@ def _with_names(message: str, plan: PatternFolder) -> str:
     """Let what stages refuse, which know numbers only, name the files."""
 
     def named(found: re.Match[str]) -> str:
-        number = int(found.group(2))
-        return f"{found.group(1)}{number} ({plan.images[number].name})" if number < len(plan.images) else found.group(0)
+        numbers = [found.group(2)] + ([found.group(3)] if found.group(3) else [])
+        known = [f"{n} ({plan.images[int(n)].name})" if int(n) < len(plan.images) else n for n in numbers]
+        return found.group(1) + " and ".join(known)
 
-    return re.sub(r"((?:image |images |images \d+ and ))(\d+)(?! and)", named, message)
+    return re.sub(r"(images? )(\d+)(?: and (\d+))?", named, message)
 
 
 def _write(parts: Separation, plan: PatternFolder, light: _Light, target: Path) -> dict[str, Any]:

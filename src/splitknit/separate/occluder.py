@@ -75,7 +75,7 @@ def occluder(
     images = light_stack(sequence, least=2, mask=mask, settings=settings)
     light = images.light
     if patterns is not None:
-        states = check_patterns(patterns, images, settings)
+        states = check_patterns(patterns, images, settings, distinct=False)
         low, high = _mean_where(light, states <= settings.edge), _mean_where(light, states >= 1 - settings.edge)
     elif shadow_percent == 0:
         low, high = light.min(axis=0), light.max(axis=0)

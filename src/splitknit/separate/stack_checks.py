@@ -48,8 +48,8 @@ def check_repeats(
 ) -> None:
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
-    Two images of one pattern differ by noise alone. Noise of neighbouring pixels is independent, patterns are wider
-    than a pixel: the covariance of the difference with its neighbour tells them apart in noisy images too.
+    Two images of one pattern differ by noise alone. Noise is independent from pixel to pixel, patterns are not: the
+    covariance of the difference with itself, moved by a pixel or two, tells them apart in noisy images too.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ def check_repeats(
     BadInput
         Naming the two images.
     """
-    power = _difference_power(light, mask)
+    power, covariance, count = _differences(light, mask)
     pairs = np.triu_indices(len(light), 1)
-    relative = power[pairs] if expected is None else power[pairs] / np.maximum(expected[pairs], 1e-6)
+    relative = covariance[pairs] if expected is None else covariance[pairs] / np.maximum(expected[pairs], 1e-6)
     limit = settings.repeat if expected is None else 0.2
     level = float(np.mean(np.square(light.mean(axis=0, dtype=np.float64)[mask])))
     reference = float(np.median(relative))
     require(
-        reference > max(1e-10 * level, -3.0 * float(relative.min())),
+        float(np.median(covariance[pairs])) > max(1e-10 * level, 3.0 / np.sqrt(count) * float(np.median(power[pairs]))),
         f"the {name}s differ by noise at most: the patterns never light the scene; check the projector, or whether "
         f"the direct light is too weak to be seen.",
     )
@@ -82,19 +82,28 @@ def check_repeats(
     )
 
 
-def _difference_power(light: FloatArray, mask: BoolArray, pixels: int = 60_000) -> NDArray[np.float64]:
-    """Mean product of each difference of two images with its neighbour on the right or below, the larger: (N, N)."""
+def _differences(
+    light: FloatArray, mask: BoolArray, pixels: int = 60_000
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Mean square of each difference of two images (N, N); its largest covariance with itself, moved (N, N); pixels.
+
+    On rows that are spread over the image, relative to the mean of all images.
+    """
     height, width = light.shape[1:3]
-    rows = np.unique(np.linspace(0, max(height - 2, 0), min(max(height - 1, 1), max(2, pixels // width))).astype(int))
-    below = np.minimum(rows + 1, height - 1)
-    right = np.minimum(np.arange(width) + 1, width - 1)
+    rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, pixels // width))).astype(int))
     change = light.mean(axis=-1, dtype=np.float64)
     change -= change.mean(axis=0)
     change *= mask
     here = change[:, rows]
-    result = np.full((len(light), len(light)), -np.inf)
-    for there in (here[:, :, right], change[:, below]):
-        product = here.reshape(len(light), -1) @ there.reshape(len(light), -1).T
-        own = np.diag(product)
-        result = np.maximum(result, own[:, None] + own[None, :] - product - product.T)
-    return np.asarray(result / here[0].size)
+    covariance = np.zeros((len(light), len(light)))
+    for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2)):
+        there = change[:, np.minimum(rows + down, height - 1)][:, :, np.minimum(np.arange(width) + right, width - 1)]
+        covariance = np.maximum(covariance, np.abs(_of_differences(here, there)))
+    return _of_differences(here, here), covariance, here[0].size
+
+
+def _of_differences(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of (here_i - here_j) (there_i - there_j) for all pairs of images (N, N)."""
+    product = here.reshape(len(here), -1) @ there.reshape(len(there), -1).T
+    own = np.diag(product)
+    return np.asarray((own[:, None] + own[None, :] - product - product.T) / here[0].size)

@@ -33,8 +33,9 @@ class StackSettings:
     that the stack is no file's [0, 1] scale, and nothing is looked for."""
     clipped_share: float = 0.02
     """More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
-    lit_level: float = 0.02
-    """Pixels brighter than this part of the brightest ones are looked at; the black background is not."""
+    lit_level: float = 0.1
+    """Pixels brighter than this part of the brightest ones are looked at; the black background is not, nor what 8 bits
+    cannot resolve."""
     least_contrast: float = 0.005
     """A pixel that changes by less than this part of its maximum was never lit, or never dark."""
     constant_share: float = 0.05

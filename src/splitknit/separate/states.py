@@ -134,8 +134,8 @@ def _words(row: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{value:g}" for value in row) + ")"
 
 
-def check_patterns(patterns: Any, images: LightStack, settings: StackSettings) -> FloatArray:
-    """Return known states (N, H, W), checked against the stack they belong to.
+def check_patterns(patterns: Any, images: LightStack, settings: StackSettings, *, distinct: bool = True) -> FloatArray:
+    """Return known states (N, H, W), checked against the stack they belong to; `distinct` if no pattern may come twice.
 
     Raises
     ------
@@ -158,16 +158,19 @@ def check_patterns(patterns: Any, images: LightStack, settings: StackSettings) -
                 f"{percent(share)} of the pixels are never {word} by the patterns (first at row {row}, column "
                 f"{column}): a shift is missing; capture it, or leave these pixels out with a mask."
             )
-    _check_order(images, states)
+    if distinct:
+        _check_order(images, states, settings)
     return states
 
 
-def _check_order(images: LightStack, states: FloatArray, pixels: int = 40_000) -> None:
+def _check_order(images: LightStack, states: FloatArray, settings: StackSettings, pixels: int = 40_000) -> None:
     """Each image must resemble its own pattern most."""
     step = max(1, int(np.count_nonzero(images.mask)) // pixels)
     seen = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
     known = states[:, images.mask][:, ::step].astype(np.float64)
-    known -= known.mean(axis=0)
+    decided = np.abs(known - 0.5) > 0.5 - settings.edge  # the rest does not count in the result either
+    number = np.maximum(decided.sum(axis=0), 1)
+    known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
     seen -= seen.mean(axis=0)
     apart = _squared_distances(known) / known.shape[1]
     pairs = np.triu_indices(len(known), 1)
@@ -177,7 +180,7 @@ def _check_order(images: LightStack, states: FloatArray, pixels: int = 40_000) -
         f"patterns {pairs[0][same]} and {pairs[1][same]} are the same: a shift is repeated; remove one of them.",
     )
     likeness = (seen @ known.T) / np.maximum(np.linalg.norm(known, axis=1), 1e-12)
-    likeness /= np.maximum(np.linalg.norm(seen, axis=1), 1e-30)[:, None]
+    likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
     best = np.argmax(likeness, axis=1)
     for k, found in enumerate(best):
         require(
