@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from surfaces import plane, ridged_egg
@@ -10,7 +12,7 @@ from splitknit.check import BadInput
 from splitknit.simulate.diffusion import diffusion_profile, load_walks
 from splitknit.simulate.palm import draw_palm, palm_surface
 from splitknit.simulate.palm_settings import PalmSettings
-from splitknit.simulate.projector import Checkerboard
+from splitknit.simulate.projector import Checkerboard, pattern_states
 from splitknit.simulate.renderer import RenderSettings, render_band
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.separation import checkerboard_images, checkerboard_stack, separate_truth
@@ -152,6 +154,17 @@ def test_only_the_finger_is_in_the_window(walks):
         assert not part[:, outside].any()
 
 
+def test_skin_goes_on_where_the_picture_cuts_it(walks):
+    """A sheet that leaves the picture below alone: no edge there, so even light all over."""
+    sheet = plane((90, 100), 10.0)
+    mask = np.zeros_like(sheet.mask)
+    mask[30:, 10:90] = True
+    truth = _truth(replace(sheet, mask=mask), COAXIAL, walks, phases="all")
+    middle = truth.white[:, 45, 45]
+    np.testing.assert_allclose(truth.white[:, -1, 45], middle, rtol=0.01)
+    np.testing.assert_allclose(truth.direct[:, -6:, 45].max(axis=1), truth.direct[:, 40, 45], rtol=0.01)
+
+
 def test_checks_of_a_pixel_and_unknown_phases_are_refused(palm, walks):
     with pytest.raises(BadInput, match="larger checks"):
         _truth(palm, LED, walks, check_mm=0.08)
@@ -159,3 +172,12 @@ def test_checks_of_a_pixel_and_unknown_phases_are_refused(palm, walks):
         next(checkerboard_images(palm, LED, SKIN, Checkerboard(0.08), walks=walks))
     with pytest.raises(BadInput, match="phases"):
         _truth(palm, LED, walks, phases="some")
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.4])
+def test_opaque_skin_shows_the_pattern_where_the_projector_throws_it(palm, walks, angle_rad):
+    pattern = Checkerboard(0.5, steps=3, angle_rad=angle_rad, phase_mm=(0.07, 0.19))
+    stack = checkerboard_stack(palm, LED, SKIN, pattern, walks=walks, settings=SHORT, optics=OPAQUE)
+    white = _truth(palm, LED, walks, optics=OPAQUE, phases="centred").white
+    states = pattern_states(palm, LED, pattern)
+    np.testing.assert_allclose(stack / white, states[:, None], atol=1e-4)
