@@ -119,7 +119,12 @@ def checkerboard_stack(
 ) -> FloatArray:
     """(N, C, h, w) noise-free radiance under all shifts of `pattern`: :func:`checkerboard_images` in one array."""
     images = checkerboard_images(surface, led, skin, pattern, walks=walks, settings=settings, optics=optics)
-    return np.stack(list(images))
+    first = next(images)
+    stack = np.empty((pattern.steps**2, *first.shape), dtype=np.float32)
+    stack[0] = first
+    for place, image in zip(stack[1:], images, strict=True):
+        place[...] = image
+    return stack
 
 
 def _check_size(check_mm: float, surface: Surface) -> None:
