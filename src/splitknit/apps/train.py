@@ -6,12 +6,10 @@ it stopped: photographs palm by palm, the network epoch by epoch.
 
 from __future__ import annotations
 
-import csv
 import io
 import json
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,9 +17,17 @@ from typing import Any
 import numpy as np
 
 from splitknit import __version__
-from splitknit.apps.charts import Line, line_chart
+from splitknit.apps.charts import Line
+from splitknit.apps.training_folder import (
+    Progress,
+    curve_chart,
+    curve_table,
+    open_folder,
+    plain,
+    read_file,
+    write_file,
+)
 from splitknit.check import BadInput, require
-from splitknit.io import atomic_file
 from splitknit.preprocess import clahe
 from splitknit.separate.train import (
     DataSettings,
@@ -37,7 +43,6 @@ from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import card_bytes, read_network
 from splitknit.types import BoolArray, FloatArray
 
-Progress = Callable[[str, float], None]
 NETWORK = "direct"
 HELD_OUT_FROM = 1_000_000
 """Palms and fingers from this number on are never trained on; the learning curve takes the first of them."""
@@ -79,11 +84,11 @@ def train_separation(
     """
     started = time.perf_counter()
     load_torch()
-    _open_folder(out, data, settings, resume)
+    open_folder(out, data, settings, resume)
     trainer = Trainer(settings)
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
-        trainer.restore(_read(checkpoint))
+        trainer.restore(read_file(checkpoint))
     subjects = list(_subjects(data))
     for number, (kind, index) in enumerate(subjects):
         progress("photographing", DATA_PART * number / len(subjects))
@@ -104,7 +109,7 @@ def train_separation(
                 "seconds": time.perf_counter() - epoch_started,
             }
         )
-        _write(checkpoint, trainer.state())
+        write_file(checkpoint, trainer.state())
         _write_curve(out, trainer.curve)
     progress("exporting", 1.0)
     facts = _export(out, trainer, data, command, len(train))
@@ -124,32 +129,6 @@ def _subjects(data: DataSettings) -> Iterator[tuple[str, int]]:
         yield from ((kind, HELD_OUT_FROM + index) for index in range(data.held_out))
 
 
-def _open_folder(out: Path, data: DataSettings, settings: TrainSettings, resume: bool) -> None:
-    """Make the folder, or see that what is in it is this very training."""
-    run = json.loads(json.dumps({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)}))
-    file = out / "run.json"
-    require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to train in.")
-    if not out.is_dir() or not any(out.iterdir()):
-        _write(file, (json.dumps(run, indent=1) + "\n").encode())
-        return
-    require(file.is_file(), f"'{out}' is not empty and holds no training of ours; name another folder.")
-    require(resume, f"'{out}' holds a training already; add --resume to go on with it, or name another folder.")
-    try:
-        before = json.loads(_read(file))
-        changed = [
-            f"{part}.{name}"
-            for part in ("data", "training")
-            for name, value in run[part].items()
-            if before[part].get(name) != value and name not in ("threads", "device", "precision")
-        ]
-    except (ValueError, KeyError, AttributeError, TypeError) as error:
-        raise BadInput(f"'{file}' is damaged ({error}); train anew in another folder.") from error
-    require(
-        not changed,
-        f"the training in '{out}' has other settings ({', '.join(changed)}); resume with the same ones.",
-    )
-
-
 def _store(out: Path, kind: str, index: int, data: DataSettings, seed: int) -> None:
     """Photograph one palm or finger, unless it is there already."""
     names = [out / "data" / f"{kind}_{index:07d}_{view:02d}" for view in range(data.views)]
@@ -158,16 +137,16 @@ def _store(out: Path, kind: str, index: int, data: DataSettings, seed: int) -> N
     for name, photograph in zip(names, photographs(kind, index, seed, data, enhance), strict=True):
         buffer = io.BytesIO()
         np.save(buffer, photograph.pixels, allow_pickle=False)
-        _write(name.with_suffix(".npy"), buffer.getvalue())
+        write_file(name.with_suffix(".npy"), buffer.getvalue())
         document = {**photograph.facts, "corners": photograph.corners.tolist()}
-        _write(name.with_suffix(".json"), (json.dumps(document) + "\n").encode())  # last: it says that all is there
+        write_file(name.with_suffix(".json"), (json.dumps(document) + "\n").encode())  # last: it says that all is there
 
 
 def _load(out: Path, kind: str, index: int, data: DataSettings) -> Iterator[Photograph]:
     for view in range(data.views):
         name = out / "data" / f"{kind}_{index:07d}_{view:02d}"
         try:
-            facts = json.loads(_read(name.with_suffix(".json")))
+            facts = json.loads(read_file(name.with_suffix(".json")))
             corners = np.asarray(facts.pop("corners"), dtype=np.int32).reshape(-1, 2)
             # read as it is needed: a data set may be larger than the memory
             pixels = np.load(name.with_suffix(".npy"), mmap_mode="r", allow_pickle=False)
@@ -193,16 +172,16 @@ def _export(out: Path, trainer: Trainer, data: DataSettings, command: str, patch
         "licence": "Apache-2.0",
         "software": f"splitknit {__version__}",
         "command": command,
-        "training": {**_plain(asdict(settings)), "epochs_done": trainer.epoch, "patches": patches},
-        "data": _plain(asdict(data)),
+        "training": {**plain(asdict(settings)), "epochs_done": trainer.epoch, "patches": patches},
+        "data": plain(asdict(data)),
         "metrics": {
             "held_out": f"{data.held_out} palms and {data.held_out} fingers not trained on, patches, exposure level 1",
             "psnr_linear_db": _psnr(last["held_out_linear"]),
             "psnr_enhanced_db": _psnr(last["held_out_enhanced"]),
         },
     }
-    _write(out / f"{NETWORK}.onnx", weights)
-    _write(out / f"{NETWORK}.json", card_bytes(NETWORK, weights, facts))
+    write_file(out / f"{NETWORK}.onnx", weights)
+    write_file(out / f"{NETWORK}.json", card_bytes(NETWORK, weights, facts))
     network = network_of(*read_network(out / f"{NETWORK}.onnx"))
     side = 10 * settings.stride
     probe = np.random.default_rng(0).random((1, 3, side, side + settings.stride), dtype=np.float32)
@@ -217,11 +196,7 @@ def _export(out: Path, trainer: Trainer, data: DataSettings, command: str, patch
 
 
 def _write_curve(out: Path, curve: list[dict[str, float]]) -> None:
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(curve[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(curve)
-    _write(out / "curve.csv", table.getvalue().encode())
+    write_file(out / "curve.csv", curve_table(curve))
     if len(curve) < 2:
         return
     epochs = np.array([entry["epoch"] for entry in curve], dtype=np.float64)
@@ -233,29 +208,9 @@ def _write_curve(out: Path, curve: list[dict[str, float]]) -> None:
             ("held_out_enhanced", "held out, enhanced"),
         )
     ]
-    chart = line_chart(lines, "epoch", "PSNR, dB", width=560, height=260)
-    chart = chart.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
-    _write(out / "curve.svg", str(chart).encode())
+    write_file(out / "curve.svg", curve_chart(lines, "epoch", "PSNR, dB"))
 
 
 def _psnr(loss: float) -> float:
     """Of a mean squared error, in dB, for a peak of one: the exposure level."""
     return float(-10.0 * np.log10(max(loss, 1e-12)))
-
-
-def _plain(settings: Mapping[str, Any]) -> Any:
-    return json.loads(json.dumps(settings))
-
-
-def _read(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise BadInput(f"'{file}' cannot be read ({error.strerror or error}); train anew.") from error
-
-
-def _write(file: Path, content: bytes) -> None:
-    with atomic_file(file) as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
