@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -78,6 +79,24 @@ def test_noise_biases_extremes_and_not_known_states(patterns):
     assert abs(mean["found"]) < 0.05 * sigma
     assert errors["known"].std() < 0.45 * sigma  # least squares over 25 images: 0.40
     assert errors["known"].std() < 0.6 * errors["extremes"].std()
+
+
+def test_light_from_around_is_told_from_light_of_the_check(patterns):
+    """A third of the light spreads over half a check: what counts is the middle of the checks, noise or none."""
+    direct, global_ = scene()
+    around = np.stack([cv2.GaussianBlur(p, (0, 0), 2.5, borderType=cv2.BORDER_REFLECT) for p in patterns])
+    stack = patterns * direct + around * direct / 2 + 0.5 * global_
+    contrast = np.take_along_axis(around, around.argmax(axis=0)[None], axis=0)[0] - around.min(axis=0)
+    expected = direct * (1 + contrast / 2)
+    parts = checkerboard(stack, patterns=patterns, check_px=5)
+    assert np.abs(parts.direct - expected).max() < 1e-5
+    sigma = 0.02
+    noisy = stack + np.random.default_rng(6).normal(0, sigma, stack.shape)
+    error = checkerboard(noisy, patterns=patterns, check_px=5).direct - expected
+    assert abs(float(error.mean())) < 4 * sigma / np.sqrt(error.size)
+    assert (checkerboard(noisy).direct - expected).mean() > sigma
+    ideal = stack_of(direct, global_, patterns)
+    assert np.abs(checkerboard(ideal, patterns=patterns, check_px=5).direct - direct).max() < 1e-6
 
 
 def test_found_states_do_not_invent_direct_light(patterns):
@@ -161,6 +180,8 @@ def test_inconsistent_stacks_are_refused(patterns):
     refused("the patterns never light the scene", np.broadcast_to(stack[0], stack.shape) + noise)
     refused("patterns must have the shape", stack, patterns=patterns[:, 1:])
     refused("from 0 (dark) to 1 (lit)", stack, patterns=2 * patterns)
+    refused("check_px needs patterns", stack, check_px=5)
+    refused("check_px must be at least 1", stack, patterns=patterns, check_px=0.5)
     refused("alpha", stack, alpha=0.0)
     refused("dark", stack, dark=1.0)
     refused("channels", stack[..., None] * np.ones(2))
@@ -201,3 +222,16 @@ def test_background_and_exact_zeros_do_no_harm(patterns):
     parts = checkerboard(stack)
     assert np.all(parts.direct[:, 36:] == 0)
     assert np.all(parts.global_[:, 36:] == 0)
+
+
+def test_an_even_grid_of_shifts_shows_each_pattern_twice():
+    """A checkerboard moved by a check each way is the same again: that is no repeated shift, unless one is missing."""
+    shifts = [(2 * i, 2 * j) for i in range(4) for j in range(4)]
+    patterns = checkerboard_patterns(SIZE, 4, shifts)
+    direct, global_ = scene()
+    stack = stack_of(direct, global_, patterns)
+    for known in (None, patterns):
+        parts = checkerboard(stack, patterns=known, shifts=shifts, period=8)
+        assert np.abs(parts.direct - direct).max() < 1e-6
+    refused("images 0 and 10 show the same pattern", stack[:12])
+    refused("patterns 0 and 10 are the same", stack[:12], patterns=patterns[:12])

@@ -111,7 +111,9 @@ def _add_separate(verbs: Any) -> None:
         help="folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise",
     )
     verb.add_argument("--encoding", choices=("linear", "srgb"), default=None, help="of the images (default: linear)")
-    verb.add_argument("--check-px", type=float, default=None, help="side of a check, for one image")
+    verb.add_argument(
+        "--check-px", type=float, default=None, help="side of a check: for one image, and with --patterns for skin"
+    )
     verb.add_argument("--block", type=_natural, default=None, help="side of a block of the result, for one image")
 
 

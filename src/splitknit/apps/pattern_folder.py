@@ -18,7 +18,8 @@ optional::
       "shifts": [[0, 0], [0, 3], "..."],        of each image: numbers, or pairs; a full grid, each once
       "period": 16,                             of the pattern, in units of the shifts
       "kind": "line", "shadow_percent": 0,      of an occluder: line or mesh (with alpha); share of images in shadow
-      "check_px": 4, "block": 16,               of a single image: side of a check, and of a block of the result
+      "check_px": 4,                            side of a check: for a single image; with patterns, for skin
+      "block": 16,                              side of a block of a single image's result
       "noise_std": 0.0                          of one image, linear light (sinusoid)
     }
 """
@@ -75,7 +76,7 @@ class PatternFolder:
     shadow_percent: float = 0.0
     """Share of an occluder's images in which a pixel is surely in shadow."""
     check_px: float | None = None
-    """Side of a check in a single image."""
+    """Side of a check on the camera's pixels: of a single image, and with `patterns` of skin, where light spreads."""
     block: int | None = None
     """Side of a block of a single image's result."""
     noise_std: float = 0.0

@@ -155,6 +155,7 @@ def _separate(plan: PatternFolder, light: _Light) -> Separation:
             alpha=alpha,
             dark=plan.dark,
             patterns=patterns,
+            check_px=plan.check_px,
             shifts=plan.shifts,
             period=plan.period,
             **common,

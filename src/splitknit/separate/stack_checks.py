@@ -74,12 +74,28 @@ def check_repeats(
         f"the {name}s differ by noise at most: the patterns never light the scene; check the projector, or whether "
         f"the direct light is too weak to be seen.",
     )
-    worst = int(np.argmin(relative))
-    require(
-        bool(relative[worst] > limit * reference),
-        f"{name}s {pairs[0][worst]} and {pairs[1][worst]} show the same pattern: a shift is repeated, and another one "
-        f"may be missing; capture the stack again or remove one of them.",
-    )
+    alike = np.zeros(covariance.shape, dtype=np.bool_)
+    alike[pairs] = relative <= limit * reference
+    twins = odd_twins(alike)
+    if twins is not None:
+        raise BadInput(
+            f"{name}s {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
+            f"missing; capture the stack again or remove one of them."
+        )
+
+
+def odd_twins(alike: BoolArray) -> tuple[int, int] | None:
+    """Return the first pair that is `alike` (N, N, upper triangle), or None if all have as many twins.
+
+    A checkerboard moved by one check each way is the same again, so that in a full grid of an even number of shifts
+    every image has a twin. One that was captured twice by mistake has a twin where others have none.
+    """
+    number = (alike | alike.T).sum(axis=0)
+    if bool((number == number[0]).all()):
+        return None
+    image = int(np.argmax(number > number.min()))
+    first, second = np.argwhere((alike | alike.T)[image])[0][0], image
+    return int(min(first, second)), int(max(first, second))
 
 
 def _differences(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
+from splitknit.separate.stack_checks import odd_twins
 from splitknit.separate.stacks import DEFAULTS, LightStack, StackSettings, light_stack, percent
 from splitknit.types import FloatArray
 
@@ -173,12 +174,9 @@ def _check_order(images: LightStack, states: FloatArray, settings: StackSettings
     known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
     seen -= seen.mean(axis=0)
     apart = _squared_distances(known) / known.shape[1]
-    pairs = np.triu_indices(len(known), 1)
-    same = int(np.argmin(apart[pairs]))
-    require(
-        bool(apart[pairs][same] > 1e-4),
-        f"patterns {pairs[0][same]} and {pairs[1][same]} are the same: a shift is repeated; remove one of them.",
-    )
+    twins = odd_twins(np.triu(apart <= 1e-4, 1))
+    if twins is not None:
+        raise BadInput(f"patterns {twins[0]} and {twins[1]} are the same: a shift is repeated; remove one of them.")
     likeness = (seen @ known.T) / np.maximum(np.linalg.norm(known, axis=1), 1e-12)
     likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
     best = np.argmax(likeness, axis=1)
