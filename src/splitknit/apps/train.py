@@ -30,6 +30,7 @@ from splitknit.apps.training_folder import (
 from splitknit.check import BadInput, require
 from splitknit.preprocess import clahe
 from splitknit.separate.train import (
+    MAY_CHANGE,
     DataSettings,
     Patches,
     Photograph,
@@ -84,7 +85,7 @@ def train_separation(
     """
     started = time.perf_counter()
     load_torch()
-    open_folder(out, data, settings, resume)
+    open_folder(out, data, settings, resume, free=MAY_CHANGE)
     trainer = Trainer(settings)
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,14 @@ FREE = ("threads", "device", "precision")
 """Settings of a training that may change on the way."""
 
 
-def open_folder(out: Path, data: DataclassInstance, settings: DataclassInstance, resume: bool) -> None:
+def open_folder(
+    out: Path,
+    data: DataclassInstance,
+    settings: DataclassInstance,
+    resume: bool,
+    *,
+    free: Collection[str] = FREE,
+) -> None:
     """Make the folder, or see that what is in it is this very training.
 
     Parameters
@@ -33,6 +40,7 @@ def open_folder(out: Path, data: DataclassInstance, settings: DataclassInstance,
     out : folder
     data, settings : dataclasses that say what is trained on, and how
     resume : whether a training may be there already
+    free : settings that may differ from those of the training that is there
 
     Raises
     ------
@@ -53,7 +61,7 @@ def open_folder(out: Path, data: DataclassInstance, settings: DataclassInstance,
             f"{part}.{name}"
             for part in ("data", "training")
             for name in sorted({*run[part], *before[part]})
-            if before[part].get(name) != run[part].get(name) and name not in FREE
+            if before[part].get(name) != run[part].get(name) and name not in free
         ]
     except (ValueError, KeyError, AttributeError, TypeError) as error:
         raise BadInput(f"'{file}' is damaged ({error}); train anew in another folder.") from error
@@ -61,6 +69,8 @@ def open_folder(out: Path, data: DataclassInstance, settings: DataclassInstance,
         not changed,
         f"the training in '{out}' has other settings ({', '.join(changed)}); resume with the same ones.",
     )
+    if before != run:
+        write_file(file, (json.dumps(run, indent=1) + "\n").encode())
 
 
 def read_file(file: Path) -> bytes:

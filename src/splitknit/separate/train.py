@@ -9,9 +9,10 @@ from splitknit.separate.train_batches import Patches
 from splitknit.separate.train_data import Enhance, Photograph, photographs
 from splitknit.separate.train_loop import Trainer, learning_factor
 from splitknit.separate.train_network import export_onnx, load_torch, unet, unet_reach
-from splitknit.separate.train_settings import DataSettings, TrainSettings, wide_skin
+from splitknit.separate.train_settings import MAY_CHANGE, DataSettings, TrainSettings, wide_skin
 
 __all__ = [
+    "MAY_CHANGE",
     "DataSettings",
     "Enhance",
     "Patches",

@@ -13,7 +13,7 @@ import numpy as np
 from splitknit.check import BadInput, require
 from splitknit.separate.train_batches import Batch, Patches
 from splitknit.separate.train_network import export_onnx, load_torch, unet
-from splitknit.separate.train_settings import TrainSettings
+from splitknit.separate.train_settings import MAY_CHANGE, TrainSettings
 from splitknit.types import FloatArray
 
 
@@ -119,9 +119,8 @@ class Trainer:
             raise BadInput(
                 f"the checkpoint is damaged ({type(error).__name__}); train anew in another folder."
             ) from error
-        free = ("threads", "device", "precision")  # these may change on the way
         ours = asdict(self.settings)
-        changed = [name for name in ours if name not in free and settings.get(name) != ours[name]]
+        changed = [name for name in ours if name not in MAY_CHANGE and settings.get(name) != ours[name]]
         require(
             not changed,
             f"the checkpoint is of a training with other settings ({', '.join(changed)}); "

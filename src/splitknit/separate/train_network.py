@@ -85,9 +85,28 @@ def unet(settings: TrainSettings, channels: int = 3) -> Any:
         if isinstance(module, (nn.Conv2d, nn.ConvTranspose2d)):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
             nn.init.zeros_(module.bias)
-    with torch.no_grad():  # the last layer regresses: no ReLU follows, and it starts near zero
-        network.last.weight.mul_(0.5)
+    with torch.no_grad():
+        _begin_with_fraction(network, settings, channels)
     return network
+
+
+def _begin_with_fraction(network: Any, settings: TrainSettings, channels: int) -> None:
+    """Make the untrained network's result a fraction of its image, and leave the rest to the training.
+
+    The first few of the outermost blocks' channels pass the image on, the others are drawn at random as usual; the last
+    layer, which regresses, listens to those first channels.
+    """
+    network.last.weight.mul_(0.1)
+    if settings.start_fraction == 0 or settings.width < channels:
+        return
+    outer, inner = network.encoder[0], network.decoder[-1]
+    for layer, first in ((outer[0], 0), (outer[2], 0), (inner[0], settings.width), (inner[2], 0)):
+        for channel in range(channels):
+            layer.weight[channel] = 0.0
+            layer.weight[channel, first + channel, 1, 1] = 1.0
+    for channel in range(channels):
+        network.last.weight[channel, :channels] = 0.0
+        network.last.weight[channel, channel] = settings.start_fraction
 
 
 def unet_reach(depth: int) -> int:

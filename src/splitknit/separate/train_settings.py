@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from splitknit.check import require
 from splitknit.simulate.skin import SkinRanges
 
+MAY_CHANGE = ("threads", "device", "precision", "epochs", "decay")
+"""Settings that may differ when a training is taken up again: where it runs, and how long it goes on."""
+
 
 def wide_skin() -> SkinRanges:
     """Ranges beyond those of plausible fingers: what lies at their edge is then inside for the network."""
@@ -81,6 +84,8 @@ class TrainSettings:
     """Encoder blocks, and decoder blocks."""
     dropout: float = 0.5
     """Share dropped after the last encoder block and the bridge, while training."""
+    start_fraction: float = 0.0
+    """The untrained network gives this fraction of its image: a shorter way to go than from noise. 0 = all random."""
     epochs: int = 50
     batch: int = 32
     learning_rate: float = 1e-3
@@ -115,6 +120,7 @@ class TrainSettings:
         require(
             math.isfinite(self.learning_rate) and self.learning_rate > 0, "training: learning_rate must be positive."
         )
+        require(0 <= self.start_fraction <= 1, "training: start_fraction must lie in [0, 1].")
         require(0 <= self.decay <= 1, "training: decay must lie in [0, 1].")
         require(0 <= self.enhanced_share <= 1, "training: enhanced_share must lie in [0, 1].")
         require(self.device in ("cpu", "cuda"), f"training: device must be cpu or cuda, not '{self.device}'.")
