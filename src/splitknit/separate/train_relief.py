@@ -1,0 +1,89 @@
+"""Training of `metric`'s own network, which draws relief and glare: the public names of the parts.
+
+What photometric stereo leaves of skin's light is taken apart by how it turns with the light's azimuth
+(:mod:`splitknit.metric.features`); the network learns on simulated fingers what of it is relief and what is glare.
+Arrays in, arrays and bytes out; what reads and writes files is ``splitknit train relief``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from splitknit.separate.train_network import export_onnx, unet_reach
+from splitknit.separate.train_relief_batches import (
+    CHANNELS,
+    FIELDS,
+    GLARE,
+    OUTPUTS,
+    RELIEF,
+    WEIGHT,
+    Sample,
+    draw_batch,
+    mirrored,
+    transposed,
+    turned_by,
+)
+from splitknit.separate.train_relief_loop import ReliefTrainer, judged
+from splitknit.separate.train_relief_loss import relief_losses, total_loss
+from splitknit.separate.train_relief_network import network_from, relief_network
+from splitknit.separate.train_relief_settings import ReliefSettings
+from splitknit.separate.weights import card_bytes
+
+__all__ = [
+    "CHANNELS",
+    "FIELDS",
+    "GLARE",
+    "NAME",
+    "OUTPUTS",
+    "RELIEF",
+    "WEIGHT",
+    "ReliefSettings",
+    "ReliefTrainer",
+    "Sample",
+    "draw_batch",
+    "judged",
+    "mirrored",
+    "network_from",
+    "packed",
+    "relief_losses",
+    "relief_network",
+    "total_loss",
+    "transposed",
+    "turned_by",
+]
+
+NAME = "relief"
+
+
+def packed(state: Mapping[str, Any], facts: Mapping[str, Any], name: str = NAME) -> tuple[bytes, bytes]:
+    """The files of a finished network: ONNX, its weights in half precision, and card.
+
+    Parameters
+    ----------
+    state : ``state_dict`` of a :func:`relief_network`
+    facts : what the card says beside channels, stride, reach and architecture: data, training, metrics, command, ...
+    name : of the network
+
+    Raises
+    ------
+    BadInput
+        If `state` belongs to another network.
+    """
+    network = network_from(state)
+    widths = [int(level[0].out_channels) for level in network.down]
+    fields, outputs = int(network.down[0][0].in_channels), int(network.out.out_channels)
+    depth = len(widths) - 1
+    weights = export_onnx(network, fields, 2**depth)
+    head = {
+        "channels_in": fields,
+        "channels_out": outputs,
+        "stride": 2**depth,
+        "reach": unet_reach(depth),
+        "what": "relief and glare of skin: the fields of splitknit.metric.features to the relief in 0.02 mm, seven "
+        "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
+        "variance",
+        "architecture": f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}",
+        "licence": "Apache-2.0",
+    }
+    return weights, card_bytes(name, weights, {**head, **facts})
