@@ -1,0 +1,131 @@
+"""The fast twin against the reference: random walks in the volume below the skin's true ridges.
+
+    python validation/twin/run.py            # about ten minutes of one core; a run that was stopped goes on
+    python validation/twin/run.py --smoke    # one small case of each kind, into validation/out; two minutes at most
+
+Needs the extra ``reference`` and libllvm19. Every case lands in ``validation/out/twin`` under a hash of the sources it
+depends on; ``results.json`` holds all of them and the ranges that follow. ``docs/twin-reference.md`` reads them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+
+from measure import Ridges, compare_finger, compare_glare, compare_ridges
+from ranges import ranges_of
+
+import splitknit.simulate
+from splitknit.check import BadInput
+
+HERE = Path(__file__).resolve().parent
+OUT = HERE.parent / "out" / "twin"
+CHANNELS = ("blue", "green", "red", "nir")
+SAMPLES = {"diffuse": (128, 256, 256, 256), "smooth": (128, 128, 128, 128)}
+DEPTHS_UM = (75.0, 40.0, 60.0, 90.0)
+FACTORS = (0.5, 0.7, 1.4, 2.0)
+ROUGHNESSES = (0.18, 0.25, 0.35)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="The fast twin against the reference.")
+    parser.add_argument("--smoke", action="store_true", help="one small case of each kind")
+    parser.add_argument("--only-collect", action="store_true", help="write results.json from the cases done so far")
+    parser.add_argument("--out", type=Path, help="where the results go; validation/twin/results.json by default")
+    options = parser.parse_args(arguments)
+    out = options.out or (OUT / "smoke.json" if options.smoke else HERE / "results.json")
+    code = source_hash()
+    folder = OUT / code[:12]
+    folder.mkdir(parents=True, exist_ok=True)
+    results: dict[str, list[dict[str, Any]]] = {}
+    try:
+        for kind, name, work in smoke() if options.smoke else cases():
+            path = folder / f"{kind}-{name}.json"
+            if not path.exists():
+                if options.only_collect:
+                    continue
+                print(kind, name, flush=True)
+                partial = path.with_suffix(".part")
+                partial.write_text(json.dumps(work(), indent=1))
+                partial.replace(path)
+            results.setdefault(kind, []).append(json.loads(path.read_text()))
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        return 2
+    finished: dict[str, Any] = {"source_sha256": code, **results}
+    if not options.smoke:
+        finished["ranges"] = ranges_of(results.get("ridges", []))
+    out.write_text(json.dumps(_rounded(finished), indent=1) + "\n")
+    print(f"wrote {out}")
+    return 0
+
+
+def cases() -> Iterator[tuple[str, str, Callable[[], Any]]]:
+    """Kind, name and work of every case; those that matter most come first."""
+    for case in ridge_cases():
+        yield "ridges", case.name(), lambda case=case: compare_ridges(case)
+    for boundary, samples in (("diffuse", (64, 64, 64, 64)), ("smooth", (32, 32))):
+        for channel, count in zip(CHANNELS, samples, strict=False):
+            chosen = [(channel, count)]
+            yield "finger", f"{boundary}-{channel}", lambda c=chosen, b=boundary: compare_finger(c, b)[0]
+    for depth_um in (75.0, 40.0):
+        for roughness in ROUGHNESSES:
+            work = lambda d=depth_um, r=roughness: compare_glare(d, r)  # noqa: E731
+            yield "glare", f"{depth_um:g}um-{roughness:g}", work
+
+
+def ridge_cases() -> Iterator[Ridges]:
+    """Ridge depths at the usual scattering, then other scattering at 75 um, then other prints."""
+    for depth_um in DEPTHS_UM:
+        for boundary in ("diffuse", "smooth"):
+            for channel, samples in zip(CHANNELS, SAMPLES[boundary], strict=True):
+                if boundary == "diffuse" or channel in {"blue", "green"} or depth_um == 75.0:
+                    yield Ridges(boundary, channel, depth_um, samples=samples)
+    for factor in FACTORS:
+        for boundary in ("diffuse", "smooth"):
+            for channel, samples in zip(CHANNELS, SAMPLES[boundary], strict=True):
+                if boundary == "diffuse" or channel in {"blue", "green"}:
+                    yield Ridges(boundary, channel, factor=factor, samples=samples)
+    for seed in (6, 7):
+        for boundary in ("diffuse", "smooth"):
+            yield Ridges(boundary, "blue", print_seed=seed, samples=128)
+
+
+def smoke() -> Iterator[tuple[str, str, Callable[[], Any]]]:
+    """One small case of each kind."""
+    for boundary in ("diffuse", "smooth"):
+        case = Ridges(boundary, "blue", samples=8)
+        yield "ridges", "smoke-" + boundary, lambda case=case: compare_ridges(case, crop_px=32)
+    yield "glare", "smoke", lambda: compare_glare(75.0, 0.25, samples=16, crop_px=32)
+
+
+def source_hash() -> str:
+    """Hash of the twin's sources and of the scripts beside this one that measure."""
+    digest = hashlib.sha256()
+    package = Path(splitknit.simulate.__file__).parent
+    names = ("reference", "renderer", "lighting", "diffusion", "skin", "master_print", "ridge_growth", "finger")
+    files = [path for path in sorted(package.glob("*.py")) if path.stem.startswith(names)]
+    for path in (*files, HERE / "compare.py", HERE / "measure.py", HERE / "patches.py"):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _rounded(value: Any) -> Any:
+    """Six significant digits are enough, and make the file readable."""
+    if isinstance(value, float):
+        return float(f"{value:.5g}")
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    return [_rounded(one) for one in value] if isinstance(value, list) else value
+
+
+if __name__ == "__main__":
+    sys.exit(main())
