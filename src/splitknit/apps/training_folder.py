@@ -111,5 +111,6 @@ def curve_table(curve: Sequence[Mapping[str, float]]) -> bytes:
 
 def curve_chart(lines: Sequence[Line], x_label: str, y_label: str) -> bytes:
     """The learning curve as an SVG file."""
-    chart = line_chart(lines, x_label, y_label, width=560, height=260)
-    return str(chart.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)).encode()
+    # plain text first: the markup's own replace() would escape what is put in
+    chart = str(line_chart(lines, x_label, y_label, width=560, height=260))
+    return chart.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).encode()
