@@ -17,6 +17,7 @@ from splitknit.separate.train import (
     Trainer,
     TrainSettings,
     learning_factor,
+    levelled,
     load_torch,
     photographs,
     unet,
@@ -67,6 +68,16 @@ def test_a_photograph_holds_image_and_direct_light_on_one_scale(by_truth: Photog
     np.testing.assert_allclose(enhanced_direct / enhanced, direct @ weights / (image @ weights), rtol=0.2)
     assert by_truth.corners.shape == (6, 2)
     assert (by_truth.corners + 72 <= (150, 146)).all()
+
+
+def test_a_levelled_photograph_has_one_brightness_everywhere(by_truth: Photograph) -> None:
+    ready = levelled(by_truth).pixels.astype(np.float32)
+    for part in (ready[..., :3], ready[..., 6:7]):
+        blocks = part[:144, :144].reshape(3, 48, 3, 48, -1).mean(axis=(1, 3, 4))
+        np.testing.assert_allclose(blocks, 1.0, atol=0.05)
+    np.testing.assert_allclose(
+        ready[..., 3:6] / ready[..., :3], by_truth.pixels[..., 3:6] / by_truth.pixels[..., :3], rtol=0.01
+    )
 
 
 def test_the_same_seed_gives_the_same_photograph_and_another_index_another(by_truth: Photograph) -> None:

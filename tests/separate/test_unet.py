@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.separate.direct import direct_light, exposure_level
+from splitknit.separate.direct import direct_light, exposure_level, local_level
 from splitknit.separate.tiles import padded_index, plan_tiles
 from splitknit.separate.unet import Network, load_network, run_network
 
@@ -117,9 +117,28 @@ def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarra
     grey = images[:, 0]
     made = direct_light(grey, network)
     assert made.shape == grey.shape
-    level = np.float32(exposure_level(grey[0]))
+    level = local_level(grey[0])
     raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
     np.testing.assert_allclose(made[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+
+
+def test_the_exposure_level_is_that_of_the_skin() -> None:
+    image = np.zeros((3, 100, 100), dtype=np.float32)
+    image[:, 40:60, 40:60] = 0.25  # a quarter of the picture's ten per cent: black does not count
+    assert exposure_level(image) == pytest.approx(0.25)
+    assert exposure_level(0 * image) == 1.0
+
+
+def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> None:
+    image = np.zeros((3, 120, 163), dtype=np.float32)
+    image[0, :, 60:], image[1, :, 60:], image[2, :, 60:] = 0.6, 0.3, 0.3
+    np.testing.assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
+    image[:, :, 60:] *= np.linspace(0.5, 1.5, 103, dtype=np.float32)
+    expected = 0.4 * np.linspace(0.5, 1.5, 103)[20:-20]
+    np.testing.assert_allclose(local_level(image)[60, 80:-20], expected, rtol=0.05)
+    dark = np.full((64, 64), 1e-4, dtype=np.float32)
+    dark[:, 40:] = 1.0
+    assert local_level(dark)[:, 0].max() == pytest.approx(0.05)  # not the noise's own level
 
 
 def test_direct_light_of_a_black_image_is_black(network: Network) -> None:

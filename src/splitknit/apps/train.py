@@ -36,6 +36,7 @@ from splitknit.separate.train import (
     Photograph,
     Trainer,
     TrainSettings,
+    levelled,
     load_torch,
     photographs,
     unet_reach,
@@ -137,7 +138,7 @@ def _store(out: Path, kind: str, index: int, data: DataSettings, seed: int) -> N
         return
     for name, photograph in zip(names, photographs(kind, index, seed, data, enhance), strict=True):
         buffer = io.BytesIO()
-        np.save(buffer, photograph.pixels, allow_pickle=False)
+        np.save(buffer, levelled(photograph).pixels, allow_pickle=False)
         write_file(name.with_suffix(".npy"), buffer.getvalue())
         document = {**photograph.facts, "corners": photograph.corners.tolist()}
         write_file(name.with_suffix(".json"), (json.dumps(document) + "\n").encode())  # last: it says that all is there
@@ -176,7 +177,7 @@ def _export(out: Path, trainer: Trainer, data: DataSettings, command: str, patch
         "training": {**plain(asdict(settings)), "epochs_done": trainer.epoch, "patches": patches},
         "data": plain(asdict(data)),
         "metrics": {
-            "held_out": f"{data.held_out} palms and {data.held_out} fingers not trained on, patches, exposure level 1",
+            "held_out": f"{data.held_out} palms and {data.held_out} fingers not trained on, patches, local level 1",
             "psnr_linear_db": _psnr(last["held_out_linear"]),
             "psnr_enhanced_db": _psnr(last["held_out_enhanced"]),
         },
@@ -213,5 +214,5 @@ def _write_curve(out: Path, curve: list[dict[str, float]]) -> None:
 
 
 def _psnr(loss: float) -> float:
-    """Of a mean squared error, in dB, for a peak of one: the exposure level."""
+    """Of a mean squared error, in dB, for a peak of one: the local level."""
     return float(-10.0 * np.log10(max(loss, 1e-12)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import cv2
 import numpy as np
 
 from splitknit.check import require
@@ -12,16 +13,45 @@ from splitknit.separate.unet import TILE, Network, load_network, run_network
 from splitknit.types import FloatArray
 
 DEFAULT_NETWORK = "direct"
+LEVEL_BLOCK_PX = 8
+LEVEL_SIGMA_PX = 16.0
+"""Standard deviation of the neighbourhood whose mean brightness the network takes as one."""
+LEAST_LEVEL = 0.05
+"""It does not fall below this part of :func:`exposure_level`: in the dark there is noise alone."""
 
 
 def exposure_level(image: FloatArray) -> float:
-    """Brightness that the network takes as one: the 99.9th percentile of an image's positive values.
+    """Brightness of an image's white: the 99.9th percentile of its positive values.
 
     Taken on every second pixel in each direction, over all channels together, so that colours keep their ratios.
     """
     sample = image[..., ::2, ::2]
     sample = sample[sample > 0]
     return float(np.percentile(sample, 99.9)) if sample.size else 1.0
+
+
+def local_level(image: FloatArray) -> FloatArray:
+    """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one.
+
+    A Gaussian mean over the pixels that are not black, formed on blocks of 8 x 8 pixels and interpolated.
+
+    Parameters
+    ----------
+    image : (h, w) or (C, h, w), zero outside the skin
+    """
+    grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), np.float32(0.0))
+    height, width = grey.shape
+    coarse = -(-width // LEVEL_BLOCK_PX), -(-height // LEVEL_BLOCK_PX)
+    sigma = LEVEL_SIGMA_PX / LEVEL_BLOCK_PX
+
+    def spread(values: FloatArray) -> FloatArray:
+        small = cv2.resize(values, coarse, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+
+    level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), np.float32(1e-3))
+    least = np.float32(max(LEAST_LEVEL * exposure_level(image), 1e-12))
+    fine = cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine, dtype=np.float32)
 
 
 def direct_light(
@@ -55,8 +85,9 @@ def direct_light(
 
     Notes
     -----
-    Every image is divided by its :func:`exposure_level` and the result multiplied by it, so that exposure does not
-    matter. What "direct" is depends on the size of the checks that the network was trained with; its card tells.
+    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
+    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
+    tells.
 
     References
     ----------
@@ -69,11 +100,11 @@ def direct_light(
         f"images must have the shape (N, H, W) or (N, 3, H, W), but they have {stack.shape}.",
     )
     require(stack.size > 0, f"images are empty: shape {stack.shape}.")
-    result = np.empty_like(stack)
-    levels = np.array([max(exposure_level(image), 1e-12) for image in stack], dtype=np.float32)
-    levels = levels.reshape(-1, *(1,) * (stack.ndim - 1))
+    levels = np.stack([local_level(image) for image in stack])
+    if stack.ndim == 4:
+        levels = levels[:, None]
     made = run_network(ready, stack / levels, tile=tile, workers=workers)
     if stack.ndim == 3:
         made = made.mean(axis=1, dtype=np.float32)
-    np.multiply(made, levels, out=result)
-    return np.clip(result, 0.0, np.maximum(stack, 0.0), out=result)
+    made *= levels
+    return np.clip(made, 0.0, np.maximum(stack, 0.0), out=made)

@@ -6,7 +6,7 @@ direct light was measured with 25 shifted checkerboards. Arrays in, arrays and b
 """
 
 from splitknit.separate.train_batches import Patches
-from splitknit.separate.train_data import Enhance, Photograph, photographs
+from splitknit.separate.train_data import Enhance, Photograph, levelled, photographs, surface_of
 from splitknit.separate.train_loop import Trainer, learning_factor
 from splitknit.separate.train_network import export_onnx, load_torch, unet, unet_reach
 from splitknit.separate.train_settings import MAY_CHANGE, DataSettings, TrainSettings, wide_skin
@@ -21,8 +21,10 @@ __all__ = [
     "Trainer",
     "export_onnx",
     "learning_factor",
+    "levelled",
     "load_torch",
     "photographs",
+    "surface_of",
     "unet",
     "unet_reach",
     "wide_skin",

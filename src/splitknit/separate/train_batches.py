@@ -17,8 +17,6 @@ SHIFT_PX = 8
 """Random translation of a patch, each way."""
 TURNED = 0.5
 """Part of the patches that are turned by any angle, which smooths their noise; the others by quarter turns."""
-GAIN = (0.6, 1.2)
-"""Brightness of a patch, log-uniform: the exposure level of an image is known no better."""
 
 Batch = tuple[FloatArray, FloatArray]
 """Input and target, (B, 3, side, side)."""
@@ -59,7 +57,7 @@ class Patches:
         return np.asarray(pixels[row : row + self.side, column : column + self.side], dtype=np.float32)
 
     def _augmented(self, k: int, rng: np.random.Generator) -> FloatArray:
-        """(side, side, 8) patch k, shifted, turned, mirrored and made brighter or darker."""
+        """(side, side, 8) patch k, shifted, turned and mirrored."""
         pixels = self.photographs[self._owner[k]].pixels
         height, width = pixels.shape[:2]
         shift = rng.integers(-SHIFT_PX, SHIFT_PX + 1, 2)
@@ -71,8 +69,7 @@ class Patches:
             piece = np.rot90(piece, int(rng.integers(4)))
         if rng.random() < 0.5:
             piece = piece[:, ::-1]
-        gain = GAIN[0] * (GAIN[1] / GAIN[0]) ** rng.random()
-        return np.asarray(piece * np.float32(gain), dtype=np.float32)
+        return piece
 
 
 def _turned(pixels: NDArray[np.float16], corner: tuple[int, int], side: int, angle_deg: float) -> FloatArray:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit.check import BadInput, require
 from splitknit.radiance import GREY_WEIGHTS
 from splitknit.separate.checkerboard import checkerboard
-from splitknit.separate.direct import exposure_level
+from splitknit.separate.direct import exposure_level, local_level
 from splitknit.separate.stacks import StackSettings
 from splitknit.separate.train_settings import DataSettings
 from splitknit.simulate.finger import draw_finger, finger_surface
@@ -67,12 +67,20 @@ def photographs(kind: str, index: int, seed: int, settings: DataSettings, enhanc
     -------
     list of Photograph, `settings.views` long
     """
-    require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
-    root = np.random.SeedSequence([seed, 0x7A, kind == "finger", index])
-    scene_seed, *view_seeds = root.spawn(1 + settings.views)
-    rng = np.random.default_rng(scene_seed)
-    surface = _finger(rng, settings) if kind == "finger" else _palm(rng, settings)
+    surface = surface_of(kind, index, seed, settings)
+    view_seeds = _root(kind, index, seed).spawn(1 + settings.views)[1:]
     return [_photograph(surface, (kind, index), view, settings, enhance) for view in view_seeds]
+
+
+def surface_of(kind: str, index: int, seed: int, settings: DataSettings) -> Surface:
+    """The palm or finger itself, before its camera: what :func:`photographs` takes pictures of."""
+    require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
+    rng = np.random.default_rng(_root(kind, index, seed).spawn(1)[0])
+    return _finger(rng, settings) if kind == "finger" else _palm(rng, settings)
+
+
+def _root(kind: str, index: int, seed: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence([seed, 0x7A, kind == "finger", index])
 
 
 def _palm(rng: np.random.Generator, settings: DataSettings) -> Surface:
@@ -157,6 +165,15 @@ def _record(
     parts = [image / level, kept / level]
     parts += [(part / enhanced_level)[..., None] for part in (enhanced, enhanced * share)]
     return np.concatenate(parts, axis=2).astype(np.float16)
+
+
+def levelled(photograph: Photograph) -> Photograph:
+    """The photograph divided by its local level, as the network is given it."""
+    pixels = photograph.pixels.astype(np.float32)
+    level = local_level(np.ascontiguousarray(pixels[..., :3].transpose(2, 0, 1)))[..., None]
+    enhanced_level = local_level(np.ascontiguousarray(pixels[..., 6]))[..., None]
+    divided = np.concatenate([pixels[..., :6] / level, pixels[..., 6:] / enhanced_level], axis=2)
+    return replace(photograph, pixels=divided.astype(np.float16))
 
 
 def patch_corners(mask: BoolArray, settings: DataSettings, rng: np.random.Generator) -> NDArray[np.int32]:
