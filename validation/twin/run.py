@@ -29,15 +29,13 @@ from splitknit.check import BadInput
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"
 CHANNELS = ("blue", "green", "red", "nir")
-SAMPLES = {"diffuse": (128, 256, 256, 256), "smooth": (128, 128, 128, 128)}
-DEPTHS_UM = (75.0, 40.0, 60.0, 90.0)
-FACTORS = (0.5, 0.7, 1.4, 2.0)
 ROUGHNESSES = (0.18, 0.25, 0.35)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="The fast twin against the reference.")
     parser.add_argument("--smoke", action="store_true", help="one small case of each kind")
+    parser.add_argument("--last-first", action="store_true", help="the other way round: a second process beside one")
     parser.add_argument("--only-collect", action="store_true", help="write results.json from the cases done so far")
     parser.add_argument("--out", type=Path, help="where the results go; validation/twin/results.json by default")
     options = parser.parse_args(arguments)
@@ -47,7 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     results: dict[str, list[dict[str, Any]]] = {}
     try:
-        for kind, name, work in smoke() if options.smoke else cases():
+        work_list = list(smoke() if options.smoke else cases())
+        for kind, name, work in reversed(work_list) if options.last_first else work_list:
             path = folder / f"{kind}-{name}.json"
             if not path.exists():
                 if options.only_collect:
@@ -70,33 +69,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def cases() -> Iterator[tuple[str, str, Callable[[], Any]]]:
     """Kind, name and work of every case; those that matter most come first."""
-    for case in ridge_cases():
-        yield "ridges", case.name(), lambda case=case: compare_ridges(case)
-    for boundary, samples in (("diffuse", (64, 64, 64, 64)), ("smooth", (32, 32))):
-        for channel, count in zip(CHANNELS, samples, strict=False):
-            chosen = [(channel, count)]
-            yield "finger", f"{boundary}-{channel}", lambda c=chosen, b=boundary: compare_finger(c, b)[0]
+    ridges = list(ridge_cases())
+    yield from (_ridges(case) for case in ridges[:7])
     for depth_um in (75.0, 40.0):
         for roughness in ROUGHNESSES:
             work = lambda d=depth_um, r=roughness: compare_glare(d, r)  # noqa: E731
             yield "glare", f"{depth_um:g}um-{roughness:g}", work
+    for boundary, channels in (("diffuse", CHANNELS), ("smooth", CHANNELS[:1])):
+        for channel in channels:
+            chosen = [(channel, 64 if boundary == "diffuse" else 32)]
+            yield "finger", f"{boundary}-{channel}", lambda c=chosen, b=boundary: compare_finger(c, b)[0]
+    yield from (_ridges(case) for case in ridges[7:])
 
 
 def ridge_cases() -> Iterator[Ridges]:
-    """Ridge depths at the usual scattering, then other scattering at 75 um, then other prints."""
-    for depth_um in DEPTHS_UM:
-        for boundary in ("diffuse", "smooth"):
-            for channel, samples in zip(CHANNELS, SAMPLES[boundary], strict=True):
-                if boundary == "diffuse" or channel in {"blue", "green"} or depth_um == 75.0:
-                    yield Ridges(boundary, channel, depth_um, samples=samples)
-    for factor in FACTORS:
-        for boundary in ("diffuse", "smooth"):
-            for channel, samples in zip(CHANNELS, SAMPLES[boundary], strict=True):
-                if boundary == "diffuse" or channel in {"blue", "green"}:
-                    yield Ridges(boundary, channel, factor=factor, samples=samples)
+    """Channels at 75 um, then other depths, other scattering, other prints; smooth boundaries cost most."""
+    for boundary, channels, samples in (
+        ("diffuse", CHANNELS, (128, 256, 256, 256)),
+        ("smooth", CHANNELS[:3], (128,) * 3),
+    ):
+        for channel, count in zip(channels, samples, strict=True):
+            yield Ridges(boundary, channel, samples=count)
+    swept = (("diffuse", CHANNELS, 128), ("smooth", CHANNELS[:2], 64))
+    for change in ({"depth_um": 40.0}, {"depth_um": 90.0}, {"factor": 0.5}, {"factor": 2.0}, {"factor": 0.7},
+                   {"factor": 1.4}, {"depth_um": 60.0}):  # fmt: skip
+        for boundary, channels, samples in swept:
+            for channel in channels:
+                yield Ridges(boundary, channel, samples=samples, **change)
     for seed in (6, 7):
-        for boundary in ("diffuse", "smooth"):
-            yield Ridges(boundary, "blue", print_seed=seed, samples=128)
+        for boundary, samples in (("diffuse", 128), ("smooth", 64)):
+            yield Ridges(boundary, "blue", print_seed=seed, samples=samples)
+    yield Ridges("smooth", "nir", samples=64)
+
+
+def _ridges(case: Ridges) -> tuple[str, str, Callable[[], Any]]:
+    return "ridges", case.name(), lambda: compare_ridges(case)
 
 
 def smoke() -> Iterator[tuple[str, str, Callable[[], Any]]]:
