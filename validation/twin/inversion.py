@@ -6,7 +6,8 @@
 Ridged crops under the seven white LEDs are rendered by the reference (diffuse boundary) and kept, with their height,
 in ``validation/out/twin/inversion``. Each channel then goes the simple way: near-light photometric stereo with known
 lights, slopes divided by the transfer function of :mod:`splitknit.separate.diffusion`, integration; the ridge band is
-compared with the truth. Results go to ``validation/twin/inversion.json``.
+compared with the truth, for the reference's light without and with glare and, to tell what the way itself leaves, for
+the fast twin's. Results go to ``validation/twin/inversion.json``.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ from run import HERE, OUT, source_hash
 
 from splitknit.check import BadInput
 from splitknit.separate import diffusion
+from splitknit.simulate.diffusion import load_walks
 from splitknit.simulate.reference import ReferenceSettings, reference_scene, render_glare, render_volume
+from splitknit.simulate.renderer import render_band
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.skin import Channel, SkinSettings
 
@@ -73,7 +76,8 @@ def rendered(crop: Crop, folder: Path) -> dict[str, Array]:
         glare = render_glare(scene, skin.roughness, settings, samples=64)
         partial = path.with_suffix(".part.npz")
         np.savez_compressed(
-            partial, radiance=np.stack([one.radiance for one in images]),
+            partial,
+            radiance=np.stack([one.radiance for one in images]),
             standard_error=np.stack([one.standard_error for one in images]), glare=glare.radiance,
             height_mm=binned(surface.height_mm[window]).astype(np.float32),
             shape_mm=binned(surface.shape_mm[window]).astype(np.float32),
@@ -82,6 +86,27 @@ def rendered(crop: Crop, folder: Path) -> dict[str, Array]:
         partial.replace(path)
     with np.load(path) as data:
         return {name: data[name].astype(np.float64) for name in data.files}
+
+
+def painted(crop: Crop, folder: Path) -> Array:
+    """The fast twin's volume light of the same crop, (3, 7, h, w)."""
+    path = folder / f"{crop.name()}-twin.npz"
+    if not path.exists():
+        surface = ridged_patch(crop.depth_um, crop.side_px * PIXEL_MM + 8.2, radius_mm=crop.radius_mm)
+        skin = SkinSettings(scattering_factor=crop.factor)
+        media = [skin.channel(name) for name in CHANNELS]
+        leds = default_rig().leds[:7]
+        light = render_band(surface, leds, media, roughness=skin.roughness, glare=1.0, walks=load_walks())
+        window = middle(surface, 2 * crop.side_px)
+        partial = path.with_suffix(".part.npz")
+        np.savez_compressed(
+            partial,
+            diffuse=np.moveaxis(binned(light.diffuse[(..., *window)]), 1, 0).astype(np.float32),
+            glare=binned(light.glare[(slice(None), *window)]).astype(np.float32),
+        )
+        partial.replace(path)
+    with np.load(path) as data:
+        return np.asarray(data["diffuse"], dtype=np.float64)
 
 
 def slopes(images: Array) -> tuple[Array, Array, Array]:
@@ -146,10 +171,14 @@ def measured(crop: Crop, data: dict[str, Array], assumed: float) -> dict[str, An
         "noise_of_a_pixel": float((data["standard_error"] / data["radiance"]).mean()),
     }  # fmt: skip
     truth = data["height_mm"]
-    for glare in (False, True):
+    for kind, light, glare in (
+        ("volume", "radiance", 0.0),
+        ("with_glare", "radiance", data["glare"]),
+        ("twin", "twin", 0.0),
+    ):
         fields, transfers, row = [], [], {}
         for index, name in enumerate(CHANNELS):
-            p, q, bright = slopes(data["radiance"][index] + (data["glare"] if glare else 0.0))
+            p, q, bright = slopes(data[light][index] + glare)
             optics = skin.channel(name)
             transfer = diffusion(optics.scattering_per_mm * assumed / crop.factor, optics.absorption_per_mm)
             fields.append((p, q))
@@ -160,7 +189,7 @@ def measured(crop: Crop, data: dict[str, Array], assumed: float) -> dict[str, An
             by_brightness = 1e-3 * (bright / level - 1.0) / optics.relief_gain_per_um
             row[name + "_brightness"] = likeness(by_brightness, truth)
         row["all"] = likeness(integrated(fields, transfers), truth)
-        result["with_glare" if glare else "volume"] = row
+        result[kind] = row
     return result
 
 
@@ -171,15 +200,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = OUT / "inversion" / source_hash()[:12]
     folder.mkdir(parents=True, exist_ok=True)
     crops = [Crop(depth, factor) for factor in (1.0, 0.7, 1.4) for depth in (60.0, 90.0)]
+    curved = [Crop(depth, side_px=224, radius_mm=8.0) for depth in (60.0, 90.0)]
     if options.smoke:
-        crops = [Crop(side_px=48, samples=8)]
+        crops, curved = [Crop(side_px=48, samples=16)], []
     rows = []
     try:
         for crop in crops:
             print(crop.name(), flush=True)
-            data = rendered(crop, folder)
+            data = {**rendered(crop, folder), "twin": painted(crop, folder)}
             for assumed in dict.fromkeys((crop.factor, 1.0)):
                 rows.append(measured(crop, data, assumed))
+        for crop in curved:  # for chain.py
+            print(crop.name(), flush=True)
+            rendered(crop, folder)
+            painted(crop, folder)
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
