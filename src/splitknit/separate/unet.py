@@ -21,8 +21,8 @@ from splitknit.separate.tiles import Tile, padded_index, plan_tiles
 from splitknit.separate.weights import Card, read_network
 from splitknit.types import FloatArray
 
-TILE = 1024
-"""Longest side of a tile in pixels. A network of width 16 then needs at most 0.4 GB a thread."""
+TILE = 512
+"""Longest side of a tile in pixels. A network of width 12 then needs about 0.2 GB a thread, of width 64 1 GB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
