@@ -1,0 +1,260 @@
+"""The network for direct light on palms and fingers that it was not trained on, against doing nothing and a projector.
+
+    python validation/separation/unet.py [--smoke] [--network NAME]
+
+takes about three minutes on one free core (``--smoke`` seconds), writes ``unet.json`` and ``unet.md`` beside this file
+and prints the latter. Truth: direct light through 25 shifted checkerboards of 0.42 mm and the separation code, without
+noise; the network was trained on the twin's own direct light, so the two came about differently. Palms, fingers, light,
+optics of the skin, pixel size and noise are drawn anew.
+
+A value of one is the photograph's exposure level: the 99.9th percentile of its white image. Judged are the pixels on
+the skin. Red, green, blue: the linear photograph. Enhanced: the grey image after CLAHE, as the presets ``pr`` and
+``snk`` have it. Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
+
+*Single image* is Nayar's separation from one photograph under the checkerboard, by the same camera, in blocks of two
+checks; *pattern known*: told where the checks lie. It needs a projector. It is judged in a box that is all skin, and
+the network there too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.apps.train import HELD_OUT_FROM, enhance
+from splitknit.separate.direct import direct_light
+from splitknit.separate.patterns import single_image
+from splitknit.separate.stacks import StackSettings
+from splitknit.separate.train import DataSettings, Photograph, photographs, surface_of
+from splitknit.separate.unet import Network, load_network
+from splitknit.simulate.projector import Checkerboard, pattern_states
+from splitknit.simulate.sensor import SensorSettings, record
+from splitknit.simulate.separation import checkerboard_images, separate_truth
+from splitknit.simulate.skin import SkinSettings
+from splitknit.types import Led
+
+HERE = Path(__file__).resolve().parent
+FIRST = HELD_OUT_FROM + 1000
+"""Not those of the learning curve either."""
+FRACTION_FROM = 100
+"""Photographs of palms and fingers from this number on (not judged) give the constant fraction."""
+CHANNELS = ("red", "green", "blue", "enhanced")
+SEED = 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--smoke", action="store_true", help="one palm and one finger: does everything run?")
+    parser.add_argument("--network", default="direct", help="shipped network, or path of an .onnx file")
+    parser.add_argument("--count", type=int, default=6, help="palms, and as many fingers (default: 6)")
+    options = parser.parse_args()
+    count = 1 if options.smoke else options.count
+    data = DataSettings(labels="stack", patches=1)
+    network = load_network(options.network)
+    fractions = constant_fractions(replace(data, labels="truth"), 1 if options.smoke else 4)
+    rows: list[dict[str, Any]] = []
+    for kind in ("palm", "finger"):
+        for index in range(FIRST, FIRST + count):
+            rows += judge(photographs(kind, index, SEED, data, enhance)[0], (kind, index), network, fractions, data)
+            print(f"{kind} {index - FIRST + 1} of {count}", file=sys.stderr, flush=True)
+    result = {
+        "network": {"name": network.card.name, "sha256": network.card.sha256},
+        "photographs_of_each_kind": count,
+        "check_mm": data.check_mm,
+        "fractions": dict(zip(CHANNELS, fractions.tolist(), strict=True)),
+        "summary": summarised(rows),
+        "photographs": rows,
+    }
+    table = markdown(result)
+    print(table)
+    if not options.smoke:
+        (HERE / "unet.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        (HERE / "unet.md").write_text(table, encoding="utf-8")
+    return 0
+
+
+def constant_fractions(data: DataSettings, count: int) -> np.ndarray:
+    """(4,) fraction of the image, per channel, that is nearest to the direct light over other photographs."""
+    up, down = np.zeros(4), np.zeros(4)
+    for kind in ("palm", "finger"):
+        for index in range(HELD_OUT_FROM + FRACTION_FROM, HELD_OUT_FROM + FRACTION_FROM + count):
+            image, direct = channels(photographs(kind, index, SEED, data, enhance)[0])
+            up += (image * direct).mean(axis=(1, 2))
+            down += (image * image).mean(axis=(1, 2))
+    return up / down
+
+
+def channels(photograph: Photograph) -> tuple[np.ndarray, np.ndarray]:
+    """Image and direct light, (4, h, w): red, green, blue, enhanced."""
+    pixels = photograph.pixels.astype(np.float32).transpose(2, 0, 1)
+    return pixels[[0, 1, 2, 6]], pixels[[3, 4, 5, 7]]
+
+
+def judge(
+    photograph: Photograph, name: tuple[str, int], network: Network, fractions: np.ndarray, data: DataSettings
+) -> list[dict[str, Any]]:
+    """Every method on one photograph."""
+    image, truth = channels(photograph)
+    mask = truth[0] > 0
+    found = {
+        "network": np.concatenate([direct_light(image[None, :3], network)[0], direct_light(image[3:], network)]),
+        "input as it is": image,
+        "constant fraction": image * fractions[:, None, None].astype(np.float32),
+        "best fraction of this image": image * best_fraction(image, truth, mask)[:, None, None],
+    }
+    rows = [row for method, made in found.items() for row in figures(name, method, made, truth, mask)]
+    box = largest_box(mask)
+    inside = np.ones_like(mask[box])
+    projected = by_one_image(photograph, name, image, box, data)
+    for method, made in {**projected, "network, there": found["network"][:3][:, *box]}.items():
+        rows += figures(name, method, made, truth[: len(made)][:, *box], inside)
+    return rows
+
+
+def best_fraction(image: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    x, y = image[:, mask], truth[:, mask]
+    return np.asarray((x * y).sum(axis=1) / (x * x).sum(axis=1), dtype=np.float32)
+
+
+def largest_box(mask: np.ndarray) -> tuple[slice, slice]:
+    """A box about the middle of the skin, all of it skin: nine tenths of the largest of the image's shape."""
+    rows, columns = (round(float(index.mean())) for index in np.nonzero(mask))
+    low, high = 0.0, 0.5
+    for _ in range(20):
+        half = 0.5 * (low + high)
+        fits = mask[_box(mask.shape, (rows, columns), half)]
+        low, high = (half, high) if fits.all() else (low, half)
+    return _box(mask.shape, (rows, columns), 0.9 * low)
+
+
+def _box(shape: tuple[int, ...], middle: tuple[int, int], half: float) -> tuple[slice, slice]:
+    sides = (int(half * length) for length in shape)
+    rows, columns = (slice(max(m - h, 0), m + h) for m, h in zip(middle, sides, strict=True))
+    return rows, columns
+
+
+def by_one_image(
+    photograph: Photograph, name: tuple[str, int], image: np.ndarray, box: tuple[slice, slice], data: DataSettings
+) -> dict[str, np.ndarray]:
+    """Nayar's separation from a single image under a checkerboard, brought to full size."""
+    facts = photograph.facts
+    surface = surface_of(*name, SEED, data)
+    skin, led = SkinSettings(**facts["skin"]), Led("white", position_mm=tuple(facts["led_mm"]))
+    pattern = Checkerboard(data.check_mm, steps=5)
+    white = separate_truth(surface, led, skin, check_mm=data.check_mm, phases="centred")
+    # the camera as it took the white photograph: radiance to full scale, and full scale to the exposure level
+    mask = surface.mask[white.window]
+    brightest = np.percentile((white.white - white.glare)[:, mask].max(axis=0), 99.9)
+    exposure = np.float32(facts["exposure"] / brightest)
+    sensor = SensorSettings(exposure=facts["exposure"], bits=facts["bits"])
+    lit = next(checkerboard_images(surface, led, skin, pattern))[:, *box].transpose(1, 2, 0) * exposure
+    stored = record(lit, "white", np.random.SeedSequence([SEED, *name[1:]]), sensor, surface.camera.px_per_mm / 75.7)
+    lit = stored.astype(np.float32) / np.float32(2**sensor.bits - 1)
+    level = np.median(white.white[1][box] * exposure) / np.median(image[1][box])
+    lit /= np.float32(level)
+    state = pattern_states(surface, led, pattern)[0][white.window][box]
+    check_px = 1000.0 * data.check_mm / facts["pitch_um"]
+    block = int(np.ceil(2.0 * check_px))
+    unbounded = StackSettings(clip_level=None)
+    ways = {
+        "single image": single_image(lit, block, check_px=check_px, settings=unbounded),
+        "single image, pattern known": single_image(lit, block, pattern=state, settings=unbounded),
+    }
+    size = lit.shape[1], lit.shape[0]
+    made = {}
+    for method, way in ways.items():
+        rows, columns = way.direct.shape[:2]
+        covered = columns * block, rows * block
+        large = cv2.resize(np.asarray(way.direct, dtype=np.float32), covered, interpolation=cv2.INTER_CUBIC)
+        right, below = size[0] - covered[0], size[1] - covered[1]
+        full = cv2.copyMakeBorder(large, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        made[method] = full.transpose(2, 0, 1)
+    return made
+
+
+def figures(
+    name: tuple[str, int], method: str, made: np.ndarray, truth: np.ndarray, mask: np.ndarray
+) -> list[dict[str, Any]]:
+    """PSNR and SSIM of each channel, for a peak of one and for the direct light's own peak."""
+    rows = []
+    for channel, one, real in zip(CHANNELS, made, truth, strict=False):
+        mean_square = float(np.mean(np.square((one - real)[mask], dtype=np.float64)))
+        own = float(np.percentile(real[mask], 99.9))
+        rows.append(
+            {
+                "kind": name[0],
+                "index": name[1],
+                "method": method,
+                "channel": channel,
+                "psnr_db": -10.0 * float(np.log10(mean_square)),
+                "psnr_own_peak_db": 10.0 * float(np.log10(own * own / mean_square)),
+                "ssim": similarity(one, real, mask, 1.0),
+                "ssim_own_peak": similarity(one, real, mask, own),
+            }
+        )
+    return rows
+
+
+def similarity(one: np.ndarray, two: np.ndarray, mask: np.ndarray, peak: float) -> float:
+    """Mean structural similarity over `mask` (Wang et al. 2004: Gaussian of 1.5 pixels, K = 0.01 and 0.03)."""
+
+    def blur(values: np.ndarray) -> np.ndarray:
+        return np.asarray(cv2.GaussianBlur(values.astype(np.float64), (11, 11), 1.5))
+
+    first, second = (0.01 * peak) ** 2, (0.03 * peak) ** 2
+    a, b = blur(one), blur(two)
+    aa, bb, ab = blur(one * one) - a * a, blur(two * two) - b * b, blur(one * two) - a * b
+    index = (2 * a * b + first) * (2 * ab + second) / ((a * a + b * b + first) * (aa + bb + second))
+    return float(index[mask].mean())
+
+
+def summarised(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean and interval of every figure, by kind, method and channel."""
+    rng = np.random.default_rng(1)
+    keys = list(dict.fromkeys((row["kind"], row["method"], row["channel"]) for row in rows))
+    result = []
+    for key in keys:
+        ours = [row for row in rows if (row["kind"], row["method"], row["channel"]) == key]
+        entry: dict[str, Any] = dict(zip(("kind", "method", "channel"), key, strict=True))
+        for figure in ("psnr_db", "psnr_own_peak_db", "ssim", "ssim_own_peak"):
+            values = np.array([row[figure] for row in ours])
+            means = values[rng.integers(0, len(values), (2000, len(values)))].mean(axis=1)
+            low, high = np.percentile(means, [2.5, 97.5])
+            entry[figure] = {"mean": float(values.mean()), "low": float(low), "high": float(high)}
+            entry[figure]["least"] = float(values.min())
+        result.append(entry)
+    return result
+
+
+def markdown(result: dict[str, Any]) -> str:
+    lines = [
+        f"Direct light of {result['photographs_of_each_kind']} palms and as many fingers not trained on, "
+        f"checks of {result['check_mm']} mm, network `{result['network']['name']}`. "
+        "PSNR in dB for a peak of 1 (the photograph's exposure level), and SSIM; mean [95 %] over photographs.",
+    ]
+    for kind in ("palm", "finger"):
+        entries = [entry for entry in result["summary"] if entry["kind"] == kind]
+        lines += ["", f"| {kind}s | {' | '.join(CHANNELS)} |", "| --- " * (1 + len(CHANNELS)) + "|"]
+        for method in dict.fromkeys(entry["method"] for entry in entries):
+            cells = {entry["channel"]: _cell(entry) for entry in entries if entry["method"] == method}
+            lines.append(f"| {method} | " + " | ".join(cells.get(channel, "") for channel in CHANNELS) + " |")
+        ours = [entry for entry in entries if entry["method"] == "network"]
+        cells = [f"{entry['psnr_own_peak_db']['mean']:.1f}, {entry['ssim_own_peak']['mean']:.3f}" for entry in ours]
+        lines.append("| network, for the direct light's own peak | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(entry: dict[str, Any]) -> str:
+    psnr, ssim = entry["psnr_db"], entry["ssim"]
+    return f"{psnr['mean']:.1f} [{psnr['low']:.1f}, {psnr['high']:.1f}], {ssim['mean']:.3f}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
