@@ -20,6 +20,7 @@ from splitknit.separate.train_relief import (
     relief_network,
     total_loss,
 )
+from splitknit.separate.train_relief_batches import field_scale
 from splitknit.separate.train_relief_loss import PARTS
 from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import read_network
@@ -47,6 +48,7 @@ def sample_of(seed: int) -> np.ndarray:
     sample[GLARE] = 0.0
     sample[GLARE.start] = 3 * sample[2]  # the only wave that does not turn with the image
     sample[WEIGHT] = 1.0
+    sample[20:32] *= 7.0
     return sample.astype(np.float16)
 
 
@@ -108,6 +110,24 @@ def test_training_lowers_every_part_of_the_loss_and_betters_the_figures() -> Non
     assert after["rms"] < 0.6 * before["rms"]
     assert after["glare_r2"] > 0.6 > before["glare_r2"]
     assert heard == pytest.approx(np.arange(141, 151) / 150)
+
+
+def test_every_iteration_has_its_learning_rate() -> None:
+    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    for number in range(3):
+        trainer.train(1)
+        assert trainer.optimiser.param_groups[0]["lr"] == SETTINGS.rate(number)
+
+
+def test_fields_are_brought_to_one_scale_inside_the_network() -> None:
+    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    scale = field_scale(SAMPLES, SETTINGS)
+    np.testing.assert_array_equal(trainer.network.scale.numpy(), scale)
+    fields = np.asarray(SAMPLES[0][:32], dtype=np.float32)
+    made = trainer.run(fields)
+    trainer.network.scale.fill_(1.0)
+    np.testing.assert_allclose(trainer.run(fields * scale[:, None, None]), made, atol=1e-5)
+    assert not np.allclose(trainer.run(fields), made, atol=1e-3)
 
 
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
