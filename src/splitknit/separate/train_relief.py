@@ -24,7 +24,7 @@ from splitknit.separate.train_relief_batches import (
     transposed,
     turned_by,
 )
-from splitknit.separate.train_relief_loop import ReliefTrainer, judged
+from splitknit.separate.train_relief_loop import JUDGED_PX, ReliefTrainer, judge_middle, judged
 from splitknit.separate.train_relief_loss import relief_losses, total_loss
 from splitknit.separate.train_relief_network import network_from, relief_network
 from splitknit.separate.train_relief_settings import ReliefSettings
@@ -34,6 +34,7 @@ __all__ = [
     "CHANNELS",
     "FIELDS",
     "GLARE",
+    "JUDGED_PX",
     "NAME",
     "OUTPUTS",
     "RELIEF",
@@ -42,6 +43,7 @@ __all__ = [
     "ReliefTrainer",
     "Sample",
     "draw_batch",
+    "judge_middle",
     "judged",
     "mirrored",
     "network_from",

@@ -101,13 +101,7 @@ class ReliefTrainer:
 
     def judge(self, sample: Sample) -> dict[str, float]:
         """What the network makes of the middle of a finger, see :func:`judged`."""
-        stride = self.settings.stride
-        limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
-        require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
-        first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
-        rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
-        middle = np.asarray(sample[:, rows, columns], dtype=np.float32)
-        return judged(self.run(middle[:FIELDS]), middle)
+        return judge_middle(self.run, sample, self.settings.stride)
 
     def state(self) -> bytes:
         """Everything that is needed to go on from here."""
@@ -159,6 +153,16 @@ class ReliefTrainer:
         if self.settings.precision != "mixed":
             return contextlib.nullcontext()
         return self.torch.autocast(self.settings.device, dtype=self.torch.bfloat16)
+
+
+def judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
+    """Figures of :func:`judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
+    limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
+    require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
+    first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
+    rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
+    middle = np.asarray(sample[:, rows, columns], dtype=np.float32)
+    return judged(run(middle[:FIELDS]), middle)
 
 
 def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
