@@ -1,0 +1,88 @@
+"""The command line of ``splitknit train relief``: options in, settings out."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Progress = Callable[[str, float], None]
+_COUNTS = (
+    ("fingers", 120, "simulated fingers to train on, about 60 MB each on disk"),
+    ("held_out", 6, "further ones, for the learning curve and the card"),
+    ("first", 5000, "number of the first finger; everything about a finger follows from its number"),
+    ("iterations", 6000, "corrections of the weights"),
+    ("batch", 6, "patches of each"),
+    ("patch", 192, "side of a patch in pixels"),
+    ("seed", 0, "of weights and patches"),
+    ("threads", 1, "of torch on the processor; repeatable for a fixed number"),
+)
+
+
+def add_relief_options(verb: argparse.ArgumentParser) -> None:
+    """Add the options of ``splitknit train relief``; the defaults are those of the network that ships."""
+    verb.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to train in; new, or with --resume"
+    )
+    verb.add_argument("--resume", action="store_true", help="go on with the training in DIR")
+    for name, default, words in _COUNTS:
+        option = f"--{name.replace('_', '-')}"
+        verb.add_argument(option, type=int, default=default, metavar="N", help=f"{words} (default: {default})")
+    verb.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
+    verb.add_argument(
+        "--precision",
+        choices=("mixed", "float32"),
+        default="mixed",
+        help="mixed (default): products in half precision",
+    )
+
+
+def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[str, Any], list[str]]:
+    """Train, and say what came out."""
+    from splitknit.apps.relief_scenes import ReliefData  # noqa: PLC0415 - only this verb pays for it
+    from splitknit.apps.train_relief import FILES, train_relief  # noqa: PLC0415
+    from splitknit.separate.train_relief import ReliefSettings  # noqa: PLC0415
+
+    data = ReliefData(fingers=options.fingers, held_out=options.held_out, first=options.first)
+    settings = ReliefSettings(
+        iterations=options.iterations,
+        batch=options.batch,
+        patch_px=options.patch,
+        seed=options.seed,
+        device=options.device,
+        threads=options.threads,
+        precision=options.precision,
+    )
+    command = relief_command(options)
+    facts = train_relief(options.out, data, settings, resume=options.resume, command=command, progress=progress)
+    mean = facts["metrics"]["mean"]
+    used = facts["data"]["fingers_used"]
+    lines = [
+        f"A network was trained for {settings.iterations} iterations in {facts['total_s']:.0f} s "
+        f"(fingers: {used}; refused: {facts['refused']}).",
+        "Held out: " + ", ".join(_figures(mean)) + ".",
+        "Written:",
+    ]
+    lines += [f"  {options.out / name}: {what}" for name, what in FILES.items() if (options.out / name).exists()]
+    return facts, lines
+
+
+def relief_command(options: argparse.Namespace) -> str:
+    """The command line that does this again, every option written out, for the network's card."""
+    words = ["splitknit", "train", "relief", "--out", "DIR"]
+    for name in (*(name for name, _, _ in _COUNTS), "device", "precision"):
+        words += [f"--{name.replace('_', '-')}", str(getattr(options, name))]
+    return shlex.join(words)
+
+
+def _figures(mean: dict[str, float | None]) -> list[str]:
+    """Those figures that there are, in words."""
+    words = {
+        "correlation": "ridge correlation {:.3f}",
+        "gain": "gain {:.2f}",
+        "rms_um": "error {:.1f} µm",
+        "glare_r2": "{:.2f} of the glare's power explained",
+    }
+    return [text.format(value) for name, text in words.items() if (value := mean[name]) is not None]

@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from splitknit.apps.relief_data import TruthOnGrid, assembled, light_on, sample_of
+from splitknit.apps.relief_scenes import ReliefData, draw_scene, photograph_scene
+from splitknit.check import BadInput
+from splitknit.metric.coarse import BandImages
+from splitknit.metric.features import COUNT, features
+from splitknit.metric.grid import Grid
+from splitknit.metric.learned import GLARE as GLARE_UNIT
+from splitknit.metric.learned import RELIEF_MM
+from splitknit.pipeline import preset_settings
+from splitknit.separate.train_relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT, mirrored, transposed
+from splitknit.simulate import twin
+from splitknit.types import Camera, Led, Rig
+
+PITCH_MM = 0.04
+SIDE = 96
+SMALL = ReliefData(scale=0.12, other_scale_share=0.0, other_rig_share=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A tilted, curved piece of something, its lights, and any images at all."""
+
+    grid: Grid
+    white: BandImages
+    surface_mm: np.ndarray
+    glare: np.ndarray
+    relief_mm: np.ndarray
+
+    def sample(self) -> np.ndarray:
+        light = light_on(self.white.rig, self.grid, self.surface_mm, PITCH_MM)
+        truth = {
+            "mask": self.grid.mask,
+            "height_mm": self.surface_mm + self.relief_mm,
+            "shape_mm": self.surface_mm,
+            "glare_white": self.glare,
+        }
+        whole = TruthOnGrid(truth, (slice(None), slice(None)), self.grid, 1)
+        return assembled(self.white, self.grid, self.surface_mm, light, whole).astype(np.float32)
+
+    def moved(
+        self, image: Callable[[np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, place: Callable[..., tuple]
+    ) -> Scene:
+        rig = self.white.rig
+        leds = tuple(replace(led, position_mm=(*place(*led.position_mm[:2]), led.position_mm[2])) for led in rig.leds)
+        stack = np.ascontiguousarray(image(self.white.stack))
+        return Scene(
+            Grid(np.ascontiguousarray(image(self.grid.mask)), x, y, PITCH_MM, (False,) * 4),
+            BandImages(self.white.channels, stack, replace(rig, leds=leds)),
+            np.ascontiguousarray(image(self.surface_mm)),
+            np.ascontiguousarray(image(self.glare)),
+            np.ascontiguousarray(image(self.relief_mm)),
+        )
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    rng = np.random.default_rng(0)
+    x, y = (np.arange(SIDE) - 40.0) * PITCH_MM, (55.0 - np.arange(SIDE)) * PITCH_MM
+    gx, gy = np.meshgrid(x, y)
+    surface = (1.0 + 0.3 * gx - 0.2 * gy - 0.15 * gx**2 - 0.05 * gx * gy).astype(np.float32)
+    mask = (gx + 0.2) ** 2 + 1.3 * (gy - 0.1) ** 2 < 1.6**2
+    azimuths = 2 * np.pi * np.arange(7) / 7 + 0.2
+    leds = tuple(
+        Led("white", position_mm=(52 * np.cos(a), 52 * np.sin(a), 140.0 + k), intensity=1 + 0.03 * k)
+        for k, a in enumerate(azimuths)
+    )
+    grain = ndimage.gaussian_filter(rng.standard_normal((3, 7, SIDE, SIDE)), (0, 0, 2, 2)) * 0.3
+    stack = (0.4 + 0.1 * np.arange(3)[:, None, None, None] + grain).astype(np.float32) * mask
+    return Scene(
+        Grid(mask, x, y, PITCH_MM, (False,) * 4),
+        BandImages(("red", "green", "blue"), stack, Rig(Camera(1 / PITCH_MM, (SIDE, SIDE)), leds)),
+        surface,
+        rng.random((7, SIDE, SIDE)).astype(np.float32) * mask,
+        ndimage.gaussian_filter(rng.standard_normal((SIDE, SIDE)), 2).astype(np.float32) * 0.1,
+    )
+
+
+def test_the_mirrored_finger_is_the_mirrored_sample(scene) -> None:
+    x, y = scene.grid.x_mm, scene.grid.y_mm
+    other = scene.moved(lambda a: a[..., ::-1], -x[::-1], y, lambda px, py: (-px, py))
+    _same(other.sample(), mirrored(scene.sample()))
+
+
+def test_the_transposed_finger_is_the_transposed_sample(scene) -> None:
+    x, y = scene.grid.x_mm, scene.grid.y_mm
+    other = scene.moved(lambda a: a.swapaxes(-1, -2), -y, -x, lambda px, py: (-py, -px))
+    _same(other.sample(), transposed(scene.sample()))
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> None:
+    for number in range(CHANNELS):  # stored in half precision
+        limit = 2e-3 * max(float(np.abs(other[number]).max()), 0.05)
+        np.testing.assert_allclose(one[number], other[number], atol=limit, err_msg=f"field {number}")
+
+
+def test_a_sample_holds_what_the_network_sees_and_shall_draw(scene) -> None:
+    grid, white = scene.grid, scene.white
+    light = light_on(white.rig, grid, scene.surface_mm, PITCH_MM)
+    seen = features(white, grid, scene.surface_mm, light)
+    size = np.linalg.norm(light.vectors, axis=1)
+    azimuth = np.array([np.arctan2(*led.position_mm[1::-1]) for led in white.rig.leds])[:, None, None]
+    shown = 0.1 + 0.03 * np.cos(azimuth) - 0.02 * np.sin(3 * azimuth)
+    bright = replace(scene, glare=(shown * seen.level[1] * size).astype(np.float32))
+    sample = bright.sample()
+    assert sample.shape == (CHANNELS, SIDE, SIDE) and FIELDS == COUNT
+    np.testing.assert_allclose(sample[:FIELDS], seen.fields, atol=2e-3)
+    inner = sample[WEIGHT] > 0.5
+    assert inner.sum() > 2000
+    wanted = np.array([0.1, 0.03, 0, 0, 0, 0, -0.02]) / float(GLARE_UNIT)
+    np.testing.assert_allclose(sample[GLARE][:, inner].mean(axis=1), wanted, atol=5e-3)
+    assert sample[GLARE][:, inner].std(axis=1).max() < 5e-3
+    mask = grid.mask.astype(np.float64)
+    blur, share = (ndimage.gaussian_filter(part, 7.5, mode="mirror") for part in (scene.relief_mm * mask, mask))
+    relief = (scene.relief_mm - blur / share) / float(RELIEF_MM)
+    np.testing.assert_allclose(sample[RELIEF][inner], relief[inner], atol=0.03)
+    assert (sample[:, ~grid.mask] == 0).all()
+
+
+def test_truth_of_several_pixels_is_their_mean_and_counts_where_all_are_skin(scene) -> None:
+    truth = {
+        "mask": np.ones((6, 8), dtype=bool),
+        "height_mm": np.arange(48.0).reshape(6, 8),
+        "shape_mm": np.full((6, 8), 1.0),
+        "glare_white": np.ones((2, 6, 8), dtype=np.float16),
+    }
+    truth["mask"][1, 2] = False
+    for name in ("height_mm", "shape_mm"):
+        truth[name][1, 2] = np.nan
+    coarse = Grid(np.ones((2, 3), dtype=bool), np.arange(3.0), np.arange(2.0), 2 * PITCH_MM, (False,) * 4)
+    found = TruthOnGrid(truth, (slice(0, 5), slice(1, 8)), coarse, 2)
+    np.testing.assert_array_equal(found.mask, [[False, True, True], [True, True, True]])
+    np.testing.assert_allclose(found.relief_mm()[:, 1:], [[6.5, 8.5], [22.5, 24.5]])
+    np.testing.assert_allclose(found.shape_mm(), 1.0)
+    assert found.glare().shape == (2, 2, 3)
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    scene = draw_scene(5000, SMALL)
+    return scene, *photograph_scene(scene)
+
+
+def test_a_scene_is_photographed_as_the_twin_photographs(photographed, monkeypatch) -> None:
+    scene, capture, truth = photographed
+    monkeypatch.setattr(twin, "default_rig", lambda *args: scene.rig)
+    wanted, true = twin.simulate_capture(5000, settings=scene.settings, finger=scene.finger)
+    for name, band in wanted.bands.items():
+        np.testing.assert_array_equal(capture.bands[name].pixels, band.pixels)
+    np.testing.assert_array_equal(truth["height_mm"], true["height_mm"])
+    assert float(truth["skin_scattering_factor"]) == float(true["skin_scattering_factor"])
+
+
+def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -> None:
+    _, capture, truth = photographed
+    settings = preset_settings("metric")
+    settings = replace(settings, metric=replace(settings.metric, coarse_steps=(1,)))
+    true, found = (sample_of(capture, truth, settings, mix).astype(np.float32) for mix in (0.0, 1.0))
+    assert true.shape == found.shape and np.isfinite(true).all() and np.isfinite(found).all()
+    inner = (true[WEIGHT] > 0.9) & (found[WEIGHT] > 0.9)
+    assert inner.sum() > 2500
+    # the slopes of the smooth shape: the true one and the first turn's are alike, not the same
+    for number in (21, 22):
+        assert 0.9 < np.corrcoef(true[number][inner], found[number][inner])[0, 1] < 0.99999
+    # the relief does not depend on it, and fields tell of it: ridges are darker where they face away from all lights
+    np.testing.assert_array_equal(true[RELIEF][inner], found[RELIEF][inner])
+    assert 0.2 < true[RELIEF][inner].std() < 5
+    assert abs(np.corrcoef(true[RELIEF][inner], true[2][inner])[0, 1]) > 0.1
+
+
+def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
+    data = ReliefData(other_scale_share=0.5)
+    scenes = [draw_scene(number, data) for number in range(5000, 5012)]
+    assert scenes[3].facts() == draw_scene(5003, data).facts() != scenes[4].facts()
+    scales = [scene.settings.scale for scene in scenes]
+    assert 0 < scales.count(0.5) < 12 and all(0.38 <= scale <= 0.62 for scale in scales)
+    assert {scene.rig.camera.height_mm == 140.0 for scene in scenes} == {True, False}
+    for scene in scenes:
+        height = scene.rig.camera.height_mm
+        assert height == 140.0 or 120 <= height <= 165
+        assert 40 <= scene.finger.skin.ridge_depth_um <= 105
+        for led in scene.rig.leds:
+            assert 36 < np.hypot(*led.position_mm[:2]) < 68 and abs(led.position_mm[2] - height) < 6
+        aperture = scene.settings.render.aperture_mm
+        assert aperture == 0 or 1 <= aperture <= 4
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"fingers": 0}, "fingers"),
+        ({"held_out": 0}, "held_out"),
+        ({"first": -1}, "first"),
+        ({"scale": 0.0}, "scale"),
+        ({"other_scale": (0.6, 0.4)}, "other_scale"),
+        ({"aperture_share": 1.5}, "aperture_share"),
+        ({"glare": (0.0, 9.0)}, "glare"),
+        ({"led_height_mm": (5.0, 100.0)}, "lights"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused(change, words) -> None:
+    with pytest.raises(BadInput, match=words):
+        ReliefData(**change)

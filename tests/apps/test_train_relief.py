@@ -1,0 +1,203 @@
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from splitknit.apps import train_relief as app
+from splitknit.apps.relief_card import network_metrics, write_network
+from splitknit.apps.relief_scenes import ReliefData
+from splitknit.apps.train_relief import HELD_OUT_FROM, train_relief
+from splitknit.apps.train_relief_verb import add_relief_options, run_relief
+from splitknit.check import BadInput
+from splitknit.separate.train_relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network
+from splitknit.separate.unet import load_network, run_network
+
+torch = pytest.importorskip("torch")
+
+DATA = ReliefData(fingers=3, held_out=2, first=10)
+SETTINGS = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=5, report_every=2, precision="float32")
+
+
+def made_up(number: int, data: ReliefData) -> tuple[np.ndarray, dict]:
+    if number == 11:
+        raise BadInput("there is no finger.")
+    sample = np.random.default_rng(number).standard_normal((CHANNELS, 30, 26)).astype(np.float16)
+    sample[RELIEF], sample[WEIGHT] = sample[0], 1.0
+    return sample, {"finger": number}
+
+
+@pytest.fixture
+def numbers(monkeypatch) -> list[int]:
+    """Fingers that are photographed, in their order; here no finger needs a camera."""
+    asked: list[int] = []
+
+    def photograph(number: int, data: ReliefData) -> tuple[np.ndarray, dict]:
+        asked.append(number)
+        return made_up(number, data)
+
+    monkeypatch.setattr(app, "training_sample", photograph)
+    return asked
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
+    heard: list[tuple[str, float]] = []
+    facts = train_relief(
+        tmp_path / "run",
+        DATA,
+        SETTINGS,
+        command="splitknit train relief --out run",
+        progress=lambda stage, share: heard.append((stage, share)),
+    )
+    assert numbers == [10, 11, 12, HELD_OUT_FROM, HELD_OUT_FROM + 1]
+    assert facts["refused"] == 1 and facts["onnx_difference"] < 0.02
+    assert {name.split("/")[0] for name in files_of(tmp_path / "run")} == {*app.FILES, "run.json"}
+    card = json.loads((tmp_path / "run" / "relief.json").read_text())
+    assert (card["name"], card["channels_in"], card["channels_out"], card["stride"]) == ("relief", 32, 9, 2)
+    assert card["command"] == "splitknit train relief --out run" and card["licence"] == "Apache-2.0"
+    assert card["training"]["iterations_done"] == 5 and card["training"]["seed"] == 0
+    assert card["data"]["fingers_used"] == 2 and card["data"]["fingers_refused"] == 1
+    assert card["data"]["scattering_factor"] == [0.45, 2.2]
+    judged = card["metrics"]["fingers"]
+    assert [entry["finger"] for entry in judged] == [HELD_OUT_FROM, HELD_OUT_FROM + 1]
+    assert set(judged[0]) == {"finger", "correlation", "gain", "rms_um", "error_ratio", "glare_r2"}
+    assert card["metrics"]["mean"]["gain"] == pytest.approx(np.mean([entry["gain"] for entry in judged]), abs=1e-4)
+    assert 10 < judged[0]["rms_um"] < 40  # the made-up relief is one unit high: 20 um
+    rows = (tmp_path / "run" / "curve.csv").read_text().splitlines()
+    assert rows[0].startswith("iteration,relief,slope,likelihood,glare,held_out_correlation")
+    assert [row.split(",")[0] for row in rows[1:]] == ["2", "4", "5"]
+    chart = ElementTree.fromstring((tmp_path / "run" / "curve.svg").read_text())
+    assert chart.tag == "{http://www.w3.org/2000/svg}svg"
+    shares = [share for _, share in heard]
+    assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
+    made = run_network(load_network(tmp_path / "run" / "relief.onnx"), np.zeros((1, 32, 33, 47), dtype=np.float32))
+    assert made.shape == (1, 9, 33, 47)
+
+
+def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numbers, monkeypatch) -> None:
+    train_relief(tmp_path / "whole", DATA, SETTINGS)
+
+    class StopError(Exception):
+        pass
+
+    def stopping(limit: float):
+        def progress(stage: str, share: float) -> None:
+            if share > limit:
+                raise StopError
+
+        return progress
+
+    for limit in (0.2, 0.75):  # between two fingers, and between two entries of the curve
+        with pytest.raises(StopError):
+            train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
+    numbers.clear()
+    train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    assert numbers == []  # all fingers were there, the refused one too
+    whole, parts = files_of(tmp_path / "whole"), files_of(tmp_path / "parts")
+    assert whole.keys() == parts.keys()
+    assert [n for n in whole if whole[n] != parts[n]] in (
+        ["checkpoint.pt", "curve.csv"],
+        ["curve.csv", "checkpoint.pt"],
+    )
+    again = train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    assert files_of(tmp_path / "parts") == parts and again["refused"] == 1
+
+
+def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> None:
+    folder = tmp_path / "run"
+    train_relief(folder, DATA, SETTINGS)
+    with pytest.raises(BadInput, match="--resume"):
+        train_relief(folder, DATA, SETTINGS)
+    with pytest.raises(BadInput, match=r"other settings \(training.batch\)"):
+        train_relief(folder, DATA, replace(SETTINGS, batch=3), resume=True)
+    with pytest.raises(BadInput, match=r"other settings \(data.fingers\)"):
+        train_relief(folder, replace(DATA, fingers=4), SETTINGS, resume=True)
+    sample = folder / "data" / "finger_0000012.npy"
+    whole = sample.read_bytes()
+    sample.write_bytes(whole[:500])
+    with pytest.raises(BadInput, match=r"finger_0000012.npy' is damaged .*resume"):
+        train_relief(folder, DATA, SETTINGS, resume=True)
+    np.save(sample, np.zeros((3, 4, 5), dtype=np.float16))
+    with pytest.raises(BadInput, match=r"\(3, 4, 5\)"):
+        train_relief(folder, DATA, SETTINGS, resume=True)
+    sample.write_bytes(whole)
+    (folder / "data" / "finger_0000010.json").write_text("{")
+    with pytest.raises(BadInput, match=r"finger_0000010.json' is damaged"):
+        train_relief(folder, DATA, SETTINGS, resume=True)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.txt").write_text("not a training")
+    with pytest.raises(BadInput, match="name another folder"):
+        train_relief(other, DATA, SETTINGS, resume=True)
+
+
+def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers) -> None:
+    with pytest.raises(BadInput, match=r"not one finger to train on.*there is no finger"):
+        train_relief(tmp_path / "run", replace(DATA, fingers=1, first=11), SETTINGS)
+
+
+def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:
+    torch.manual_seed(0)
+    state = relief_network((4, 5, 6)).state_dict()
+    facts = write_network(tmp_path, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
+    assert facts["stride"] == 4 and facts["metrics"] == {"correlation": 0.5}
+    assert load_network(tmp_path / "relief.onnx").card.facts["command"] == "by hand"
+    assert (tmp_path / "relief.onnx").stat().st_size == facts["bytes"]
+    # half precision: two bytes a weight and little beside
+    count = sum(part.numel() for part in state.values())
+    assert 2 * count < facts["bytes"] < 2 * count + 16000
+
+
+def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers) -> None:
+    parser = argparse.ArgumentParser()
+    add_relief_options(parser)
+    words = "--fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 32 --seed 4 --precision float32 --first 10"
+    options = parser.parse_args(["--out", str(tmp_path / "run"), *words.split()])
+    facts, lines = run_relief(options, lambda stage, share: None)
+    assert numbers == [10, 11, HELD_OUT_FROM]
+    assert facts["training"]["seed"] == 4 and facts["training"]["widths"] == [16, 32, 48, 64, 64]
+    assert facts["command"] == (
+        "splitknit train relief --out DIR --fingers 2 --held-out 1 --first 10 --iterations 1 --batch 1 --patch 32 "
+        "--seed 4 --threads 1 --device cpu --precision float32"
+    )
+    assert "1 iteration" in lines[0] and "(fingers: 1; refused: 1)" in lines[0]
+    assert "ridge correlation" in lines[1] and any("relief.onnx: the network" in line for line in lines)
+    json.dumps(facts, allow_nan=False)
+
+
+def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
+    parser = argparse.ArgumentParser()
+    add_relief_options(parser)
+    options = parser.parse_args(["--out", "run"])
+    data, settings = ReliefData(), ReliefSettings()
+    for name in ("fingers", "held_out", "first"):
+        assert getattr(options, name) == getattr(data, name)
+    for name in ("iterations", "batch", "seed", "threads", "device", "precision"):
+        assert getattr(options, name) == getattr(settings, name)
+    assert options.patch == settings.patch_px
+
+
+def test_the_cards_figures_are_of_what_the_network_draws() -> None:
+    state = relief_network((4, 5)).state_dict()
+    for part in state.values():
+        part.zero_()
+    state["out.bias"][:8] = torch.tensor([0.5, 1, 2, 3, 4, 5, 6, 7])
+    sample = made_up(3, DATA)[0].astype(np.float32)
+    sample[GLARE] = np.arange(1.0, 8.0)[:, None, None]
+    sample[RELIEF] = 1.5
+    found = network_metrics(state, {3: sample, 4: sample})
+    assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
+    assert found["mean"]["rms_um"] == 20.0  # one unit too low
+    assert found["mean"]["gain"] == pytest.approx(1 / 3, abs=1e-4)
+    assert found["mean"]["glare_r2"] == 1.0 and found["mean"]["error_ratio"] == 1.0
+    assert found["mean"]["correlation"] is None  # of a constant
+    assert found["held_out"].startswith("2 simulated fingers")
