@@ -54,6 +54,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_simulate(verbs)
     _add_reconstruct(verbs)
     _add_separate(verbs)
+    _add_train(verbs)
     return parser
 
 
@@ -115,6 +116,17 @@ def _add_separate(verbs: Any) -> None:
         "--check-px", type=float, default=None, help="side of a check: for one image, and with --patterns for skin"
     )
     verb.add_argument("--block", type=_natural, default=None, help="side of a block of the result, for one image")
+
+
+def _add_train(verbs: Any) -> None:
+    from splitknit.apps.train_verb import add_separation_options  # noqa: PLC0415
+
+    does = "train a network on simulated skin (needs torch)"
+    kinds = verbs.add_parser("train", help=does, description=does[0].upper() + does[1:] + ".").add_subparsers(
+        dest="kind", metavar="WHAT", title="networks", required=True
+    )
+    verb = _verb(kinds, "separation", "the thesis's U-Net, which separates direct light", run_train_separation)
+    add_separation_options(verb)
 
 
 def _verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
@@ -227,6 +239,14 @@ def run_separate(options: argparse.Namespace) -> Outcome:
         lines.append(f"Direct and global light add up to the white image within {100 * error:.1f} % in the median.")
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]
     return facts, lines
+
+
+def run_train_separation(options: argparse.Namespace) -> Outcome:
+    """Build the data set and train the network for direct light."""
+    from splitknit.apps.train_verb import run_separation  # noqa: PLC0415
+
+    with _Progress(options) as progress:
+        return run_separation(options, progress.update)
 
 
 def _guarded(options: argparse.Namespace) -> int:
