@@ -53,8 +53,9 @@ def checkerboard(
     the direct light partly missing). It is unbiased, since the states do not depend on the noise.
 
     With `patterns` and `check_px`, for matter in which light spreads: least squares of
-    L = a + b s + c (s blurred by a Gaussian of half a check), evaluated where the pixel lies nearest to the middle of a
-    lit and of a dark check. These places are known, so that there is still no bias by noise.
+    L = a + b s + c m, where m is s averaged over a square of 0.8 checks around the pixel, with the weights |2 m - 1|,
+    evaluated where the pixel lies nearest to the middle of a lit and of a dark check. These places are known, so that
+    there is still no bias by noise.
 
     Parameters
     ----------
@@ -148,10 +149,11 @@ def _in_the_middle(
 ) -> tuple[FloatArray, FloatArray]:
     """Light (H, W, C) of each pixel where it is nearest to the middle of a dark and of a lit check.
 
-    The pattern, blurred, stands for the light that arrives from around. Its greatest and least values over the images
-    tell where the middle is.
+    The pattern's mean over a square somewhat smaller than a check is 1 or 0 near the middle of one and passes 1/2 at
+    its rim: it stands for the light that arrives from around, it tells where the middle is, and images count the more
+    the nearer the pixel is to it.
     """
-    around = np.stack([cv2.GaussianBlur(s, (0, 0), 0.5 * check_px, borderType=cv2.BORDER_REFLECT) for s in states])
+    around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
     used = (states <= settings.edge) | (states >= 1 - settings.edge)
     low = np.empty(light.shape[1:], dtype=np.float32)
     high = np.empty_like(low)
@@ -159,7 +161,7 @@ def _in_the_middle(
     def work(rows: slice) -> None:
         near = around[:, rows].astype(np.float64)
         terms = np.stack([np.ones_like(near), states[:, rows], near], axis=-1)  # (N, h, W, 3)
-        weighted = terms * used[:, rows, :, None]
+        weighted = terms * (used[:, rows] * np.abs(2 * near - 1))[..., None]
         normal = np.einsum("nhwk,nhwl->hwkl", weighted, terms)
         # where no shift tells the terms apart they share the light; far too little to bias what is known
         normal += 1e-9 * np.trace(normal, axis1=2, axis2=3)[..., None, None] * np.eye(3)
@@ -170,3 +172,13 @@ def _in_the_middle(
 
     by_rows(3 * light[:, 0].size, light.shape[1], work)
     return low, high
+
+
+def _square_mean(state: FloatArray, side_px: float) -> FloatArray:
+    """Mean (H, W) over a square around each pixel, whose side need not be whole pixels."""
+    reach = int(np.ceil(max(side_px - 1, 0) / 2))
+    share = np.ones(2 * reach + 1)
+    if reach > 0:
+        share[[0, -1]] = (side_px - (2 * reach - 1)) / 2
+    share /= share.sum()
+    return np.asarray(cv2.sepFilter2D(state, cv2.CV_32F, share, share, borderType=cv2.BORDER_REFLECT))
