@@ -70,9 +70,7 @@ def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], t
 
 def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], capture: Capture) -> None:
     for preset, result in results.items():
-        words = " ".join(result.warnings)
-        assert ("identity" in result.facts["separation"]) == (preset in ("pr", "snk"))
-        assert ("direct light is not separated yet" in words) == (preset in ("pr", "snk"))
+        assert ("direct light by the network" in result.facts["separation"]) == (preset in ("pr", "snk"))
         assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
         assert result.facts["mask"] == "found"
         assert result.settings == asdict(preset_settings(preset))

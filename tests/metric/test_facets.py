@@ -7,6 +7,7 @@ import pytest
 
 from splitknit.geometry import normals_from_gradients
 from splitknit.metric.facets import (
+    MOST_SPREAD,
     Facets,
     at,
     each_facet,
@@ -15,6 +16,7 @@ from splitknit.metric.facets import (
     measure_facets,
     ridge_power,
     ridged_normals,
+    spread_of,
 )
 from splitknit.metric.grid import Grid, coarsen
 from splitknit.separate import SpectralFit, cross_spectra, fit_spectra, microfacet_glare
@@ -179,14 +181,14 @@ def test_slopes_and_direction_are_those_of_the_relief(across_deg):
     low = coarsen(grid, 3)
     nothing = SpectralFit(np.array([9.0, 12.0]), np.zeros(2), np.zeros(2), np.ones(1))
     inner = np.ones(grid.shape, dtype=np.float32)
-    zero = measure_facets(relief, np.zeros_like(relief), grid, low, 3, nothing, inner)
+    zero = measure_facets(relief, np.zeros_like(relief), grid, low, 3, spread_of(relief, grid, nothing, inner))
     assert not zero.slopes.any()  # a spectrum without ridges has no facets
     true_mean_square = (0.03 * 2 * np.pi / 0.48) ** 2 / 2
     powers = SpectralFit(np.geomspace(5, 70, 30), np.zeros(30), np.zeros(30), np.ones(1))
     powers.signal[:] = true_mean_square / ridge_power(
         SpectralFit(powers.omega_per_mm, np.ones(30), np.zeros(30), np.ones(1)), PITCH
     )
-    facets = measure_facets(relief, np.zeros_like(relief), grid, low, 3, powers, inner)
+    facets = measure_facets(relief, np.zeros_like(relief), grid, low, 3, spread_of(relief, grid, powers, inner))
     assert np.sqrt((facets.slopes**2).mean()) == pytest.approx(np.sqrt(true_mean_square), rel=0.08)
     assert facets.slopes.max() == pytest.approx(0.03 * 2 * np.pi / 0.48, rel=0.08)
     assert (np.diff(facets.slopes) >= 0).all()
@@ -203,9 +205,9 @@ def test_slopes_are_those_against_the_sloping_surface():
     powers = SpectralFit(np.geomspace(5, 70, 30), np.full(30, 1.0), np.zeros(30), np.ones(1))
     tilt = 0.45
     inner = np.ones(grid.shape, dtype=np.float32)
-    level = measure_facets(relief, 0 * relief, grid, low, 3, powers, inner)
+    level = measure_facets(relief, 0 * relief, grid, low, 3, spread_of(relief, grid, powers, inner))
     plane = (tilt * grid.x_mm[None, :] * np.ones((grid.shape[0], 1))).astype(np.float32)
-    sloping = measure_facets(relief, plane, grid, low, 3, powers, inner)
+    sloping = measure_facets(relief, plane, grid, low, 3, spread_of(relief, grid, powers, inner))
     assert sloping.slopes.std() == pytest.approx(level.slopes.std() / (1 + tilt**2), rel=1e-3)
     along = measure_facets(
         relief,
@@ -213,8 +215,7 @@ def test_slopes_are_those_against_the_sloping_surface():
         grid,
         low,
         3,
-        powers,
-        inner,
+        spread_of(relief, grid, powers, inner),
     )
     assert along.slopes.std() == pytest.approx(level.slopes.std() / np.sqrt(1 + tilt**2), rel=1e-3)
 
@@ -249,3 +250,13 @@ def test_resolved_normals_count_in_the_middle_and_facets_at_the_side():
     edge = slice(1, -1)
     np.testing.assert_allclose(found[row, edge][side[edge]], expected[row, edge][side[edge]], atol=0.01)
     assert not found[~low.mask].any()
+
+
+def test_spread_multiplies_the_slopes_and_is_limited():
+    grid, relief = ridges(0.0)
+    low = coarsen(grid, 3)
+    plain = measure_facets(relief, 0 * relief, grid, low, 3)
+    wider = measure_facets(relief, 0 * relief, grid, low, 3, 1.2)
+    np.testing.assert_allclose(wider.slopes, 1.2 * plain.slopes)
+    much = SpectralFit(np.geomspace(5, 70, 30), np.full(30, 1e6), np.zeros(30), np.ones(1))
+    assert spread_of(relief, grid, much, np.ones(grid.shape, np.float32)) == MOST_SPREAD

@@ -8,9 +8,11 @@ from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, sh
 
 from splitknit.check import BadInput
 from splitknit.metric import MetricSettings, reconstruct_skin
-from splitknit.metric import surface as surface_module
+from splitknit.metric import shape as shape_module
+from splitknit.metric.by_colour import ColourSettings, with_relief
 from splitknit.metric.coarse import BandImages, compare
 from splitknit.metric.grid import coarsen
+from splitknit.metric.light import fine_lighting
 from splitknit.metric.relief import Measured
 from splitknit.separate import SkinSettings, diffusion
 
@@ -127,8 +129,8 @@ def test_facets_reach_the_shape_from_the_second_turn_on(scene, monkeypatch):
         given.append(args[-1])
         return compare(*args)
 
-    monkeypatch.setattr(surface_module, "compare", spy)
-    settings = MetricSettings(rounds=2, coarse_steps=(2, 1), relief_steps=1)
+    monkeypatch.setattr(shape_module, "compare", spy)
+    settings = MetricSettings(rounds=2, coarse_steps=(2, 1), by_colour=ColourSettings(steps=1))
     reconstruct_skin((scene.white,), scene.grid, SkinSettings(), settings)
     assert given[:2] == [None, None]
     assert len(given) == 3
@@ -139,8 +141,9 @@ def test_facets_reach_the_shape_from_the_second_turn_on(scene, monkeypatch):
 def test_fine_lights_are_the_coarse_ones_enlarged(scene):
     low = coarsen(scene.grid, 3)
     x, y = np.meshgrid(low.x_mm, low.y_mm)
-    shape = (-0.06 * x**2 - 0.04 * y**2).astype(np.float32) * low.mask
-    light = surface_module._fine_lighting(scene.white, low, shape, 1.0, 3, scene.grid)
+    shape = (-0.06 * x**2 - 0.04 * y**2).astype(np.float32)
+    height = shape - shape[low.mask].mean() + np.float32(1.0)
+    light = fine_lighting(scene.white.rig, low, height, 3, scene.grid)
     assert light.entering.shape == light.trust.shape == scene.white.stack.shape[1:]
     assert not light.trust[:, ~scene.grid.mask].any()
     for row, column in ((90, 140), (60, 90), (150, 190)):
@@ -172,8 +175,8 @@ def test_current_relief_is_added_to_the_slopes_through_the_skin(scene):
     )
     relief = scene.relief_mm.astype(np.float32)
     some = [(0.1 * ones, 0.2 * ones)]
-    assert surface_module._with_relief(some, measured, grid, 0 * relief) is some
-    ((x, y),) = surface_module._with_relief(some, measured, grid, relief)
+    assert with_relief(some, measured, grid, 0 * relief) is some
+    ((x, y),) = with_relief(some, measured, grid, relief)
     k = 2 * np.pi / PERIOD_MM
     gx, gy = np.meshgrid(grid.x_mm, grid.y_mm)
     swing = -float(skin(k)) * DEPTH_MM / 2 * k * np.sin(k * (0.5 * gx + np.sqrt(0.75) * gy))
@@ -190,7 +193,7 @@ def test_images_are_left_as_they_were(scene):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"working_pitch_mm": 0.2}, {"working_pitch_mm": 0.0}, {"rounds": 0}, {"relief_steps": 0}, {"coarse_steps": ()}],
+    [{"working_pitch_mm": 0.2}, {"working_pitch_mm": 0.0}, {"rounds": 0}, {"relief": "magic"}, {"coarse_steps": ()}],
 )
 def test_settings_are_checked(wrong):
     with pytest.raises(BadInput, match=r"metric\."):

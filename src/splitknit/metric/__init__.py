@@ -6,6 +6,7 @@ ridges on a fine grid, from the colours of the white band; and again, because ri
 a ridged slope is flatter than the slope).
 """
 
-from splitknit.metric.surface import MetricSettings, SkinSurface, reconstruct_skin
+from splitknit.metric.learned import Networks, can_learn
+from splitknit.metric.surface import MetricSettings, SkinSurface, first_shape, reconstruct_skin
 
-__all__ = ["MetricSettings", "SkinSurface", "reconstruct_skin"]
+__all__ = ["MetricSettings", "Networks", "SkinSurface", "can_learn", "first_shape", "reconstruct_skin"]

@@ -191,7 +191,7 @@ def compare(  # noqa: PLR0917
         found = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, grid.x_mm, grid.y_mm)
         start = len(names)
         for c, name in enumerate(band.channels):
-            residuals.append(_lacking(found[c], found[c + len(band.channels)], grid))
+            residuals.append(lacking_coarse(found[c], found[c + len(band.channels)], grid))
             names.append(name)
         groups.append(list(range(start, len(names))))
     weights = _weights(grid, names, groups, brightness, skin, prior)
@@ -281,7 +281,7 @@ def _median_ratio(seen: FloatArray, expected: FloatArray, where: BoolArray) -> f
     return float(np.median(seen[where] / np.maximum(expected[where], np.float32(1e-4))))
 
 
-def _lacking(found: FloatArray, expected: FloatArray, grid: Grid) -> tuple[FloatArray, FloatArray]:
+def lacking_coarse(found: FloatArray, expected: FloatArray, grid: Grid) -> tuple[FloatArray, FloatArray]:
     """Slopes that `found` (h, w, 3) has beyond `expected`, to first order and whatever the local albedo.
 
     With p the expected slope, -(G_x + p G_z) / D vanishes where G is parallel to the expectation; D is the expected

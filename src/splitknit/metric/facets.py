@@ -44,14 +44,13 @@ def measure_facets(  # noqa: PLR0917
     grid: Grid,
     low: Grid,
     factor: int,
-    fit: SpectralFit,
-    region: FloatArray,
+    spread: float = 1.0,
     count: int = 12,
 ) -> Facets:
     """Distribution and direction of the ridges' slopes.
 
-    The distribution is that of the recovered relief where the finger faces the camera; its spread grows by what the
-    relief's spectrum on `region`, from which noise is taken off and nothing is shrunk, has beyond the recovered relief.
+    The distribution is that of the recovered relief where the finger faces the camera, `spread` times as wide: for what
+    is known to be missing in the relief.
     """
     x, y = height_gradients(relief_mm, grid.pitch_mm)
     doubled = [grid.smooth(p, grid.mask, 0.6) for p in (x * x - y * y, 2 * x * y)]
@@ -66,9 +65,6 @@ def measure_facets(  # noqa: PLR0917
         facing = grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())
     slope = tilted[facing] - tilted[facing].mean(dtype=np.float64)
     quantiles = np.quantile(slope, (np.arange(count) + 0.5) / count)
-    weight = region * region
-    recovered = float((weight * (x * x + y * y)).sum(dtype=np.float64)) / float(weight.sum(dtype=np.float64))
-    scale = np.sqrt(max(ridge_power(fit, grid.pitch_mm), 0.0) / max(recovered, 1e-9))
     rows, columns = low.shape
     small = [
         cv2.resize(np.ascontiguousarray(p[: rows * factor, : columns * factor]), (columns, rows), interpolation=3)
@@ -76,10 +72,26 @@ def measure_facets(  # noqa: PLR0917
     ]
     coarse = 0.5 * np.arctan2(small[1], small[0])
     return Facets(
-        np.asarray(quantiles * min(float(scale), 1.5)),
+        np.asarray(quantiles * spread),
         np.cos(coarse).astype(np.float32),
         np.sin(coarse).astype(np.float32),
     )
+
+
+MOST_SPREAD = 1.5
+"""Slopes are not believed to be steeper than this many times what was recovered."""
+
+
+def spread_of(relief_mm: FloatArray, grid: Grid, fit: SpectralFit, region: FloatArray) -> float:
+    """How much steeper the ridges are on `region` by the relief's spectrum than in the relief itself.
+
+    Noise is taken off the spectrum and nothing in it is shrunk.
+    """
+    x, y = height_gradients(relief_mm, grid.pitch_mm)
+    weight = region * region
+    recovered = float((weight * (x * x + y * y)).sum(dtype=np.float64)) / float(weight.sum(dtype=np.float64))
+    scale = np.sqrt(max(ridge_power(fit, grid.pitch_mm), 0.0) / max(recovered, 1e-9))
+    return min(float(scale), MOST_SPREAD)
 
 
 def ridge_power(fit: SpectralFit, pitch_mm: float) -> float:

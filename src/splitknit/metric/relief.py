@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid, smooth_step
+from splitknit.metric.light import FineLight, slant_of, trust_of
 from splitknit.normals import pseudo_normals
 from splitknit.separate import (
     Diffusion,
@@ -35,16 +36,6 @@ KNIT_MM = 0.5
 """Standard deviation of the Gaussian that parts relief and shape in the result."""
 RIDGE_TRUST = 4.0
 """Factor on the expected power of the ridges, so that the unmixing shrinks them less than the least-squares optimum."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FineLight:
-    """The white lights on the fine grid, as far as they vary with the surface's slant."""
-
-    entering: FloatArray
-    """(L, h, w) light that enters the skin, over normal incidence."""
-    trust: FloatArray
-    """(L, h, w) in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,25 +75,18 @@ def measure(  # noqa: PLR0917
     brightness: Mapping[str, float],
 ) -> Measured:
     """Photometric stereo of every channel with shared weights on the smooth surface."""
-    slope_x, slope_y = height_gradients(surface_mm, grid.pitch_mm)
-    normals = normals_from_gradients(slope_x, slope_y)
     # light that is mirrored at the boundary does not enter: images are brought to what all of it would give
-    entering = np.maximum(light.entering, np.float32(0.2))
-    weights = light.trust * entering * entering
-    g = pseudo_normals(band.stack / entering, band.rig, surface_mm, grid.mask, weights, grid.x_mm, grid.y_mm)
-    slant_deg = np.rad2deg(np.arccos(np.clip(normals[..., 2], 0, 1))).astype(np.float32)
-    trust = (
-        smooth_step((np.float32(74) - slant_deg) / np.float32(14))
-        * smooth_step((grid.depth_mm - np.float32(0.1)) / np.float32(0.3))
-        * grid.mask
-    )
+    weights = light.trust * light.entering * light.entering
+    g = pseudo_normals(band.stack / light.entering, band.rig, surface_mm, grid.mask, weights, grid.x_mm, grid.y_mm)
+    slant_deg = slant_of(surface_mm, grid.pitch_mm)
+    trust = trust_of(slant_deg, grid)
     inner = (grid.mask & (grid.depth_mm > 0.5) & (slant_deg < 50)).astype(np.float32)
     if not inner.any():
         inner = (grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())).astype(np.float32)
     region = cv2.GaussianBlur(inner, (0, 0), 0.2 / grid.pitch_mm) * inner
     transfer = np.stack([grid.sampled(skin[name]) for name in band.channels])
     levels = np.array([brightness[name] for name in band.channels], dtype=np.float32)
-    return Measured(band.channels, g, transfer, levels, trust.astype(np.float32), np.asarray(region, dtype=np.float32))
+    return Measured(band.channels, g, transfer, levels, trust, np.asarray(region, dtype=np.float32))
 
 
 def mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
@@ -244,12 +228,12 @@ def _integrated(
     return np.asarray(total * (-1j / square), dtype=np.complex64)
 
 
-def detail_of(shape_mm: FloatArray, measured: Measured, grid: Grid) -> FloatArray:
+def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray:
     """The ridge band (h, w) of the shape from the coarse grid: creases and what else is finer than the crossover.
 
     Taken from the slopes less their local mean, so that the curvature at the outline is not mistaken for a ridge.
     """
-    x, y = (_ridge_band(s, grid, KNIT_MM) * measured.trust for s in height_gradients(shape_mm, grid.pitch_mm))
+    x, y = (_ridge_band(s, grid, KNIT_MM) * trust for s in height_gradients(shape_mm, grid.pitch_mm))
     whole = _integrated(grid, [(x, y)], [np.ones(1, dtype=np.float32)])
     return grid.inverse(whole * high_pass(grid, KNIT_MM)) * grid.mask
 

@@ -34,6 +34,19 @@ class EnhanceSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class DirectSettings:
+    """Separation of direct light before photometric stereo: the thesis's cases only."""
+
+    method: str = "none"
+    """``network`` (the thesis's U-Net) or ``none``."""
+    network: str = "direct"
+    """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
+
+    def __post_init__(self) -> None:
+        require(self.method in ("network", "none"), f"direct.method must be network or none, not '{self.method}'.")
+
+
+@dataclass(frozen=True, slots=True)
 class NormalsSettings:
     """Photometric stereo of opaque surfaces and of the thesis's cases."""
 
@@ -92,6 +105,7 @@ class PipelineSettings:
     """Keep only the finger's first phalange."""
     photometric: PhotometricMaskSettings = field(default_factory=PhotometricMaskSettings)
     enhance: EnhanceSettings = field(default_factory=EnhanceSettings)
+    direct: DirectSettings = field(default_factory=DirectSettings)
     normals: NormalsSettings = field(default_factory=NormalsSettings)
     height: HeightSettings = field(default_factory=HeightSettings)
     shape: ShapeSettings = field(default_factory=ShapeSettings)
@@ -106,10 +120,12 @@ class PipelineSettings:
         require(self.method in ("metric", "thesis"), f"method must be metric or thesis, not '{self.method}'.")
 
 
-def _thesis(clahe: bool, knit: str) -> PipelineSettings:
+def _thesis(split: bool, knit: str) -> PipelineSettings:
+    """`split`: with contrast enhancement and direct light."""
     return PipelineSettings(
         method="thesis",
-        enhance=EnhanceSettings(clahe=clahe),
+        enhance=EnhanceSettings(clahe=split),
+        direct=DirectSettings(method="none"),
         normals=NormalsSettings(method="lambertian"),
         height=HeightSettings(method="frankot_chellappa"),
         shapelets=ShapeletSettings(scales=3),
@@ -119,7 +135,7 @@ def _thesis(clahe: bool, knit: str) -> PipelineSettings:
 
 PRESETS: dict[str, PipelineSettings] = {
     "metric": PipelineSettings(shapelets=ShapeletSettings(scales=4)),
-    "snk": _thesis(clahe=True, knit="addition"),
-    "pr": _thesis(clahe=True, knit="none"),
-    "ea": _thesis(clahe=False, knit="none"),
+    "snk": _thesis(split=True, knit="addition"),
+    "pr": _thesis(split=True, knit="none"),
+    "ea": _thesis(split=False, knit="none"),
 }

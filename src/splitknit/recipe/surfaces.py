@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from splitknit.geometry import gradients_from_normals, pixel_axes_mm
 from splitknit.integrate import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
 from splitknit.knit import add, crossover
-from splitknit.metric import reconstruct_skin
+from splitknit.metric import Networks, can_learn, reconstruct_skin
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.normals import NearLightSettings, lambertian, near_light, robust
@@ -21,13 +21,15 @@ from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.separate.direct import direct_light
+from splitknit.separate.unet import load_network, run_network
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
 
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
-NO_NETWORK = (
-    "direct light is not separated yet: this preset takes the enhanced images as they are (an identity in place of "
-    "the thesis's network)."
-)
+HOW = {
+    "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
+    "colour": "glare by colour, scattering by its transfer function (modelled)",
+}
 ORTHOGRAPHIC = (
     "the camera is calibrated as a perspective one: lights are placed along its rays, but the surface is integrated "
     "as if seen straight from above."
@@ -61,7 +63,8 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
         visible = _grey(capture, white, finger.window)
         if settings.enhance.clahe:
             visible = _enhanced(visible, mask, capture, settings)
-            warnings = (*warnings, NO_NETWORK)
+        if settings.direct.method == "network":
+            visible = direct_light(visible * mask, settings.direct.network)
     with watch("normals"):
         normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
         gradients = gradients_from_normals(normals, mask, settings.normals.max_slope)
@@ -104,16 +107,11 @@ def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, wa
     camera = capture.rig.camera
     white, nir, warnings = _bands(capture, settings)
     with watch("light"):
-        binning = max(1, round(settings.metric.working_pitch_mm / camera.pitch_mm))
-        grid = _grid(capture, finger, binning)
-        names = ("red", "green", "blue") if has_colour(white) else ("green",)
-        bands = [_images(capture, white, names, finger.window, binning)]
-        if nir is not white:
-            grey = linear_channels(nir, capture.encoding, ("grey",), finger.window, binning)
-            bands.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
+        grid, bands, binning = skin_images(capture, finger, settings)
+    networks = _networks(settings) if can_learn(bands[0], grid.pitch_mm) else None
     with watch("surface"):
         skin = reconstruct_skin(
-            tuple(bands), grid, settings.skin, settings.metric, lambda share: watch.report("surface", share)
+            bands, grid, settings.skin, settings.metric, lambda share: watch.report("surface", share), networks
         )
     if not has_colour(white):
         warnings = (*warnings, "the white images are grey: glare cannot be told from skin by its colour.")
@@ -125,10 +123,37 @@ def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, wa
     )
     facts = {
         **_facts(settings, white, nir),
-        "separation": "glare by colour, scattering by its transfer function (modelled)",
+        "separation": HOW[skin.facts["relief_by"]],
         "optics": skin.facts,
     }
     return SurfaceParts(shape + ridge, ridge, shape, albedo, deviation * np.float32(1000.0), facts, warnings)
+
+
+def skin_images(
+    capture: Capture, finger: Finger, settings: PipelineSettings
+) -> tuple[Grid, tuple[BandImages, ...], int]:
+    """Fine grid, linear images on it (the white band first), and how many pixels a side make one of its blocks."""
+    white, nir, _ = _bands(capture, settings)
+    binning = max(1, round(settings.metric.working_pitch_mm / capture.rig.camera.pitch_mm))
+    names = ("red", "green", "blue") if has_colour(white) else ("green",)
+    bands = [_images(capture, white, names, finger.window, binning)]
+    if nir is not white:
+        grey = linear_channels(nir, capture.encoding, ("grey",), finger.window, binning)
+        bands.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
+    return _grid(capture, finger, binning), tuple(bands), binning
+
+
+def _networks(settings: PipelineSettings) -> Networks | None:
+    """The networks of relief and shape, or None where the settings do without."""
+    metric = settings.metric
+    if metric.relief != "network":
+        return None
+
+    def runner(name: str) -> Callable[[FloatArray], FloatArray]:
+        network = load_network(name)
+        return lambda fields: run_network(network, fields[None], tile=metric.tile_px)[0]
+
+    return Networks(runner(metric.network), runner(metric.shape_network) if metric.shape_network else None)
 
 
 def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
@@ -145,7 +170,8 @@ def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tu
 
 
 def _facts(settings: PipelineSettings, white: Band, nir: Band) -> dict[str, Any]:
-    separation = "identity (the network comes with the next release)" if settings.enhance.clahe else "none"
+    direct = settings.direct
+    separation = f"direct light by the network '{direct.network}'" if direct.method == "network" else "none"
     return {"shape_source": "white" if nir is white else "nir", "separation": separation}
 
 

@@ -1,7 +1,7 @@
 """What the skin does to light: scattering, glare, and how to undo both.
 
-Direct light by a network (the thesis's U-Net) arrives with the next issue; until then the presets `pr` and `snk` use
-the enhanced images as they are.
+Direct light is measured by patterns (:mod:`splitknit.separate.patterns`) or drawn by the thesis's network
+(:mod:`splitknit.separate.direct`).
 """
 
 from splitknit.separate.colour import SpectralFit, cross_spectra, fit_spectra, unmixing_weights
