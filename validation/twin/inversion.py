@@ -176,6 +176,8 @@ def measured(crop: Crop, data: dict[str, Array], assumed: float) -> dict[str, An
         ("with_glare", "radiance", data["glare"]),
         ("twin", "twin", 0.0),
     ):
+        if light not in data:
+            continue
         fields, transfers, row = [], [], {}
         for index, name in enumerate(CHANNELS):
             p, q, bright = slopes(data[light][index] + glare)
@@ -207,7 +209,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for crop in crops:
             print(crop.name(), flush=True)
-            data = {**rendered(crop, folder), "twin": painted(crop, folder)}
+            data = rendered(crop, folder)
+            if crop.factor == 1.0:
+                data["twin"] = painted(crop, folder)
             for assumed in dict.fromkeys((crop.factor, 1.0)):
                 rows.append(measured(crop, data, assumed))
         for crop in curved:  # for chain.py

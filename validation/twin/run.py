@@ -90,12 +90,14 @@ def ridge_cases() -> Iterator[Ridges]:
     ):
         for channel, count in zip(channels, samples, strict=True):
             yield Ridges(boundary, channel, samples=count)
-    swept = (("diffuse", CHANNELS, 128), ("smooth", CHANNELS[:2], 64))
-    for change in ({"depth_um": 40.0}, {"depth_um": 90.0}, {"factor": 0.5}, {"factor": 2.0}, {"factor": 0.7},
-                   {"factor": 1.4}, {"depth_um": 60.0}):  # fmt: skip
-        for boundary, channels, samples in swept:
+    changes = ({"depth_um": 40.0}, {"depth_um": 90.0}, {"factor": 0.5}, {"factor": 2.0}, {"factor": 0.7}, {"factor": 1.4},
+               {"depth_um": 60.0})  # fmt: skip
+    for channels in (CHANNELS[:2], CHANNELS[2:]):
+        for change in changes:
             for channel in channels:
-                yield Ridges(boundary, channel, samples=samples, **change)
+                yield Ridges("diffuse", channel, samples=128, **change)
+                if channel in CHANNELS[:2]:
+                    yield Ridges("smooth", channel, samples=64, **change)
     for seed in (6, 7):
         for boundary, samples in (("diffuse", 128), ("smooth", 64)):
             yield Ridges(boundary, "blue", print_seed=seed, samples=samples)
