@@ -90,8 +90,10 @@ def ridge_cases() -> Iterator[Ridges]:
     ):
         for channel, count in zip(channels, samples, strict=True):
             yield Ridges(boundary, channel, samples=count)
-    changes = ({"depth_um": 40.0}, {"depth_um": 90.0}, {"factor": 0.5}, {"factor": 2.0}, {"factor": 0.7}, {"factor": 1.4},
-               {"depth_um": 60.0})  # fmt: skip
+    changes: tuple[dict[str, float], ...] = (
+        {"depth_um": 40.0}, {"depth_um": 90.0}, {"factor": 0.5}, {"factor": 2.0}, {"factor": 0.7}, {"factor": 1.4},
+        {"depth_um": 60.0},
+    )  # fmt: skip
     for channels in (CHANNELS[:2], CHANNELS[2:]):
         for change in changes:
             for channel in channels:
