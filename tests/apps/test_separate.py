@@ -107,6 +107,39 @@ def test_found_and_given_patterns_and_a_mask(boards: Path, tmp_path: Path) -> No
         assert metadata["settings"]["separate"]["patterns"] == ("estimate" if choice == "estimate" else "given")
 
 
+def test_checkerboards_by_symmetry(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The white image takes part: without it the pattern's fifth harmonics stay in the result."""
+    document(boards, method="symmetry", shifts=SHIFTS, period=10)
+    assert run(boards, "--check-px", 5, "--out", tmp_path / "out") == 0
+    direct, metadata = read_light_tiff(tmp_path / "out" / "direct.tiff")
+    assert metadata["settings"]["separate"]["method"] == "symmetry"
+    assert np.abs(direct - DIRECT).max() < 4 * STEP
+    (boards / "white.png").unlink()
+    (boards / "separation.json").unlink()
+    assert run(boards, "--method", "symmetry", "--out", tmp_path / "without") == 0
+    without = np.abs(read_light_tiff(tmp_path / "without" / "direct.tiff")[0] - DIRECT)
+    assert 100 * STEP < without.max() < 0.1 * DIRECT.max()
+    out = tmp_path / "x"
+    capsys.readouterr()
+    assert "checks of 5 pixels" in refusal(capsys, out, boards, "--method", "symmetry", "--check-px", 4)
+    assert "needs alpha 0.5" in refusal(capsys, out, boards, "--method", "symmetry", "--alpha", 0.25)
+    assert "takes no patterns" in refusal(capsys, out, boards, "--method", "symmetry", "--patterns", "estimate")
+    (boards / "board_4_2.png").unlink()
+    assert "the shift (4, 2) is missing" in refusal(capsys, out, boards, "--method", "symmetry")
+
+
+def test_known_states_ask_for_the_size_of_checks(
+    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Skin is where it matters, and what is in the images the verb cannot know."""
+    for number, (words, noted) in enumerate({(): True, ("--check-px", 5): False}.items()):
+        out = tmp_path / f"out_{number}"
+        assert run(boards, "--patterns", "estimate", *words, "--out", out, "--json") == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert ("give check_px for skin" in " ".join(facts["warnings"])) == noted
+        assert np.abs(read_light_tiff(out / "direct.tiff")[0] - DIRECT).max() < 4 * STEP
+
+
 def test_sinusoids_by_their_shifts(tmp_path: Path) -> None:
     shifts = [0, 7, 14]  # pixels of the projector, period 21
     phase = 2 * np.pi * COLUMNS / 9.1

@@ -99,9 +99,10 @@ def _add_separate(verbs: Any) -> None:
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
         "--method",
-        choices=("checkerboard", "sinusoid", "occluder", "single"),
+        choices=("checkerboard", "symmetry", "sinusoid", "occluder", "single"),
         default=None,
-        help="how the light was patterned (default: what separation.json says, else checkerboard)",
+        help="how the light was patterned (default: what separation.json says, else checkerboard); symmetry: "
+        "checkerboards without noise, an odd number of equal steps a period each way",
     )
     verb.add_argument("--alpha", type=float, default=None, help="share of the pattern that is lit (default: 0.5)")
     verb.add_argument("--dark", type=float, default=None, help="brightness of its unlit part (default: 0)")
@@ -113,7 +114,10 @@ def _add_separate(verbs: Any) -> None:
     )
     verb.add_argument("--encoding", choices=("linear", "srgb"), default=None, help="of the images (default: linear)")
     verb.add_argument(
-        "--check-px", type=float, default=None, help="side of a check: for one image, and with --patterns for skin"
+        "--check-px",
+        type=float,
+        default=None,
+        help="side of a check on the images: for one image, and with --patterns wherever light spreads, as in skin",
     )
     verb.add_argument("--block", type=_natural, default=None, help="side of a block of the result, for one image")
 

@@ -7,11 +7,11 @@ optional::
 
     {
       "format": "splitknit-separation", "version": 1,
-      "method": "checkerboard",                 checkerboard, sinusoid, occluder or single
+      "method": "checkerboard",                 checkerboard, symmetry, sinusoid, occluder or single
       "images": ["p_0.png", "p_1.png", "..."],  in order; paths stay inside the folder
       "encoding": "linear",                     or srgb
       "black": "black.png",                     source off or showing black; taken off every image
-      "white": "white.png",                     whole source lit; the report compares direct + global with it
+      "white": "white.png",                     whole source lit; compared with direct + global; part of symmetry
       "mask": "mask.png",                       white = to be separated
       "alpha": 0.5, "dark": 0.0,                lit share; brightness of the unlit part (0 if `black` shows it)
       "patterns": ["s_0.png", "..."],           state of each image on the camera's pixels, 255 = lit; or "estimate"
@@ -38,7 +38,7 @@ from splitknit.check import BadInput, require
 from splitknit.io.fields import Fields, as_number, inside, read_json
 from splitknit.separate import check_shifts
 
-METHODS = ("checkerboard", "sinusoid", "occluder", "single")
+METHODS = ("checkerboard", "symmetry", "sinusoid", "occluder", "single")
 DOCUMENT = "separation.json"
 ESTIMATE = "estimate"
 _SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
@@ -91,6 +91,9 @@ class PatternFolder:
         if self.method == "single":
             require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
             require(self.block is not None, "method single needs block, the side of a block in pixels.")
+        if self.method == "symmetry":
+            require(self.alpha in (None, 0.5), f"method symmetry needs alpha 0.5, but it is {self.alpha}.")
+            require(self.patterns is None, "method symmetry takes no patterns; use method checkerboard with them.")
 
     def settings(self) -> dict[str, Any]:
         """All choices but the files, as JSON can hold them."""
@@ -201,7 +204,7 @@ def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | Non
 
     They are places in a table, not lengths: nothing but completeness is read from them.
     """
-    if plan.method not in ("checkerboard", "sinusoid") or len(plan.images) < 3:
+    if plan.method not in ("checkerboard", "symmetry", "sinusoid") or len(plan.images) < 3:
         return None
     words = {re.sub(r"\d+", "#", image.stem) for image in plan.images}
     if len(words) > 1:

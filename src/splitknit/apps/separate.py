@@ -11,22 +11,19 @@ import json
 import re
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.commands import Progress, check_target, no_progress
 from splitknit.apps.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
+from splitknit.apps.pattern_light import PatternLight, read_light
+from splitknit.apps.separation_pictures import light_picture, phase_picture
 from splitknit.check import BadInput, require
-from splitknit.io import atomic_folder, image_size, plain_json, provenance, write_image
-from splitknit.io.content import mask_from_image
-from splitknit.io.images import StackReader
+from splitknit.io import atomic_folder, plain_json, provenance, write_image
 from splitknit.io.light import write_light_tiff
-from splitknit.radiance import decode_table, linear_image
 from splitknit.separate import (
     PhaseSeparation,
     Separation,
@@ -37,30 +34,13 @@ from splitknit.separate import (
     single_image,
     sinusoid,
 )
-from splitknit.types import BoolArray, FloatArray
+from splitknit.separate.patterns import by_symmetry
+from splitknit.types import FloatArray
 
 MARKER = "direct.tiff"
 LINEAR = "linear light, 1 = full scale of the images"
 _LIT = 0.1
 """Figures of the report are over pixels brighter than this part of the brightest."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Light:
-    """The images of a folder as linear light without the black level."""
-
-    stack: FloatArray
-    """(N, H, W) or (N, H, W, 3)."""
-    white: FloatArray | None
-    """(H, W) or (H, W, 3)."""
-    patterns: FloatArray | None
-    """(N, H, W) given states."""
-    mask: BoolArray | None
-    """(H, W)."""
-    clip_level: float
-    """Value at which the files clip."""
-    hashes: dict[str, str]
-    """SHA-256 by name."""
 
 
 def separate_to_folder(
@@ -80,7 +60,7 @@ def separate_to_folder(
     check_target(out, MARKER, "an earlier separation", keep=folder)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
-        light = _read(plan, folder)
+        light = read_light(plan, folder)
         progress("separating", 0.5)
         try:
             parts = _separate(plan, light)
@@ -94,54 +74,7 @@ def separate_to_folder(
     return {**facts, "out": str(out)}
 
 
-def _read(plan: PatternFolder, folder: Path) -> _Light:
-    """Read all files of a plan; hashes go by names relative to the folder, wherever that lies."""
-    images = list(plan.images)
-    states = list(plan.patterns) if isinstance(plan.patterns, tuple) else []
-    with StackReader() as reader:
-        size, by = image_size(images[0]), str(images[0])
-        pixels = reader.start(images, size, by)
-        singles = {
-            role: reader.start([file], size, by)[0]
-            for role, file in (("black", plan.black), ("white", plan.white), ("mask", plan.mask))
-            if file is not None
-        }
-        state_pixels = reader.start(states, size, by) if states else None
-        hashes = reader.finish()
-    shape: tuple[int, ...] = pixels.shape[1:]
-    black = _as(linear_image(singles["black"], plan.encoding), shape) if "black" in singles else np.float32(0.0)
-    stack = np.empty(pixels.shape, dtype=np.float32)
-    for k, image in enumerate(pixels):
-        stack[k] = linear_image(image, plan.encoding) - black
-    white = None
-    if "white" in singles:
-        white = _as(linear_image(singles["white"], plan.encoding), shape) - black
-    table = decode_table(pixels.dtype, plan.encoding)
-    grey = shape[2] == 1
-    return _Light(
-        stack[..., 0] if grey else stack,
-        white if white is None or not grey else white[..., 0],
-        None
-        if state_pixels is None
-        else np.stack([linear_image(image, "linear").mean(axis=-1) for image in state_pixels]),
-        mask_from_image(singles["mask"], str(plan.mask)) if "mask" in singles else None,
-        float(table[int(0.994 * (table.size - 1))]) - float(np.median(black)),
-        {_short(Path(name), folder): value for name, value in hashes.items()},
-    )
-
-
-def _short(file: Path, folder: Path) -> str:
-    return file.relative_to(folder).as_posix() if file.is_relative_to(folder) else file.name
-
-
-def _as(light: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """`light` (H, W, C) with the number of channels of `shape`."""
-    if light.shape[2] == shape[2]:
-        return light
-    return np.asarray(np.broadcast_to(light.mean(axis=-1, keepdims=True), shape))
-
-
-def _separate(plan: PatternFolder, light: _Light) -> Separation:
+def _separate(plan: PatternFolder, light: PatternLight) -> Separation:
     """Run the method."""
     settings = StackSettings(clip_level=light.clip_level)
     common: dict[str, Any] = {"mask": light.mask, "settings": settings}
@@ -155,6 +88,16 @@ def _separate(plan: PatternFolder, light: _Light) -> Separation:
             alpha=alpha,
             dark=plan.dark,
             patterns=patterns,
+            check_px=plan.check_px,
+            shifts=plan.shifts,
+            period=plan.period,
+            **common,
+        )
+    if plan.method == "symmetry":
+        return by_symmetry(
+            light.stack,
+            white=light.white,
+            dark=plan.dark,
             check_px=plan.check_px,
             shifts=plan.shifts,
             period=plan.period,
@@ -201,21 +144,21 @@ def _with_names(message: str, plan: PatternFolder) -> str:
     return re.sub(r"(images? )(\d+)(?: and (\d+))?", named, message)
 
 
-def _write(parts: Separation, plan: PatternFolder, light: _Light, target: Path) -> dict[str, Any]:
+def _write(parts: Separation, plan: PatternFolder, light: PatternLight, target: Path) -> dict[str, Any]:
     """Write images; return facts."""
     origin = provenance({"separate": plan.settings()}, light.hashes)
     files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
     for name, part in (("direct", parts.direct), ("global", parts.global_)):
         write_light_tiff(target / f"{name}.tiff", part, LINEAR, origin)
-        write_image(target / f"{name}.png", _preview(part))
+        write_image(target / f"{name}.png", light_picture(part))
     if isinstance(parts, PhaseSeparation):
         write_light_tiff(target / "phase.tiff", parts.phase_rad, "rad, wrapped", origin)
-        write_image(target / "phase.png", _phase_preview(parts))
+        write_image(target / "phase.png", phase_picture(parts))
         files += ["phase.tiff", "phase.png"]
     return {**origin, **_figures(parts, plan, light), "files": [*files, "report.json"]}
 
 
-def _figures(parts: Separation, plan: PatternFolder, light: _Light) -> dict[str, Any]:
+def _figures(parts: Separation, plan: PatternFolder, light: PatternLight) -> dict[str, Any]:
     """What the report says about the result."""
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
@@ -229,6 +172,11 @@ def _figures(parts: Separation, plan: PatternFolder, light: _Light) -> dict[str,
         warnings.append(
             f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black "
             f"image."
+        )
+    if plan.method == "checkerboard" and plan.patterns is not None and plan.check_px is None:
+        warnings.append(
+            "global light was taken to be the same under all shifts; on skin it is not, and direct light comes out a "
+            "fifth too low: give check_px for skin."
         )
     white = None
     if light.white is not None and light.white.shape == total.shape:
@@ -249,24 +197,6 @@ def _figures(parts: Separation, plan: PatternFolder, light: _Light) -> dict[str,
         "against_white": white,
         "warnings": warnings,
     }
-
-
-def _preview(light: FloatArray) -> NDArray[np.uint8]:
-    """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is known."""
-    known = np.isfinite(light)
-    top = max(float(np.quantile(light[known], 0.999)) if known.any() else 1.0, 1e-12)
-    scaled = np.clip(np.where(known, light, 0.0) / top, 0.0, 1.0)
-    curve = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1 / 2.4) - 0.055)
-    return np.asarray(np.round(255 * curve), dtype=np.uint8)
-
-
-def _phase_preview(parts: PhaseSeparation) -> NDArray[np.uint8]:
-    """The phase as hue, as bright as the modulation is strong."""
-    known = np.isfinite(parts.phase_rad)
-    hue = np.mod(np.where(known, parts.phase_rad, 0.0) / (2 * np.pi), 1.0) * 180.0
-    strength = np.clip(np.where(known, parts.modulation, 0.0) / 0.5, 0.0, 1.0)
-    coded = np.dstack([np.minimum(hue, 179.0), np.full(hue.shape, 200.0), 255.0 * strength])
-    return np.asarray(cv2.cvtColor(np.round(coded).astype(np.uint8), cv2.COLOR_HSV2RGB), dtype=np.uint8)
 
 
 def _write_report(path: Path, facts: Mapping[str, Any]) -> None:
