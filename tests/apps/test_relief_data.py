@@ -18,6 +18,7 @@ from splitknit.metric.learned import RELIEF_MM
 from splitknit.pipeline import preset_settings
 from splitknit.separate.train_relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT, mirrored, transposed
 from splitknit.simulate import twin
+from splitknit.simulate.rig import default_rig
 from splitknit.types import Camera, Led, Rig
 
 PITCH_MM = 0.04
@@ -183,14 +184,17 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     scales = [scene.settings.scale for scene in scenes]
     assert 0 < scales.count(0.5) < 12 and all(0.38 <= scale <= 0.62 for scale in scales)
     assert {scene.rig.camera.height_mm == 140.0 for scene in scenes} == {True, False}
+    usual, twists = [led.position_mm[:2] for led in default_rig().leds], []
     for scene in scenes:
         height = scene.rig.camera.height_mm
         assert height == 140.0 or 120 <= height <= 165
         assert 40 <= scene.finger.skin.ridge_depth_um <= 105
         for led in scene.rig.leds:
             assert 36 < np.hypot(*led.position_mm[:2]) < 68 and abs(led.position_mm[2] - height) < 6
+            twists.append(np.angle(complex(*led.position_mm[:2]) / complex(*usual[len(twists) % 14])))
         aperture = scene.settings.render.aperture_mm
         assert aperture == 0 or 1 <= aperture <= 4
+    assert 0.2 < np.abs(twists).max() < 0.6
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +9,10 @@ import numpy as np
 import pytest
 
 from splitknit.apps import train_relief as app
+from splitknit.apps.cli import build_parser, main
 from splitknit.apps.relief_card import network_metrics, write_network
 from splitknit.apps.relief_scenes import ReliefData
 from splitknit.apps.train_relief import HELD_OUT_FROM, train_relief
-from splitknit.apps.train_relief_verb import add_relief_options, run_relief
 from splitknit.check import BadInput
 from splitknit.separate.train_relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network
 from splitknit.separate.unet import load_network, run_network
@@ -157,27 +156,28 @@ def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> N
     assert 2 * count < facts["bytes"] < 2 * count + 16000
 
 
-def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers) -> None:
-    parser = argparse.ArgumentParser()
-    add_relief_options(parser)
+def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, capsys) -> None:
     words = "--fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 32 --seed 4 --precision float32 --first 10"
-    options = parser.parse_args(["--out", str(tmp_path / "run"), *words.split()])
-    facts, lines = run_relief(options, lambda stage, share: None)
+    folder = tmp_path / "run"
+    assert main(["train", "relief", "--out", str(folder), *words.split(), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
     assert numbers == [10, 11, HELD_OUT_FROM]
     assert facts["training"]["seed"] == 4 and facts["training"]["widths"] == [16, 32, 48, 64, 64]
-    assert facts["command"] == (
+    command = (
         "splitknit train relief --out DIR --fingers 2 --held-out 1 --first 10 --iterations 1 --batch 1 --patch 32 "
         "--seed 4 --threads 1 --device cpu --precision float32"
     )
-    assert "1 iteration" in lines[0] and "(fingers: 1; refused: 1)" in lines[0]
-    assert "ridge correlation" in lines[1] and any("relief.onnx: the network" in line for line in lines)
-    json.dumps(facts, allow_nan=False)
+    assert facts["command"] == command == json.loads((folder / "relief.json").read_text())["command"]
+    assert main(["train", "relief", "--out", str(folder), *words.split(), "--resume"]) == 0
+    said = capsys.readouterr().out
+    assert "1 iteration" in said and "(fingers: 1; refused: 1)" in said
+    assert "ridge correlation" in said and f"{folder / 'relief.onnx'}: the network" in said
+    assert main(["train", "relief", "--out", str(folder), *words.split()]) == 2
+    assert "--resume" in capsys.readouterr().err
 
 
 def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
-    parser = argparse.ArgumentParser()
-    add_relief_options(parser)
-    options = parser.parse_args(["--out", "run"])
+    options = build_parser().parse_args(["train", "relief", "--out", "run"])
     data, settings = ReliefData(), ReliefSettings()
     for name in ("fingers", "held_out", "first"):
         assert getattr(options, name) == getattr(data, name)

@@ -123,6 +123,7 @@ def _add_separate(verbs: Any) -> None:
 
 
 def _add_train(verbs: Any) -> None:
+    from splitknit.apps.train_relief_verb import add_relief_options  # noqa: PLC0415
     from splitknit.apps.train_verb import add_separation_options  # noqa: PLC0415
 
     does = "train a network on simulated skin (needs torch)"
@@ -131,6 +132,8 @@ def _add_train(verbs: Any) -> None:
     )
     verb = _verb(kinds, "separation", "the thesis's U-Net, which separates direct light", run_train_separation)
     add_separation_options(verb)
+    verb = _verb(kinds, "relief", "the network of the preset metric, which draws relief and glare", run_train_relief)
+    add_relief_options(verb)
 
 
 def _verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
@@ -251,6 +254,14 @@ def run_train_separation(options: argparse.Namespace) -> Outcome:
 
     with _Progress(options) as progress:
         return run_separation(options, progress.update)
+
+
+def run_train_relief(options: argparse.Namespace) -> Outcome:
+    """Simulate the fingers and train the network for relief and glare."""
+    from splitknit.apps.train_relief_verb import run_relief  # noqa: PLC0415
+
+    with _Progress(options) as progress:
+        return run_relief(options, progress.update)
 
 
 def _guarded(options: argparse.Namespace) -> int:
