@@ -30,9 +30,9 @@ class MetricSettings:
     """Pitch of the coarse grid."""
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
-    rounds: int = 3
+    rounds: int = 2
     """Turns of shape and relief."""
-    coarse_steps: tuple[int, ...] = (6, 3, 2)
+    coarse_steps: tuple[int, ...] = (5, 3)
     """Corrections of the shape in each round; the last entry holds for all further rounds."""
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
