@@ -73,12 +73,19 @@ def _pose(name: str) -> Callable[[Scene, float], Scene]:
 
 VARIATIONS: dict[str, Variation] = {
     "scattering": Variation(
-        "Reduced scattering over what is assumed", "", (0.7, 1.0, 1.4), 1.0, _skin("scattering_factor")
+        "Reduced scattering over Jacques's", "", (0.5, 0.7, 1.0, 1.4, 2.0), 1.0, _skin("scattering_factor")
     ),
     "glare": Variation("Weight of the glare (1 = bare skin)", "", (0.0, 0.5, 1.0, 1.5), 1.0, _skin("glare")),
     "roughness": Variation("Roughness of the skin (GGX alpha)", "", (0.15, 0.25, 0.35), 0.25, _skin("roughness")),
     "ridge_depth": Variation(
         "Ridge depth", "um", (50.0, 65.0, 75.0, 90.0), 65.0, lambda s, v: replace(s, ridge_depth_um=v)
+    ),
+    "rim": Variation(
+        "Light at the outline (0: what falls beside is lost, 0.75: as random walks, 1: as elsewhere)",
+        "",
+        (0.0, 0.4, 0.75, 1.0),
+        0.75,
+        lambda s, v: replace(s, render=replace(s.render, rim_exponent=v)),
     ),
     "relief_gain": Variation(
         "Brightness of ridges over valleys (0.78 measured)", "", (0.55, 0.78, 1.55), 0.78, _skin("relief_gain")

@@ -23,11 +23,6 @@ from splitknit.simulate.skin import ChannelOptics
 from splitknit.simulate.surface import Surface
 from splitknit.types import FloatArray, Led
 
-EDGE_EXPONENT = 0.75
-"""Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by the
-share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk in an
-elliptic cylinder best (``validation/twin/volume.py``)."""
-
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
@@ -45,6 +40,10 @@ class RenderSettings:
     """Diameter of the lens's entrance pupil; 0 switches defocus off. f/2 at 11 mm of focal length is 5.5 mm."""
     focus_depth_mm: float = 1.5
     """Depth of the plane in focus below the finger's highest point."""
+    rim_exponent: float = 0.75
+    """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by
+    the share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk
+    in an elliptic cylinder best (``validation/twin/volume.py``)."""
     workers: int = 2
     """Threads; the result does not depend on it."""
 
@@ -56,6 +55,7 @@ class RenderSettings:
         )
         require(0 < self.reach_mm <= 30, f"render.reach_mm must lie in (0, 30], but it is {self.reach_mm}.")
         require(0 <= self.aperture_mm <= 50, f"render.aperture_mm must be 0 to 50, but it is {self.aperture_mm}.")
+        require(0 <= self.rim_exponent <= 1, f"render.rim_exponent must be 0 to 1, but it is {self.rim_exponent}.")
         require(self.workers >= 1, "render.workers must be at least 1.")
 
 
@@ -101,7 +101,7 @@ def render_band(
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
-    blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
+    blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness, rim=settings.rim_exponent)
     gains = list(relief_gains(surface, patch, optics, settings))
     shape = patch.mask.shape
     diffuse = np.empty((len(leds), len(optics), *shape), dtype=np.float32)
@@ -134,7 +134,7 @@ def render_ambient(
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
-    blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness)
+    blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness, rim=settings.rim_exponent)
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + patch.nz), 0)
     gains = relief_gains(surface, patch, optics, settings)
     return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
@@ -156,6 +156,7 @@ class Diffusion:
         *,
         reach_mm: float,
         roughness: float,
+        rim: float,
     ) -> None:
         """Prepare the transfer of every medium, and what of the light leaves towards the viewer."""
         profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
@@ -176,7 +177,7 @@ class Diffusion:
         self.out = []
         for profile, cover in zip(profiles, covered, strict=True):
             seen = np.clip(cover / np.float32(profile.albedo), 0.05, 1.0)
-            self.out.append(np.where(mask, out * seen ** np.float32(-EDGE_EXPONENT), 0.0).astype(np.float32))
+            self.out.append(np.where(mask, out * seen ** np.float32(-rim), 0.0).astype(np.float32))
 
     def __call__(self, entering: FloatArray) -> Iterator[FloatArray]:
         """Yield the (h, w) radiance of each channel under the (h, w) light that enters."""

@@ -159,6 +159,7 @@ class _Scene:
             walks or load_walks(),
             reach_mm=settings.reach_mm,
             roughness=skin.roughness,
+            rim=settings.rim_exponent,
         )
         gains = relief_gains(surface, self.patch, media, settings)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
