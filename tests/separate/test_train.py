@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from splitknit.separate.train import (
 )
 from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import card_bytes, read_network
+from splitknit.simulate.skin import SkinRanges
 from splitknit.types import BoolArray, FloatArray
 
 SMALL = DataSettings(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
@@ -78,6 +80,20 @@ def test_a_levelled_photograph_has_one_brightness_everywhere(by_truth: Photograp
     np.testing.assert_allclose(
         ready[..., 3:6] / ready[..., :3], by_truth.pixels[..., 3:6] / by_truth.pixels[..., :3], rtol=0.01
     )
+
+
+def test_what_clips_is_taken_from_the_direct_light() -> None:
+    shiny = replace(SMALL, skin=SkinRanges(glare=(5.0, 5.0), roughness=(0.05, 0.05)), led_radius_mm=(5.0, 6.0))
+    for index in range(6):
+        pixels = photographs("palm", index, 7, shiny, brighten)[0].pixels.astype(np.float32)
+        image, direct = pixels[..., 1], pixels[..., 4]
+        clipped = (pixels[..., :3] >= pixels[..., :3].max() - 1e-3).all(axis=2)
+        if clipped.sum() > 5:
+            break
+    assert clipped.sum() > 5, "no photograph clips: the test says nothing"
+    assert (direct[clipped] < image[clipped]).all()
+    # global light is smooth: beside the highlight as much of it as within
+    assert np.median((image - direct)[clipped]) == pytest.approx(np.median((image - direct)[~clipped]), rel=0.4)
 
 
 def test_the_same_seed_gives_the_same_photograph_and_another_index_another(by_truth: Photograph) -> None:
