@@ -1,0 +1,215 @@
+"""The ablation runs on a tiny finger, takes from the light what it says, and its page is filled."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitknit.radiance import linear_channels, linear_stack
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"
+Script = Callable[[str], ModuleType]
+
+
+@pytest.fixture(scope="module")
+def script() -> Iterator[Script]:
+    """Import a script of validation/separation by its name."""
+    names = {file.stem for file in FOLDER.glob("*.py")}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in names & set(sys.modules):
+            patch.delitem(sys.modules, name)
+        patch.syspath_prepend(str(FOLDER))
+        yield importlib.import_module
+        for name in names & set(sys.modules):
+            del sys.modules[name]
+
+
+@pytest.fixture(scope="module")
+def bench(script: Script) -> Any:
+    rows = script("ablation_rows")
+    return rows.Bench(1000, rows.Options(scale=0.15))
+
+
+@pytest.fixture
+def twin(bench: Any) -> Any:
+    return bench.twin
+
+
+def test_the_finger_is_that_of_the_accuracy(twin: Any) -> None:
+    capture, _ = simulate_capture(1000, None, TwinSettings(scale=0.15))
+    for name, band in capture.bands.items():
+        np.testing.assert_array_equal(twin.capture.bands[name].pixels, band.pixels)
+
+
+def test_true_parts_of_the_light(script: Script, twin: Any) -> None:
+    shares = script("ablation_light").true_shares(twin, 0.42)
+    mask = twin.truth["mask"]
+    direct, matt, rest = (shares[n][:, mask] for n in ("direct", "direct without glare", "all but glare"))
+    assert np.all((matt >= 0) & (matt <= direct) & (direct <= 1))
+    np.testing.assert_allclose(direct - matt, 1 - rest, atol=1e-5)
+    assert 0.1 < direct.mean() < 0.6
+    # the share of the glare, times the photograph, is the glare of the photograph
+    light = linear_stack(twin.capture.bands["white"], "linear", "grey")[:, mask]
+    glare = twin.truth["glare_white"].astype(np.float32)[:, mask]
+    assert np.sum((1 - rest) * light) == pytest.approx(glare.sum(), rel=0.03)
+    assert np.corrcoef(((1 - rest) * light).ravel(), glare.ravel())[0, 1] > 0.99
+
+
+def test_changed_captures(script: Script, twin: Any) -> None:
+    light = script("ablation_light")
+    capture, names = twin.capture, ("red", "green", "blue")
+    glare = twin.truth["glare_white"].astype(np.float32)
+    without = light.without_glare(capture, "white", glare)
+    wanted = linear_channels(capture.bands["white"], "linear", names) - glare
+    np.testing.assert_allclose(linear_channels(without.bands["white"], "linear", names), wanted, atol=2e-5)
+    assert without.bands["nir"] is capture.bands["nir"]
+    grey = light.in_grey(capture).bands["white"]
+    assert grey.pixels.shape[-1] == 1
+    wanted = linear_stack(capture.bands["white"], "linear", "grey")
+    np.testing.assert_allclose(linear_stack(grey, "linear", "grey"), wanted, atol=2e-5)
+
+
+def test_the_twin_takes_the_networks_place(script: Script, bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = script("ablation_rows").ROWS
+    plain = bench.reconstructed(rows["snk_plain_all"])
+    ones = np.ones((7, *bench.twin.capture.shape), dtype=np.float32)
+    shares = {"direct": ones, "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None]}
+    monkeypatch.setitem(bench.__dict__, "_shares", shares)
+    same, other = (bench.reconstructed(rows[name]) for name in ("snk_plain_direct", "snk_plain_matt"))
+    np.testing.assert_array_equal(same.height_mm, plain.height_mm)
+    np.testing.assert_array_equal(same.mask, plain.mask)
+    assert not np.allclose(other.ridge_mm[other.mask], plain.ridge_mm[plain.mask], rtol=0.1, atol=0)
+
+
+def test_glare_that_the_network_draws(script: Script, bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = script("ablation_rows")
+    height, width = bench.twin.capture.shape
+    window = (slice(10, 75), slice(20, 90))
+    turns = iter((1.0, 2.0))
+
+    def drawing(*_: object) -> SimpleNamespace:
+        return SimpleNamespace(glare=np.full((7, 32, 35), next(turns), dtype=np.float32))
+
+    def in_two_turns(*_: object) -> str:
+        for _ in range(2):
+            rows.metric_surface.relief_by_network()
+        return "surface"
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rows.metric_surface, "relief_by_network", drawing)
+        patch.setattr(rows, "reconstruct", in_two_turns)
+        patch.setattr(bench, "finger", replace(bench.finger, window=window))
+        surface, glare = type(bench)._by_network.func(bench)
+        assert rows.metric_surface.relief_by_network is drawing
+    assert surface == "surface"
+    # that of the last turn, two pixels a side for one, and the row that is left over
+    expected = np.zeros((7, height, width), dtype=np.float32)
+    expected[:, *window] = 2.0
+    np.testing.assert_array_equal(glare, expected)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rows, "reconstruct", lambda *_: None)
+        assert "cannot read" in bench.figures("near_network")["refused"]
+
+
+def run(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", str(FOLDER / "ablation.py"), "--scale", "0.15", "--workers", "1"]
+    command += ["--out", str(out / "ablation.json"), "--scratch", str(out / "scratch"), *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "error"}
+    )
+
+
+def test_one_tiny_finger(tmp_path: Path) -> None:
+    command = ("--fingers", "1", "--rows", "ea", "snk_plain_all")
+    done = run(tmp_path, *command)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    results = json.loads((tmp_path / "ablation.json").read_text())
+    assert list(results["rows"]) == ["ea", "snk_plain_all"] and results["seeds"] == [1000]
+    (pair,) = results["pairs"]
+    (finger,) = results["fingers"]
+    for key, figure in pair["figures"].items():
+        assert figure["interval"] is None
+        one, other = (finger["rows"][name][key] for name in ("snk_plain_all", "ea"))
+        assert figure["mean"] == pytest.approx(one - other, abs=2e-4 * abs(one))
+    # a second run takes the finger from the disk
+    (single,) = (tmp_path / "scratch").glob("*/01000.json")
+    stamp = single.stat().st_mtime_ns
+    assert run(tmp_path, *command).returncode == 0
+    assert single.stat().st_mtime_ns == stamp
+    assert json.loads((tmp_path / "ablation.json").read_text()) == results
+
+
+def test_unknown_row_is_refused(tmp_path: Path) -> None:
+    done = run(tmp_path, "--rows", "mood")
+    assert done.returncode == 2 and "mood" in done.stderr and not list(tmp_path.iterdir())
+
+
+def test_statistics(script: Script) -> None:
+    ablation = script("ablation")
+    figure = ablation.statistics([1.0, 2.0, 4.0, 5.0])
+    # 3 +- t(0.975, 3 degrees of freedom) times 1.8257 / 2
+    assert figure["mean"] == 3.0
+    assert figure["interval"] == pytest.approx([3.0 - 3.1824 * 0.91287, 3.0 + 3.1824 * 0.91287], abs=1e-3)
+
+    keys = script("ablation_rows").FIGURES
+    fingers = [
+        {"ea": dict.fromkeys(keys, 0.5 + 0.1 * k), "snk_plain_all": dict.fromkeys(keys, 0.7 + 0.1 * k)}
+        for k in range(3)
+    ]
+    fingers.append({"ea": dict.fromkeys(keys, 0.1), "snk_plain_all": {"refused": "no finger"}})
+    results = ablation.summarised(fingers, ["ea", "snk_plain_all"])
+    assert results["rows"]["snk_plain_all"]["refused"] == 1
+    assert results["rows"]["ea"]["figures"]["ridge_gain"]["mean"] == pytest.approx(0.475)
+    (pair,) = results["pairs"]
+    assert pair["fingers"] == 3
+    difference = pair["figures"]["normals_mean_deg"]
+    assert difference["mean"] == pytest.approx(0.2)
+    assert difference["interval"] == pytest.approx([0.2, 0.2])
+
+
+def test_rows_are_what_they_are_called(script: Script, bench: Any) -> None:
+    rows = script("ablation_rows")
+    for _, first, second in rows.PAIRS:
+        assert first in rows.ROWS and second in rows.ROWS
+    for name, preset in (("snk_clahe_network", "snk"), ("ea", "ea"), ("metric", "metric")):
+        assert bench._settings(rows.ROWS[name]) == rows.preset_settings(preset)
+
+
+def test_page_is_filled(script: Script, tmp_path: Path) -> None:
+    report = script("ablation_report")
+    figures = {key: {"mean": 0.5, "interval": [0.4, 0.6]} for key in report.COLUMNS}
+    results = {
+        "seeds": [1000, 1001],
+        "scale": 0.5,
+        "check_mm": 0.42,
+        "rows": {"ea": {"group": "one", "words": "all light", "refused": 1, "figures": figures}},
+        "pairs": [{"words": "a against b", "figures": figures}],
+    }
+    text = report.section(results)
+    assert "| all light (1 refused) | 0.500 [0.400, 0.600] | 0.50 [0.40, 0.60] | 0.5 [0.4, 0.6] |" in text
+    assert "| a against b | +0.500 [+0.400, +0.600] |" in text
+    page = report.filled("# Page\n", "old")
+    assert page == "# Page\n\n## Ablation\n\n<!-- ablation -->\nold\n<!-- /ablation -->\n"
+    assert report.filled(page + "more\n", "new") == page.replace("old", "new") + "more\n"
+    with pytest.raises(ValueError, match="no <!-- /ablation -->"):
+        report.filled("<!-- ablation -->\n", "x")
+    file, target = tmp_path / "ablation.json", tmp_path / "page.md"
+    file.write_text(json.dumps(results))
+    target.write_text("# Page\n")
+    command = ["--results", str(file), "--page", str(target)]
+    assert report.main([*command, "--check"]) == 1
+    assert report.main(command) == 0
+    assert report.main([*command, "--check"]) == 0

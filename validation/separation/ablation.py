@@ -1,0 +1,199 @@
+"""What each part of the light does to the surface: contrast, direct light, glare and blur, alone and together.
+
+    python validation/separation/ablation.py             # eight fingers, 22 ways each: about a quarter of an hour
+    python validation/separation/ablation_report.py      # the table of docs/separation.md from ablation.json
+
+The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the same finger in the
+same mask, found once in the images as they are; ``ablation_rows.py`` lists them. One JSON a finger lands in
+``validation/out/ablation`` under a hash of the code and the networks that it follows from, so that a run that was
+stopped goes on where it was. One process a core; figures do not depend on how many.
+"""
+
+from __future__ import annotations
+
+import argparse
+import concurrent.futures
+import hashlib
+import json
+import multiprocessing
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+OUT = HERE.parent / "out" / "ablation"
+SHARE = 0.95
+RECIPES = ("ablation_rows", "ablation_light")
+Found = Mapping[str, Mapping[str, Any]]
+"""Figures of one finger by row; a row that was refused has only ``refused``."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    # before numpy is imported: one thread of linear algebra a process
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    from ablation_rows import ROWS, Options  # noqa: PLC0415
+
+    parser = _parser()
+    chosen = parser.parse_args(arguments)
+    unknown = set(chosen.rows or ()) - set(ROWS)
+    if unknown:
+        parser.error(f"there is no row '{min(unknown)}'; known are {', '.join(ROWS)}.")
+    names = [name for name in ROWS if not chosen.rows or name in chosen.rows]
+    options = Options(chosen.scale, chosen.check_mm, chosen.direct, chosen.relief, chosen.shape)
+    networks = _networks({need for name in names for need in ROWS[name].networks}, options)
+    code = source_hash(networks)
+    folder = chosen.scratch / f"{code[:12]}_{chosen.scale:g}_{chosen.check_mm:g}"
+    seeds = list(range(chosen.first_seed, chosen.first_seed + chosen.fingers))
+    found = _measure_all(seeds, names, options, folder, chosen.workers)
+    results = {
+        "format": "splitknit-ablation",
+        "version": 1,
+        "source_sha256": code,
+        "networks": networks,
+        "scale": chosen.scale,
+        "check_mm": chosen.check_mm,
+        "seeds": seeds,
+        **summarised(found, names),
+        "fingers": [{"seed": seed, "rows": rows} for seed, rows in zip(seeds, found, strict=True)],
+    }
+    text = json.dumps(_rounded(results), indent=1, allow_nan=False)
+    chosen.out.write_text(text + "\n", encoding="ascii")
+    from ablation_report import pairs_table, rows_table  # noqa: PLC0415
+
+    results = json.loads(text)
+    print(rows_table(results), pairs_table(results), sep="\n\n")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fingers", type=int, default=8)
+    parser.add_argument("--first-seed", type=int, default=1000, help="fingers have this seed and those that follow")
+    parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
+    parser.add_argument("--check-mm", type=float, default=0.42, help="checks of the true direct light")
+    parser.add_argument("--rows", nargs="+", metavar="NAME", help="these ways only")
+    for name in ("direct", "relief", "shape"):
+        parser.add_argument(f"--{name}", default=name, help="network: name of a shipped one, or path of an .onnx file")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, default=HERE / "ablation.json")
+    parser.add_argument("--scratch", type=Path, default=OUT, help="folder of the single results")
+    return parser
+
+
+def _networks(needed: set[str], options: Any) -> dict[str, str]:
+    """Hashes of the networks that the rows need, by name. Refuses if one is missing, before anything is measured."""
+    from splitknit.separate.weights import read_network  # noqa: PLC0415
+
+    return {name: read_network(getattr(options, name))[0].sha256 for name in sorted(needed)}
+
+
+def source_hash(networks: Mapping[str, str]) -> str:
+    """SHA-256 of all that the figures follow from: results of other code are not mixed with these."""
+    import ablation_rows  # noqa: F401, PLC0415
+
+    import splitknit  # noqa: PLC0415
+
+    package = Path(splitknit.__file__).parent
+    names = [name for name in sys.modules if name.split(".")[0] == "splitknit" or name in RECIPES]
+    files = {Path(str(sys.modules[name].__file__)) for name in names} | set(package.rglob("*.npz"))
+    digest = hashlib.sha256(json.dumps(dict(networks)).encode())
+    for file in sorted(files):
+        digest.update(file.name.encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _measure_all(
+    seeds: Sequence[int], names: Sequence[str], options: Any, folder: Path, workers: int
+) -> list[dict[str, Any]]:
+    """Rows of every finger; those that are on disk already are not measured again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if workers <= 1 or len(seeds) <= 1:
+        _one_thread()
+        for seed in seeds:
+            _measure_one(seed, tuple(names), asdict(options), folder)
+    else:
+        context = multiprocessing.get_context("spawn")
+        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+            jobs = [pool.submit(_measure_one, seed, tuple(names), asdict(options), folder) for seed in seeds]
+            for job in concurrent.futures.as_completed(jobs):
+                job.result()
+    return [{name: _read(folder / f"{seed:05d}.json")[name] for name in names} for seed in seeds]
+
+
+def _one_thread() -> None:
+    import cv2  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+
+
+def _measure_one(seed: int, names: tuple[str, ...], options: dict[str, Any], folder: Path) -> None:
+    from ablation_rows import Bench, Options  # noqa: PLC0415
+
+    file = folder / f"{seed:05d}.json"
+    rows = _read(file)
+    missing = [name for name in names if name not in rows]
+    if not missing:
+        return
+    bench = Bench(seed, Options(**options))
+    for name in missing:
+        rows[name] = bench.figures(name)
+        partial = file.with_suffix(".partial")
+        partial.write_text(json.dumps(rows, indent=1))
+        partial.replace(file)
+        if sys.stderr.isatty():
+            print(f"{seed} {name}: {rows[name]}", file=sys.stderr, flush=True)
+
+
+def _read(file: Path) -> dict[str, Any]:
+    return dict(json.loads(file.read_text())) if file.is_file() else {}
+
+
+def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:
+    """Mean and interval over fingers of every figure of every row, and of the differences of :data:`PAIRS`."""
+    from ablation_rows import FIGURES, PAIRS, ROWS  # noqa: PLC0415
+
+    rows: dict[str, Any] = {}
+    for name in names:
+        done = [finger[name] for finger in found if "refused" not in finger[name]]
+        figures = {key: statistics([row[key] for row in done]) for key in FIGURES} if done else {}
+        row = ROWS[name]
+        rows[name] = {"group": row.group, "words": row.words, "refused": len(found) - len(done), "figures": figures}
+    pairs = []
+    for words, first, second in PAIRS:
+        if first not in names or second not in names:
+            continue
+        both = [(finger[first], finger[second]) for finger in found]
+        both = [(one, other) for one, other in both if "refused" not in one and "refused" not in other]
+        if both:
+            figures = {key: statistics([one[key] - other[key] for one, other in both]) for key in FIGURES}
+            pairs.append({"words": words, "row": first, "against": second, "fingers": len(both), "figures": figures})
+    return {"rows": rows, "pairs": pairs}
+
+
+def statistics(values: Sequence[float]) -> dict[str, Any]:
+    """Mean, and its 95 % interval by Student's t; one finger has no interval."""
+    import numpy as np  # noqa: PLC0415
+    from scipy.stats import t  # noqa: PLC0415
+
+    mean = float(np.mean(values))
+    if len(values) < 2:
+        return {"mean": mean, "interval": None}
+    half = float(t.ppf(0.5 + 0.5 * SHARE, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
+    return {"mean": mean, "interval": [mean - half, mean + half]}
+
+
+def _rounded(value: Any) -> Any:
+    """Five digits: what is committed should not change where nothing did."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

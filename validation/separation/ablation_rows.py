@@ -1,0 +1,216 @@
+"""The ways to a surface that are compared, one row of the table each; all see the same finger in the same mask."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+from unittest import mock
+
+import cv2
+import numpy as np
+from ablation_light import in_grey, true_shares, twin_of, without_glare
+
+import splitknit.metric.surface as metric_surface
+from splitknit.apps.compare import compare
+from splitknit.check import BadInput, require
+from splitknit.pipeline import preset_settings, undoes_blur
+from splitknit.recipe import surfaces
+from splitknit.recipe.finger import Finger, find_finger
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.result import assemble
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.settings import override
+from splitknit.types import Capture, FloatArray, Reconstruction
+
+FIGURES = (
+    "ridge_correlation",
+    "ridge_gain",
+    "ridge_rms_um",
+    "ridge_good_area",
+    "normals_mean_deg",
+    "surface_rms_mm",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One way to a surface."""
+
+    group: str
+    words: str
+    preset: str = "metric"
+    change: Mapping[str, Any] = field(default_factory=dict)
+    """Settings, beside the preset's."""
+    share: str = ""
+    """What of the white light the twin lets through in the network's place; empty: nothing is changed."""
+    glare: str = "in"
+    """``in``, or what takes it out of the images: ``network``, ``truth`` (white), ``truth_both`` (both bands)."""
+    grey: bool = False
+    networks: tuple[str, ...] = ()
+    """Networks without which there is no such row."""
+
+
+THESIS = "thesis's chain (`snk`)"
+NEAR = "near lights, blur left in"
+GREY = "blur inverted, images in grey"
+COLOUR = "blur inverted, images in colour (`metric`)"
+LIGHTS = {
+    "all": ("all light", ""),
+    "network": ("direct light by the network", ""),
+    "direct": ("true direct light", "direct"),
+    "direct_matt": ("true direct light without its glare", "direct without glare"),
+    "matt": ("glare truly out", "all but glare"),
+}
+GLARES = {
+    "in": "glare in",
+    "network": "glare out by the network",
+    "truth": "glare truly out (white)",
+    "truth_both": "glare truly out (white and near-infrared)",
+}
+
+
+def _rows() -> dict[str, Row]:
+    rows = {"ea": Row("thesis's chain, not split (`ea`)", "all light", "ea")}
+    for clahe in (False, True):
+        for light, (words, share) in LIGHTS.items():
+            # where the twin gives the light, it does so in the network's place
+            change = {"enhance.clahe": clahe, "direct.method": "none" if light == "all" else "network"}
+            needs = ("direct",) if light == "network" else ()
+            text = f"CLAHE {'on' if clahe else 'off'}, {words}"
+            name = f"snk_{'clahe' if clahe else 'plain'}_{light}"
+            rows[name] = Row(THESIS, text, "snk", change, share, networks=needs)
+    everything = ("relief", "shape")
+    for glare, words in GLARES.items():
+        needs = everything if glare == "network" else ()
+        rows[f"near_{glare}"] = Row(NEAR, words, change={"skin.invert_blur": False}, glare=glare, networks=needs)
+    by_colour = {"metric.relief": "colour"}
+    for glare, words in GLARES.items():
+        needs = everything if glare == "network" else ()
+        rows[f"grey_{glare}"] = Row(GREY, words, change=by_colour, glare=glare, grey=True, networks=needs)
+    rows["colour"] = Row(COLOUR, "glare and blur by colour", change=by_colour)
+    rows["metric"] = Row(COLOUR, "glare and blur by networks, as shipped", networks=everything)
+    return rows
+
+
+ROWS = _rows()
+PAIRS: tuple[tuple[str, str, str], ...] = (
+    ("`snk` against `ea`", "snk_clahe_network", "ea"),
+    ("split and knit without CLAHE and direct light against `ea`", "snk_plain_all", "ea"),
+    ("CLAHE, all light", "snk_clahe_all", "snk_plain_all"),
+    ("direct light by the network, CLAHE off", "snk_plain_network", "snk_plain_all"),
+    ("direct light by the network, CLAHE on", "snk_clahe_network", "snk_clahe_all"),
+    ("true direct light, CLAHE off", "snk_plain_direct", "snk_plain_all"),
+    ("true direct light, CLAHE on", "snk_clahe_direct", "snk_clahe_all"),
+    ("true direct light without its glare, CLAHE off", "snk_plain_direct_matt", "snk_plain_all"),
+    ("glare truly out, CLAHE off", "snk_plain_matt", "snk_plain_all"),
+    ("glare truly out, CLAHE on", "snk_clahe_matt", "snk_clahe_all"),
+    ("near lights: glare out by the network", "near_network", "near_in"),
+    ("near lights: glare truly out", "near_truth", "near_in"),
+    ("blur inverted (grey), glare in", "grey_in", "near_in"),
+    ("blur inverted (grey): glare out by the network", "grey_network", "grey_in"),
+    ("blur inverted (grey): glare truly out", "grey_truth", "grey_in"),
+    ("`metric` by colour against glare and blur left in", "colour", "near_in"),
+    ("`metric` by networks against `metric` by colour", "metric", "colour"),
+)
+"""Words, row, and the row that it is compared with, finger by finger."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What all rows have in common."""
+
+    scale: float = 0.5
+    check_mm: float = 0.42
+    """Of the true direct light."""
+    direct: str = "direct"
+    relief: str = "relief"
+    shape: str = "shape"
+    """Networks, or paths of ``.onnx`` files."""
+
+
+class Bench:
+    """One finger; what several rows need is made once."""
+
+    def __init__(self, seed: int, options: Options) -> None:
+        """Photograph the finger and find it in the images as they are."""
+        self.options = options
+        self.twin = twin_of(seed, options.scale)
+        self.finger = find_finger(self.twin.capture, preset_settings("metric"), Stopwatch())
+
+    def figures(self, name: str) -> dict[str, Any]:
+        """Of one row, or why there are none."""
+        try:
+            found = self.reconstructed(ROWS[name])
+            figures = compare(found, self.twin.truth).figures
+        except BadInput as error:
+            return {"refused": str(error)}
+        return {key: float(figures[key]) for key in FIGURES}
+
+    def reconstructed(self, row: Row) -> Reconstruction:
+        if row == ROWS["metric"]:
+            return self._by_network[0]
+        capture, settings = self._capture(row), self._settings(row)
+        if not row.share:
+            return reconstruct(capture, self.finger, settings)
+        share = self._shares[row.share][(slice(None), *self.finger.window)]
+        with mock.patch.object(surfaces, "direct_light", lambda visible, _network: visible * share):
+            return reconstruct(capture, self.finger, settings)
+
+    def _capture(self, row: Row) -> Capture:
+        capture = in_grey(self.twin.capture) if row.grey else self.twin.capture
+        if row.glare == "network":
+            return without_glare(capture, "white", self._by_network[1])
+        for name in {"truth": ("white",), "truth_both": ("white", "nir")}.get(row.glare, ()):
+            capture = without_glare(capture, name, self.twin.truth[f"glare_{name}"].astype(np.float32))
+        return capture
+
+    def _settings(self, row: Row) -> PipelineSettings:
+        names = {"direct.network": self.options.direct, "metric.network": self.options.relief}
+        names["metric.shape_network"] = self.options.shape
+        return override(preset_settings(row.preset), {**names, **row.change})
+
+    @cached_property
+    def _shares(self) -> dict[str, FloatArray]:
+        return true_shares(self.twin, self.options.check_mm)
+
+    @cached_property
+    def _by_network(self) -> tuple[Reconstruction, FloatArray]:
+        """`metric` as shipped, and the glare (L, H, W) that its network drew in the last round."""
+        drawn: list[FloatArray] = []
+        original = metric_surface.relief_by_network
+
+        def listening(*arguments: Any) -> Any:
+            found = original(*arguments)
+            drawn.append(found.glare)
+            return found
+
+        capture = self.twin.capture
+        with mock.patch.object(metric_surface, "relief_by_network", listening):
+            result = reconstruct(capture, self.finger, self._settings(ROWS["metric"]))
+        require(
+            len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."
+        )
+        return result, _on_pixels(drawn[-1], self.finger, capture.shape)
+
+
+def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
+    """As :func:`splitknit.reconstruct`, of a finger that has been found."""
+    way = surfaces.metric_skin if undoes_blur(capture, settings) else surfaces.metric_opaque
+    if settings.method == "thesis":
+        way = surfaces.thesis
+    return assemble(capture, finger, way(capture, finger, settings, Stopwatch()))
+
+
+def _on_pixels(fields: FloatArray, finger: Finger, shape: tuple[int, int]) -> FloatArray:
+    """(L, H, W) of fields on the fine grid, zero beside the finger's window."""
+    rows, columns = finger.window
+    size = (rows.stop - rows.start, columns.stop - columns.start)
+    factor = size[0] // fields.shape[1]
+    whole = np.zeros((len(fields), *shape), dtype=np.float32)
+    for place, field_ in zip(whole[:, rows, columns], fields, strict=True):
+        large = cv2.resize(field_, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+        missing = ((0, size[0] - large.shape[0]), (0, size[1] - large.shape[1]))
+        place[...] = np.pad(large, missing, mode="edge")
+    return whole
