@@ -203,6 +203,8 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
         ({"fingers": 0}, "fingers"),
         ({"held_out": 0}, "held_out"),
         ({"first": -1}, "first"),
+        ({"crops": 0}, "crops"),
+        ({"whole_fingers": -1}, "whole_fingers"),
         ({"scale": 0.0}, "scale"),
         ({"other_scale": (0.6, 0.4)}, "other_scale"),
         ({"aperture_share": 1.5}, "aperture_share"),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,6 +114,17 @@ def test_samples_without_skin_are_refused() -> None:
         check_samples([sample[:40]])
 
 
+def test_a_share_of_the_patches_is_from_whole_fingers() -> None:
+    pieces, fingers = ([np.full((CHANNELS, 20, 20), value, dtype=np.float32)] for value in (1.0, 2.0))
+    rng = np.random.default_rng(0)
+    from_whole = sum(draw_patch(pieces, SMALL, rng, fingers)[0, 0, 0] == 2 for _ in range(500))
+    assert 70 < from_whole < 130  # a fifth
+    assert (draw_patch(pieces, SMALL, rng)[0] == 1).all()
+    batch = draw_batch(pieces, replace(SMALL, whole_share=1.0), 0, fingers)
+    assert (batch[:, 0] == 2).all()
+    assert field_scale([sample_of(0)], replace(SMALL, whole_share=1.0), fingers)[0] == pytest.approx(50)
+
+
 def test_batches_follow_from_seed_and_number() -> None:
     samples = [sample_of(5), sample_of(6)]
     batch = draw_batch(samples, SMALL, 7)
@@ -153,6 +165,7 @@ def test_the_learning_rate_rises_and_falls() -> None:
         ({"learning_rate": float("nan")}, "learning_rate"),
         ({"glare_share": -1.0}, "glare_share"),
         ({"least_trust": 1.0}, "least_trust"),
+        ({"whole_share": 1.5}, "whole_share"),
         ({"seed": -1}, "seed"),
         ({"device": "tpu"}, "device"),
         ({"precision": "half"}, "precision"),

@@ -26,18 +26,28 @@ Range = tuple[float, float]
 class ReliefData:
     """How many fingers, and the ranges from which each is drawn: all far beyond those of plausible fingers."""
 
-    fingers: int = 120
-    """To train on; about 60 MB each on disk."""
+    fingers: int = 160
+    """Of which pieces are taken to train on; about 35 MB each on disk."""
+    crops: int = 5
+    """Pieces of each, every one with its own skin, lights and exposure."""
+    crop_px: int = 420
+    """Side of a piece as it is rendered."""
+    crop_usual_share: float = 0.7
+    """Part of these fingers whose images have the size `scale`; the others' is drawn from `other_scale`."""
+    whole_fingers: int = 116
+    """That are trained on as a whole, through the front end of a reconstruction; about 60 MB each on disk."""
     held_out: int = 6
-    """Further ones, for the learning curve and the card."""
-    first: int = 5000
-    """Number of the first finger; everything about a finger follows from its number."""
+    """Further whole ones, for the learning curve and the card."""
+    first: int = 7000
+    """Number of the first finger for pieces; everything about a finger follows from its number."""
+    first_whole: int = 5000
+    """Number of the first whole finger."""
     scale: float = 0.5
     """Size of the images relative to the full frame of 2200 x 3200 pixels."""
     other_scale: Range = (0.38, 0.62)
-    """Of a part of the fingers."""
+    """Of the other fingers."""
     other_scale_share: float = 0.25
-    """That part."""
+    """Part of the whole fingers that have another size."""
     scattering_factor: Range = (0.45, 2.2)
     """Log-uniform; multiplies the scattering of the literature's skin."""
     melanin: Range = (0.0002, 0.015)
@@ -69,7 +79,15 @@ class ReliefData:
     """Standard deviation of each light's place, every way."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (("fingers", 1, 100_000), ("held_out", 1, 1000), ("first", 0, 900_000)):
+        for name, least, most in (
+            ("fingers", 1, 100_000),
+            ("crops", 1, 1000),
+            ("crop_px", 1, 2000),
+            ("whole_fingers", 0, 100_000),
+            ("held_out", 1, 1000),
+            ("first", 0, 900_000),
+            ("first_whole", 0, 900_000),
+        ):
             value = getattr(self, name)
             require(least <= value <= most, f"data.{name} must lie between {least} and {most}, but it is {value}.")
         for name in self.__dataclass_fields__:
@@ -77,7 +95,7 @@ class ReliefData:
             if isinstance(value, (tuple, list)):
                 object.__setattr__(self, name, (float(value[0]), float(value[1])))
                 require(value[0] <= value[1], f"data.{name} must be (low, high), but it is {list(value)}.")
-        for name in ("other_scale_share", "aperture_share", "other_rig_share"):
+        for name in ("other_scale_share", "crop_usual_share", "aperture_share", "other_rig_share"):
             require(0 <= getattr(self, name) <= 1, f"data.{name} must lie in [0, 1].")
         require(
             0 < self.scale <= 1 and self.other_scale[0] > 0 and self.other_scale[1] <= 1,
@@ -124,21 +142,32 @@ def draw_scene(number: int, data: ReliefData) -> Scene:
 
     other = rng.random() < data.other_scale_share
     scale = between(data.other_scale) if other else data.scale
-    yellow = between(data.yellow_per_mm)
-    low, high = (math.log(limit) for limit in data.baseline_per_mm)
-    base = SkinSettings(yellow_per_mm=yellow, baseline_per_mm=math.exp(between((low, high))))
-    finger = draw_finger(number)
-    finger = replace(finger, skin=replace(finger.skin, ridge_depth_um=between(data.ridge_depth_um)))
+    base = draw_base(rng, data)
+    finger = draw_finger_of(number, rng, data)
     sharp = rng.random() < 1 - data.aperture_share
     aperture_mm = 0.0 if sharp else between(data.aperture_mm)
     rig = default_rig(scale, int(rng.integers(1000)))
     if rng.random() < data.other_rig_share:
-        rig = _moved(rig, rng, data)
+        rig = moved_rig(rig, rng, data)
     settings = TwinSettings(scale=scale, skin=data.skin(base), render=RenderSettings(aperture_mm=aperture_mm))
     return Scene(number, finger, rig, settings)
 
 
-def _moved(rig: Rig, rng: np.random.Generator, data: ReliefData) -> Rig:
+def draw_base(rng: np.random.Generator, data: ReliefData) -> SkinSettings:
+    """What the twin's own ranges of skin do not draw."""
+    yellow = float(rng.uniform(*data.yellow_per_mm))
+    low, high = (math.log(limit) for limit in data.baseline_per_mm)
+    return SkinSettings(yellow_per_mm=yellow, baseline_per_mm=math.exp(float(rng.uniform(low, high))))
+
+
+def draw_finger_of(number: int, rng: np.random.Generator, data: ReliefData) -> Finger:
+    """The finger `number` with ridges of any depth in the range."""
+    finger = draw_finger(number)
+    depth_um = float(rng.uniform(*data.ridge_depth_um))
+    return replace(finger, skin=replace(finger.skin, ridge_depth_um=depth_um))
+
+
+def moved_rig(rig: Rig, rng: np.random.Generator, data: ReliefData) -> Rig:
     """The rig with its lights on another circle, each a little off it."""
     radius, height, twist = (
         float(rng.uniform(*limits)) for limits in (data.led_radius_mm, data.led_height_mm, data.led_twist_rad)

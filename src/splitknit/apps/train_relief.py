@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.charts import Line
 from splitknit.apps.relief_card import UNIT_UM, mean_figures, network_metrics, write_network
+from splitknit.apps.relief_crops import training_crops
 from splitknit.apps.relief_data import training_sample
 from splitknit.apps.relief_scenes import ReliefData
 from splitknit.apps.training_folder import (
@@ -47,6 +48,8 @@ FILES = {
     "checkpoint.pt": "to go on from; may be deleted as well",
 }
 Samples = dict[int, NDArray[np.float16]]
+Subject = tuple[str, int]
+"""``pieces`` or ``finger``, and its number."""
 
 
 def train_relief(
@@ -76,15 +79,17 @@ def train_relief(
     started = time.perf_counter()
     load_torch()
     open_folder(out, data, settings, resume)
-    train, held_out = (range(start, start + count) for start, count in _numbers(data))
-    refused = make_data(out, [*train, *held_out], data, lambda share: progress("photographing", DATA_PART * share))
-    fingers, judges = (_load(out, numbers, settings) for numbers in (train, held_out))
-    for samples, words in ((fingers, "train on"), (judges, "judge the network on")):
+    pieces, whole, held_out = _numbers(data)
+    kinds = [*(("pieces", number) for number in pieces), *(("finger", number) for number in (*whole, *held_out))]
+    refused = make_data(out, kinds, data, lambda share: progress("photographing", DATA_PART * share))
+    crops = [crop for many in _load(out, "pieces", pieces, settings).values() for crop in many]
+    fingers, judges = (_load(out, "finger", numbers, settings) for numbers in (whole, held_out))
+    for count, words in ((len(crops), "train on"), (len(judges), "judge the network on")):
         require(
-            len(samples) > 0,
-            f"not one finger to {words} could be reconstructed ({'; '.join(refused)}); take more fingers.",
+            count > 0,
+            f"not one finger to {words} could be used ({'; '.join(refused)}); take more fingers.",
         )
-    trainer = ReliefTrainer(settings, list(fingers.values()))
+    trainer = ReliefTrainer(settings, crops, list(fingers.values()))
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
         trainer.restore(read_file(checkpoint))
@@ -108,50 +113,65 @@ def train_relief(
     facts = {
         "command": command,
         "training": {**asdict(settings), "iterations_done": trainer.iteration},
-        "data": {**asdict(data), "fingers_used": len(fingers), "fingers_refused": len(refused)},
+        "data": {
+            **asdict(data),
+            "pieces_used": len(crops),
+            "whole_fingers_used": len(fingers),
+            "fingers_refused": len(refused),
+        },
         "metrics": network_metrics(trainer.network.state_dict(), judges),
     }
     written = write_network(out, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
 
 
-def make_data(out: Path, numbers: Sequence[int], data: ReliefData, tick: Callable[[float], None]) -> list[str]:
-    """Photograph the fingers that are not there yet; return why the reconstruction refuses those that it does."""
+def make_data(out: Path, kinds: Sequence[Subject], data: ReliefData, tick: Callable[[float], None]) -> list[str]:
+    """Photograph the fingers that are not there yet; return why those are not used that cannot be."""
     refused = []
-    for done, number in enumerate(numbers):
-        tick(done / len(numbers))
-        file = _name(out, number).with_suffix(".json")
+    for done, subject in enumerate(kinds):
+        tick(done / len(kinds))
+        file = _name(out, *subject).with_suffix(".json")
         if not file.exists():
-            write_file(file, (json.dumps(_store(out, number, data)) + "\n").encode())  # last: it says that all is there
-        facts = _facts(out, number)
+            write_file(
+                file, (json.dumps(_store(out, *subject, data)) + "\n").encode()
+            )  # last: it says that all is there
+        facts = _facts(out, *subject)
         if "refused" in facts:
-            refused.append(f"{number}: {facts['refused']}")
+            refused.append(f"{subject[1]}: {facts['refused']}")
     return refused
 
 
-def _store(out: Path, number: int, data: ReliefData) -> dict[str, Any]:
-    """Photograph one finger and keep it; return its facts, or why it was refused."""
+def _store(out: Path, kind: str, number: int, data: ReliefData) -> dict[str, Any]:
+    """Photograph one finger, whole or in pieces, and keep it; return its facts, or why it was refused."""
     try:
-        sample, facts = training_sample(number, data)
+        if kind == "pieces":
+            sample = training_crops(number, data)
+            facts: dict[str, Any] = {"finger": number, "pieces": len(sample)}
+        else:
+            sample, facts = training_sample(number, data)
     except BadInput as error:
         return {"finger": number, "refused": str(error)}
     buffer = io.BytesIO()
     np.save(buffer, sample, allow_pickle=False)
-    write_file(_name(out, number).with_suffix(".npy"), buffer.getvalue())
+    write_file(_name(out, kind, number).with_suffix(".npy"), buffer.getvalue())
     return facts
 
 
-def _numbers(data: ReliefData) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First number and count of the fingers to train on, and of those held out."""
-    return (data.first, data.fingers), (HELD_OUT_FROM, data.held_out)
+def _numbers(data: ReliefData) -> tuple[range, range, range]:
+    """Numbers of the fingers to take pieces of, of the whole ones, and of those held out."""
+    return (
+        range(data.first, data.first + data.fingers),
+        range(data.first_whole, data.first_whole + data.whole_fingers),
+        range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out),
+    )
 
 
-def _name(out: Path, number: int) -> Path:
-    return out / "data" / f"finger_{number:07d}"
+def _name(out: Path, kind: str, number: int) -> Path:
+    return out / "data" / f"{kind}_{number:07d}"
 
 
-def _facts(out: Path, number: int) -> dict[str, Any]:
-    file = _name(out, number).with_suffix(".json")
+def _facts(out: Path, kind: str, number: int) -> dict[str, Any]:
+    file = _name(out, kind, number).with_suffix(".json")
     try:
         facts = json.loads(read_file(file))
         require(isinstance(facts, dict), "no table")
@@ -160,16 +180,17 @@ def _facts(out: Path, number: int) -> dict[str, Any]:
         raise BadInput(f"'{file}' is damaged ({error}); delete it and resume.") from error
 
 
-def _load(out: Path, numbers: Sequence[int], settings: ReliefSettings) -> Samples:
+def _load(out: Path, kind: str, numbers: Sequence[int], settings: ReliefSettings) -> Samples:
     """The fingers that were not refused, read as they are needed: they may be larger than the memory."""
     found = {}
     for number in numbers:
-        if "refused" in _facts(out, number):
+        if "refused" in _facts(out, kind, number):
             continue
-        file = _name(out, number).with_suffix(".npy")
+        file = _name(out, kind, number).with_suffix(".npy")
         try:
             sample = np.load(file, mmap_mode="r", allow_pickle=False)
-            sound = sample.ndim == 3 and len(sample) == CHANNELS and min(sample.shape) >= settings.stride
+            shape = sample.shape[1:] if kind == "pieces" else sample.shape
+            sound = len(shape) == 3 and shape[0] == CHANNELS and min(shape) >= settings.stride
             require(sound and sample.dtype == np.float16, f"it holds {sample.dtype} of the shape {sample.shape}")
         except (OSError, ValueError) as error:
             raise BadInput(f"'{file}' is damaged ({error}); delete it and its .json, and resume.") from error

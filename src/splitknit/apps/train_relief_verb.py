@@ -10,9 +10,12 @@ from typing import Any
 
 Progress = Callable[[str, float], None]
 _COUNTS = (
-    ("fingers", 120, "simulated fingers to train on, about 60 MB each on disk"),
-    ("held_out", 6, "further ones, for the learning curve and the card"),
-    ("first", 5000, "number of the first finger; everything about a finger follows from its number"),
+    ("fingers", 160, "simulated fingers to take pieces of, about 35 MB each on disk"),
+    ("crops", 5, "pieces of each, every one with its own skin, lights and exposure"),
+    ("whole_fingers", 116, "fingers to train on as a whole, about 60 MB each on disk"),
+    ("held_out", 6, "further whole ones, for the learning curve and the card"),
+    ("first", 7000, "number of the first finger for pieces; everything about a finger follows from its number"),
+    ("first_whole", 5000, "number of the first whole finger"),
     ("iterations", 6000, "corrections of the weights"),
     ("batch", 6, "patches of each"),
     ("patch", 192, "side of a patch in pixels"),
@@ -45,7 +48,8 @@ def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[st
     from splitknit.apps.train_relief import FILES, train_relief  # noqa: PLC0415
     from splitknit.separate.train_relief import ReliefSettings  # noqa: PLC0415
 
-    data = ReliefData(fingers=options.fingers, held_out=options.held_out, first=options.first)
+    names = ("fingers", "crops", "whole_fingers", "held_out", "first", "first_whole")
+    data = ReliefData(**{name: getattr(options, name) for name in names})
     settings = ReliefSettings(
         iterations=options.iterations,
         batch=options.batch,
@@ -58,10 +62,10 @@ def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[st
     command = relief_command(options)
     facts = train_relief(options.out, data, settings, resume=options.resume, command=command, progress=progress)
     mean = facts["metrics"]["mean"]
-    used = facts["data"]["fingers_used"]
+    used = facts["data"]
     lines = [
         f"A network was trained for {settings.iterations} iterations in {facts['total_s']:.0f} s "
-        f"(fingers: {used}; refused: {facts['refused']}).",
+        f"(pieces: {used['pieces_used']}; whole fingers: {used['whole_fingers_used']}; refused: {facts['refused']}).",
         "Held out: " + ", ".join(_figures(mean)) + ".",
         "Written:",
     ]

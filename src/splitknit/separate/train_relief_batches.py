@@ -78,8 +78,12 @@ def turned_by(sample: FloatArray, way: int) -> FloatArray:
     return transposed(sample) if way & 4 else sample
 
 
-def draw_patch(samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator) -> FloatArray:
+def draw_patch(
+    samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator, whole: Sequence[Sample] = ()
+) -> FloatArray:
     """Cut a patch (41, side, side) anywhere in any sample, as it is; zero where a sample is smaller.
+
+    Where there are whole fingers, a fixed share of the patches is from them.
 
     Raises
     ------
@@ -88,7 +92,8 @@ def draw_patch(samples: Sequence[Sample], settings: ReliefSettings, rng: np.rand
     """
     side = settings.patch_px
     for _ in range(_TRIES):
-        sample = samples[int(rng.integers(len(samples)))]
+        pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
+        sample = pool[int(rng.integers(len(pool)))]
         row, column = (int(rng.integers(max(1, length - side))) for length in sample.shape[1:])
         patch = np.asarray(sample[:, row : row + side, column : column + side], dtype=np.float32)
         missing = [(0, side - length) for length in patch.shape[1:]]
@@ -101,18 +106,20 @@ def draw_patch(samples: Sequence[Sample], settings: ReliefSettings, rng: np.rand
     )
 
 
-def draw_batch(samples: Sequence[Sample], settings: ReliefSettings, iteration: int) -> FloatArray:
+def draw_batch(
+    samples: Sequence[Sample], settings: ReliefSettings, iteration: int, whole: Sequence[Sample] = ()
+) -> FloatArray:
     """The patches (batch, 41, side, side) of one iteration; they follow from its number and the settings' seed."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
     return np.stack(
-        [turned_by(draw_patch(samples, settings, rng), int(rng.integers(8))) for _ in range(settings.batch)]
+        [turned_by(draw_patch(samples, settings, rng, whole), int(rng.integers(8))) for _ in range(settings.batch)]
     )
 
 
-def field_scale(samples: Sequence[Sample], settings: ReliefSettings) -> FloatArray:
+def field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Sequence[Sample] = ()) -> FloatArray:
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
-    patches = np.stack([draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
+    patches = np.stack([draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
     return np.asarray(1.0 / np.maximum(patches.std(axis=(0, 2, 3)), _KEEP_SCALE), dtype=np.float32)
 
 

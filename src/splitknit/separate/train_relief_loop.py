@@ -39,20 +39,25 @@ class ReliefTrainer:
     interrupted, as long as the number of threads is the same.
     """
 
-    def __init__(self, settings: ReliefSettings, samples: Sequence[Sample]) -> None:
-        """Draw the first weights from the settings' seed, and the fields' scale from the samples."""
+    def __init__(self, settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> None:
+        """Draw the first weights from the settings' seed, and the fields' scale from the samples.
+
+        A share of the patches, :attr:`ReliefSettings.whole_share`, is cut from the samples `whole`, if there are any.
+        """
         torch = load_torch()
         require(
             settings.device != "cuda" or bool(torch.cuda.is_available()),
             "no GPU can be used by torch here; train with --device cpu.",
         )
         check_samples(samples)
-        self.torch, self.settings, self.samples = torch, settings, samples
+        if len(whole) > 0:
+            check_samples(whole)
+        self.torch, self.settings, self.samples, self.whole = torch, settings, samples, whole
         self.device = torch.device(settings.device)
         torch.set_num_threads(settings.threads)
         torch.manual_seed(settings.seed)
         network = relief_network(settings.widths)
-        network.scale.copy_(torch.from_numpy(field_scale(samples, settings)))
+        network.scale.copy_(torch.from_numpy(field_scale(samples, settings, whole)))
         # channels last: convolutions of few channels run about twice as fast
         self.network = network.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
@@ -75,7 +80,7 @@ class ReliefTrainer:
         for _ in range(iterations):
             for group in self.optimiser.param_groups:
                 group["lr"] = settings.rate(self.iteration)
-            batch = self._tensor(draw_batch(self.samples, settings, self.iteration))
+            batch = self._tensor(draw_batch(self.samples, settings, self.iteration, self.whole))
             with self._precision():
                 made = self.network(batch[:, :FIELDS].contiguous(memory_format=self.torch.channels_last))
             parts = relief_losses(made.float(), batch)

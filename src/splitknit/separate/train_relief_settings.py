@@ -22,6 +22,8 @@ class ReliefSettings:
     """Side of a patch; a multiple of the network's stride."""
     least_trust: float = 0.2
     """Patches whose mean weight is less are not used: they hold next to no skin."""
+    whole_share: float = 0.2
+    """Part of the patches that are cut from whole fingers, where there are any; the others are from pieces."""
     learning_rate: float = 1.5e-3
     """The highest; Adam."""
     warm_up: int = 200
@@ -68,6 +70,7 @@ class ReliefSettings:
             f"training: patch_px must be a multiple of {self.stride}, but it is {self.patch_px}.",
         )
         require(0 <= self.least_trust < 1, "training: least_trust must lie in [0, 1).")
+        require(0 <= self.whole_share <= 1, "training: whole_share must lie in [0, 1].")
         for name in ("learning_rate", "gradient_limit"):
             value = getattr(self, name)
             require(math.isfinite(value) and value > 0, f"training: {name} must be positive.")

@@ -19,7 +19,7 @@ from splitknit.separate.unet import load_network, run_network
 
 torch = pytest.importorskip("torch")
 
-DATA = ReliefData(fingers=3, held_out=2, first=10)
+DATA = ReliefData(fingers=2, whole_fingers=2, held_out=2, first=30, first_whole=10)
 SETTINGS = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=5, report_every=2, precision="float32")
 
 
@@ -31,6 +31,12 @@ def made_up(number: int, data: ReliefData) -> tuple[np.ndarray, dict]:
     return sample, {"finger": number}
 
 
+def made_up_pieces(number: int, data: ReliefData) -> np.ndarray:
+    if number == 31:
+        raise BadInput("not one piece holds skin.")
+    return np.stack([made_up(100 * number + piece, data)[0][:, :20, :20] for piece in range(3)])
+
+
 @pytest.fixture
 def numbers(monkeypatch) -> list[int]:
     """Fingers that are photographed, in their order; here no finger needs a camera."""
@@ -40,7 +46,12 @@ def numbers(monkeypatch) -> list[int]:
         asked.append(number)
         return made_up(number, data)
 
+    def in_pieces(number: int, data: ReliefData) -> np.ndarray:
+        asked.append(number)
+        return made_up_pieces(number, data)
+
     monkeypatch.setattr(app, "training_sample", photograph)
+    monkeypatch.setattr(app, "training_crops", in_pieces)
     return asked
 
 
@@ -57,14 +68,15 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
         command="splitknit train relief --out run",
         progress=lambda stage, share: heard.append((stage, share)),
     )
-    assert numbers == [10, 11, 12, HELD_OUT_FROM, HELD_OUT_FROM + 1]
-    assert facts["refused"] == 1 and facts["onnx_difference"] < 0.02
+    assert numbers == [30, 31, 10, 11, HELD_OUT_FROM, HELD_OUT_FROM + 1]
+    assert facts["refused"] == 2 and facts["onnx_difference"] < 0.02
     assert {name.split("/")[0] for name in files_of(tmp_path / "run")} == {*app.FILES, "run.json"}
     card = json.loads((tmp_path / "run" / "relief.json").read_text())
     assert (card["name"], card["channels_in"], card["channels_out"], card["stride"]) == ("relief", 32, 9, 2)
     assert card["command"] == "splitknit train relief --out run" and card["licence"] == "Apache-2.0"
     assert card["training"]["iterations_done"] == 5 and card["training"]["seed"] == 0
-    assert card["data"]["fingers_used"] == 2 and card["data"]["fingers_refused"] == 1
+    data = card["data"]
+    assert (data["pieces_used"], data["whole_fingers_used"], data["fingers_refused"]) == (3, 1, 2)
     assert card["data"]["scattering_factor"] == [0.45, 2.2]
     judged = card["metrics"]["fingers"]
     assert [entry["finger"] for entry in judged] == [HELD_OUT_FROM, HELD_OUT_FROM + 1]
@@ -108,7 +120,7 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
         ["curve.csv", "checkpoint.pt"],
     )
     again = train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
-    assert files_of(tmp_path / "parts") == parts and again["refused"] == 1
+    assert files_of(tmp_path / "parts") == parts and again["refused"] == 2
 
 
 def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> None:
@@ -120,15 +132,21 @@ def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> Non
         train_relief(folder, DATA, replace(SETTINGS, batch=3), resume=True)
     with pytest.raises(BadInput, match=r"other settings \(data.fingers\)"):
         train_relief(folder, replace(DATA, fingers=4), SETTINGS, resume=True)
-    sample = folder / "data" / "finger_0000012.npy"
+    sample = folder / "data" / "finger_0000010.npy"
     whole = sample.read_bytes()
     sample.write_bytes(whole[:500])
-    with pytest.raises(BadInput, match=r"finger_0000012.npy' is damaged .*resume"):
+    with pytest.raises(BadInput, match=r"finger_0000010.npy' is damaged .*resume"):
         train_relief(folder, DATA, SETTINGS, resume=True)
     np.save(sample, np.zeros((3, 4, 5), dtype=np.float16))
     with pytest.raises(BadInput, match=r"\(3, 4, 5\)"):
         train_relief(folder, DATA, SETTINGS, resume=True)
     sample.write_bytes(whole)
+    pieces = folder / "data" / "pieces_0000030.npy"
+    there = pieces.read_bytes()
+    np.save(pieces, np.zeros((41, 20, 20), dtype=np.float16))
+    with pytest.raises(BadInput, match=r"pieces_0000030.npy' is damaged"):
+        train_relief(folder, DATA, SETTINGS, resume=True)
+    pieces.write_bytes(there)
     (folder / "data" / "finger_0000010.json").write_text("{")
     with pytest.raises(BadInput, match=r"finger_0000010.json' is damaged"):
         train_relief(folder, DATA, SETTINGS, resume=True)
@@ -140,8 +158,8 @@ def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> Non
 
 
 def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers) -> None:
-    with pytest.raises(BadInput, match=r"not one finger to train on.*there is no finger"):
-        train_relief(tmp_path / "run", replace(DATA, fingers=1, first=11), SETTINGS)
+    with pytest.raises(BadInput, match=r"not one finger to train on.*31: not one piece holds skin"):
+        train_relief(tmp_path / "run", replace(DATA, fingers=1, first=31), SETTINGS)
 
 
 def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:
@@ -157,20 +175,21 @@ def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> N
 
 
 def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, capsys) -> None:
-    words = "--fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 32 --seed 4 --precision float32 --first 10"
+    words = "--fingers 1 --whole-fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 32 --seed 4 --first 30"
+    words += " --first-whole 10 --precision float32"
     folder = tmp_path / "run"
     assert main(["train", "relief", "--out", str(folder), *words.split(), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert numbers == [10, 11, HELD_OUT_FROM]
+    assert numbers == [30, 10, 11, HELD_OUT_FROM]
     assert facts["training"]["seed"] == 4 and facts["training"]["widths"] == [16, 32, 48, 64, 64]
     command = (
-        "splitknit train relief --out DIR --fingers 2 --held-out 1 --first 10 --iterations 1 --batch 1 --patch 32 "
-        "--seed 4 --threads 1 --device cpu --precision float32"
+        "splitknit train relief --out DIR --fingers 1 --crops 5 --whole-fingers 2 --held-out 1 --first 30 "
+        "--first-whole 10 --iterations 1 --batch 1 --patch 32 --seed 4 --threads 1 --device cpu --precision float32"
     )
     assert facts["command"] == command == json.loads((folder / "relief.json").read_text())["command"]
     assert main(["train", "relief", "--out", str(folder), *words.split(), "--resume"]) == 0
     said = capsys.readouterr().out
-    assert "1 iteration" in said and "(fingers: 1; refused: 1)" in said
+    assert "1 iteration" in said and "(pieces: 3; whole fingers: 1; refused: 1)" in said
     assert "ridge correlation" in said and f"{folder / 'relief.onnx'}: the network" in said
     assert main(["train", "relief", "--out", str(folder), *words.split()]) == 2
     assert "--resume" in capsys.readouterr().err
@@ -179,7 +198,7 @@ def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, c
 def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
     options = build_parser().parse_args(["train", "relief", "--out", "run"])
     data, settings = ReliefData(), ReliefSettings()
-    for name in ("fingers", "held_out", "first"):
+    for name in ("fingers", "crops", "whole_fingers", "held_out", "first", "first_whole"):
         assert getattr(options, name) == getattr(data, name)
     for name in ("iterations", "batch", "seed", "threads", "device", "precision"):
         assert getattr(options, name) == getattr(settings, name)
