@@ -202,7 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = OUT / "inversion" / source_hash()[:12]
     folder.mkdir(parents=True, exist_ok=True)
     crops = [Crop(depth, factor) for factor in (1.0, 0.7, 1.4) for depth in (60.0, 90.0)]
-    curved = [Crop(depth, side_px=192, radius_mm=8.0, samples=96) for depth in (60.0, 90.0)]
+    curved = [Crop(60.0, side_px=192, radius_mm=8.0, samples=96)]
     if options.smoke:
         crops, curved = [Crop(side_px=48, samples=16)], []
     rows = []
