@@ -153,13 +153,14 @@ def _placed(light: FloatArray, band: BandLight, window: tuple[slice, slice]) -> 
     """Rendered light (..., h, w), whose own window is that of the skin, on the piece; zero around it."""
     sides = [part.stop - part.start for part in window]
     piece = np.zeros((*light.shape[:-2], *sides), dtype=np.float32)
-    into, source = [], []
+    into: list[slice] = []
+    source: list[slice] = []
     for length, own, part in zip(light.shape[-2:], band.window, window, strict=True):
         start = own.start - part.start
         low, high = max(start, 0), min(start + length, part.stop - part.start)
         into.append(slice(low, high))
         source.append(slice(low - start, high - start))
-    piece[(..., *into)] = light[(..., *source)]
+    piece[..., into[0], into[1]] = light[..., source[0], source[1]]
     return piece
 
 
