@@ -131,13 +131,18 @@ def test_checkerboards_by_symmetry(boards: Path, tmp_path: Path, capsys: pytest.
 def test_known_states_ask_for_the_size_of_checks(
     boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Skin is where it matters, and what is in the images the verb cannot know."""
-    for number, (words, noted) in enumerate({(): True, ("--check-px", 5): False}.items()):
+    """Skin is where it matters, and what is in the images the verb cannot know; the size alone is enough for it."""
+    written = {}
+    for number, words in enumerate((("--patterns", "estimate"), ("--check-px", 5))):
         out = tmp_path / f"out_{number}"
-        assert run(boards, "--patterns", "estimate", *words, "--out", out, "--json") == 0
+        assert run(boards, *words, "--out", out, "--json") == 0
         facts = json.loads(capsys.readouterr().out)
-        assert ("give check_px for skin" in " ".join(facts["warnings"])) == noted
-        assert np.abs(read_light_tiff(out / "direct.tiff")[0] - DIRECT).max() < 4 * STEP
+        assert ("give check_px for skin" in " ".join(facts["warnings"])) == ("--check-px" not in words)
+        assert facts["settings"]["separate"]["patterns"] == "estimate"
+        written[number] = read_light_tiff(out / "direct.tiff")[0]
+        assert np.abs(written[number] - DIRECT).max() < 4 * STEP
+    assert not np.array_equal(written[0], written[1])
+    assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
 
 
 def test_sinusoids_by_their_shifts(tmp_path: Path) -> None:

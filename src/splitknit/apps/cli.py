@@ -117,7 +117,8 @@ def _add_separate(verbs: Any) -> None:
         "--check-px",
         type=float,
         default=None,
-        help="side of a check on the images: for one image, and with --patterns wherever light spreads, as in skin",
+        help="side of a check on the images: for one image, and for noisy checkerboards on skin (whose states are "
+        "found in the images unless --patterns gives them)",
     )
     verb.add_argument("--block", type=_natural, default=None, help="side of a block of the result, for one image")
 

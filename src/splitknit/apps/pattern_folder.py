@@ -18,7 +18,8 @@ optional::
       "shifts": [[0, 0], [0, 3], "..."],        of each image: numbers, or pairs; a full grid, each once
       "period": 16,                             of the pattern, in units of the shifts
       "kind": "line", "shadow_percent": 0,      of an occluder: line or mesh (with alpha); share of images in shadow
-      "check_px": 4,                            side of a check: for a single image; with patterns, for skin
+      "check_px": 8,                            side of a check, for a single image; for checkerboards on skin, where
+                                                patterns are then found in the images unless they are given
       "block": 16,                              side of a block of a single image's result
       "noise_std": 0.0                          of one image, linear light (sinusoid)
     }
@@ -76,7 +77,7 @@ class PatternFolder:
     shadow_percent: float = 0.0
     """Share of an occluder's images in which a pixel is surely in shadow."""
     check_px: float | None = None
-    """Side of a check on the camera's pixels: of a single image, and with `patterns` of skin, where light spreads."""
+    """Side of a check on the camera's pixels: of a single image, and of checkerboards on skin, where light spreads."""
     block: int | None = None
     """Side of a block of a single image's result."""
     noise_std: float = 0.0
@@ -91,6 +92,12 @@ class PatternFolder:
         if self.method == "single":
             require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
             require(self.block is not None, "method single needs block, the side of a block in pixels.")
+        if self.patterns == ESTIMATE and self.method == "checkerboard":
+            require(
+                self.check_px is None or self.check_px >= 5,
+                f"states can be found in the images where checks have 5 pixels or more, but check_px is "
+                f"{self.check_px}; give the states as patterns, or leave check_px and patterns out.",
+            )
         if self.method == "symmetry":
             require(self.alpha in (None, 0.5), f"method symmetry needs alpha 0.5, but it is {self.alpha}.")
             require(self.patterns is None, "method symmetry takes no patterns; use method checkerboard with them.")
@@ -123,6 +130,8 @@ def read_pattern_folder(folder: Path, changes: Mapping[str, Any] | None = None) 
         changed["patterns"] = tuple(_images_in(states))
     try:
         plan = PatternFolder(**{**found, **changed})
+        if plan.method == "checkerboard" and plan.check_px is not None and plan.patterns is None:
+            plan = replace(plan, patterns=ESTIMATE)  # the size of the checks is of use only with states
         return plan if "shifts" in found else replace(plan, shifts=_shifts_by_names(plan))
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
