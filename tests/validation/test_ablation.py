@@ -152,6 +152,29 @@ def test_one_tiny_finger(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "ablation.json").read_text()) == results
 
 
+def test_rows_of_a_changed_network_are_measured_again(
+    script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    class Counting:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def figures(self, name: str) -> dict[str, float]:
+            asked.append(name)
+            return {"ridge_gain": float(len(asked))}
+
+    rows, ablation = script("ablation_rows"), script("ablation")
+    monkeypatch.setattr(rows, "Bench", Counting)
+    monkeypatch.setattr(ablation, "_one_thread", lambda: None)
+    for sha, wanted in (("a", ["ea", "metric"]), ("a", []), ("b", ["metric"])):
+        asked.clear()
+        found = ablation._measure_all([7], {"ea": {}, "metric": {"relief": sha}}, rows.Options(), tmp_path, 1)
+        assert asked == wanted
+    assert found == [{"ea": {"ridge_gain": 1.0}, "metric": {"ridge_gain": 1.0}}]
+
+
 def test_unknown_row_is_refused(tmp_path: Path) -> None:
     done = run(tmp_path, "--rows", "mood")
     assert done.returncode == 2 and "mood" in done.stderr and not list(tmp_path.iterdir())

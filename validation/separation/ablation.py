@@ -5,8 +5,8 @@
 
 The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the same finger in the
 same mask, found once in the images as they are; ``ablation_rows.py`` lists them. One JSON a finger lands in
-``validation/out/ablation`` under a hash of the code and the networks that it follows from, so that a run that was
-stopped goes on where it was. One process a core; figures do not depend on how many.
+``validation/out/ablation`` under a hash of the code that it follows from, so that a run that was stopped goes on where
+it was; where a network has changed, its rows are measured again. One process a core; figures do not depend on how many.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "ablation"
 SHARE = 0.95
 RECIPES = ("ablation_rows", "ablation_light")
+Needed = Mapping[str, Mapping[str, str]]
+"""Networks of every row, by name, and their hashes."""
 Found = Mapping[str, Mapping[str, Any]]
 """Figures of one finger by row; a row that was refused has only ``refused``."""
 
@@ -44,10 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [name for name in ROWS if not chosen.rows or name in chosen.rows]
     options = Options(chosen.scale, chosen.check_mm, chosen.direct, chosen.relief, chosen.shape)
     networks = _networks({need for name in names for need in ROWS[name].networks}, options)
-    code = source_hash(networks)
+    code = source_hash()
     folder = chosen.scratch / f"{code[:12]}_{chosen.scale:g}_{chosen.check_mm:g}"
     seeds = list(range(chosen.first_seed, chosen.first_seed + chosen.fingers))
-    found = _measure_all(seeds, names, options, folder, chosen.workers)
+    needed = {name: {need: networks[need] for need in ROWS[name].networks} for name in names}
+    found = _measure_all(seeds, needed, options, folder, chosen.workers)
     results = {
         "format": "splitknit-ablation",
         "version": 1,
@@ -57,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "check_mm": chosen.check_mm,
         "seeds": seeds,
         **summarised(found, names),
-        "fingers": [{"seed": seed, "rows": rows} for seed, rows in zip(seeds, found, strict=True)],
+        "fingers": [{"seed": seed, "rows": figures} for seed, figures in zip(seeds, found, strict=True)],
     }
     text = json.dumps(_rounded(results), indent=1, allow_nan=False)
     chosen.out.write_text(text + "\n", encoding="ascii")
@@ -90,8 +93,8 @@ def _networks(needed: set[str], options: Any) -> dict[str, str]:
     return {name: read_network(getattr(options, name))[0].sha256 for name in sorted(needed)}
 
 
-def source_hash(networks: Mapping[str, str]) -> str:
-    """SHA-256 of all that the figures follow from: results of other code are not mixed with these."""
+def source_hash() -> str:
+    """SHA-256 of the code that the figures follow from: results of other code are not mixed with these."""
     import ablation_rows  # noqa: F401, PLC0415
 
     import splitknit  # noqa: PLC0415
@@ -99,7 +102,7 @@ def source_hash(networks: Mapping[str, str]) -> str:
     package = Path(splitknit.__file__).parent
     names = [name for name in sys.modules if name.split(".")[0] == "splitknit" or name in RECIPES]
     files = {Path(str(sys.modules[name].__file__)) for name in names} | set(package.rglob("*.npz"))
-    digest = hashlib.sha256(json.dumps(dict(networks)).encode())
+    digest = hashlib.sha256()
     for file in sorted(files):
         digest.update(file.name.encode())
         digest.update(file.read_bytes())
@@ -107,21 +110,22 @@ def source_hash(networks: Mapping[str, str]) -> str:
 
 
 def _measure_all(
-    seeds: Sequence[int], names: Sequence[str], options: Any, folder: Path, workers: int
+    seeds: Sequence[int], needed: Needed, options: Any, folder: Path, workers: int
 ) -> list[dict[str, Any]]:
-    """Rows of every finger; those that are on disk already are not measured again."""
+    """Figures of every finger's rows; those that are on disk already are not measured again."""
     folder.mkdir(parents=True, exist_ok=True)
     if workers <= 1 or len(seeds) <= 1:
         _one_thread()
         for seed in seeds:
-            _measure_one(seed, tuple(names), asdict(options), folder)
+            _measure_one(seed, needed, asdict(options), folder)
     else:
         context = multiprocessing.get_context("spawn")
         with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-            jobs = [pool.submit(_measure_one, seed, tuple(names), asdict(options), folder) for seed in seeds]
+            jobs = [pool.submit(_measure_one, seed, needed, asdict(options), folder) for seed in seeds]
             for job in concurrent.futures.as_completed(jobs):
                 job.result()
-    return [{name: _read(folder / f"{seed:05d}.json")[name] for name in names} for seed in seeds]
+    files = [_read(folder / f"{seed:05d}.json") for seed in seeds]
+    return [{name: rows[name]["figures"] for name in needed} for rows in files]
 
 
 def _one_thread() -> None:
@@ -130,22 +134,22 @@ def _one_thread() -> None:
     cv2.setNumThreads(1)
 
 
-def _measure_one(seed: int, names: tuple[str, ...], options: dict[str, Any], folder: Path) -> None:
+def _measure_one(seed: int, needed: Needed, options: dict[str, Any], folder: Path) -> None:
     from ablation_rows import Bench, Options  # noqa: PLC0415
 
     file = folder / f"{seed:05d}.json"
     rows = _read(file)
-    missing = [name for name in names if name not in rows]
+    missing = [name for name, networks in needed.items() if rows.get(name, {}).get("networks") != networks]
     if not missing:
         return
     bench = Bench(seed, Options(**options))
     for name in missing:
-        rows[name] = bench.figures(name)
+        rows[name] = {"figures": bench.figures(name), "networks": needed[name]}
         partial = file.with_suffix(".partial")
         partial.write_text(json.dumps(rows, indent=1))
         partial.replace(file)
         if sys.stderr.isatty():
-            print(f"{seed} {name}: {rows[name]}", file=sys.stderr, flush=True)
+            print(f"{seed} {name}: {rows[name]['figures']}", file=sys.stderr, flush=True)
 
 
 def _read(file: Path) -> dict[str, Any]:
