@@ -21,7 +21,7 @@ SIDE = 180 - 2 * TRIM_PX
 def taken():
     """Pieces of a finger, and what each was assembled from."""
     seen = []
-    plain = relief_crops.assembled
+    plain, surface, surfaces = relief_crops.assembled, relief_crops.finger_surface, []
 
     def assembled(white, grid, surface_mm, light, truth):
         seen.append((white, grid, surface_mm, truth))
@@ -29,11 +29,12 @@ def taken():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(relief_crops, "assembled", assembled)
-        return training_crops(7000, SMALL), seen
+        patch.setattr(relief_crops, "finger_surface", lambda *a, **k: surfaces.append(surface(*a, **k)) or surfaces[-1])
+        return training_crops(7000, SMALL), seen, surfaces[0]
 
 
 def test_pieces_hold_skin_relief_and_glare(taken) -> None:
-    pieces, _ = taken
+    pieces = taken[0]
     assert pieces.shape[1:] == (CHANNELS, SIDE, SIDE) and 1 <= len(pieces) <= 3 and pieces.dtype == np.float16
     values = pieces.astype(np.float32)
     assert np.isfinite(values).all()
@@ -47,11 +48,16 @@ def test_pieces_hold_skin_relief_and_glare(taken) -> None:
 
 
 def test_a_piece_lies_where_it_was_cut_and_its_shape_is_a_little_wrong(taken) -> None:
-    _, seen = taken
+    _, seen, surface = taken
     for white, grid, smooth_mm, truth in seen:
+        window = []
         for axis, own in zip(pixel_axes_mm(white.rig.camera), (grid.x_mm, grid.y_mm), strict=True):
             first = int(np.argmin(np.abs(axis - own[0])))
             np.testing.assert_allclose(own, axis[first : first + 180], atol=1e-6)
+            window.append(slice(first, first + 180))
+        np.testing.assert_array_equal(grid.mask, surface.mask[window[1], window[0]])
+        there = (surface.height_mm - surface.shape_mm)[window[1], window[0]][grid.mask]
+        np.testing.assert_allclose(truth.relief_mm()[grid.mask], there, atol=1e-5)
         assert white.stack.shape == (3, 7, 180, 180) and len(white.rig.leds) == 7
         assert 0.3 < white.stack.max() <= 1.0
         error = (smooth_mm - truth.shape_mm())[grid.mask]
@@ -59,7 +65,7 @@ def test_a_piece_lies_where_it_was_cut_and_its_shape_is_a_little_wrong(taken) ->
 
 
 def test_pieces_follow_from_the_finger_s_number(taken) -> None:
-    pieces, _ = taken
+    pieces = taken[0]
     one = training_crops(7000, replace(SMALL, crops=1))
     np.testing.assert_array_equal(one[0], pieces[0])
 

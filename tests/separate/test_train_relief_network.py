@@ -161,10 +161,10 @@ def test_states_of_other_trainings_and_damaged_ones_are_refused() -> None:
 
 def test_whole_fingers_take_part() -> None:
     settings = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, whole_share=1.0)
-    alone, beside = ReliefTrainer(settings, SAMPLES[1:]), ReliefTrainer(settings, SAMPLES[:1], SAMPLES[1:])
-    assert alone.train(2) != ReliefTrainer(settings, SAMPLES[:1]).train(2)
-    beside.train(2)
-    assert not np.array_equal(weights_of(beside)[0], weights_of(ReliefTrainer(settings, SAMPLES[:1]))[0])
+    never = SAMPLES[0].copy()
+    never[RELIEF] = np.nan
+    parts = ReliefTrainer(settings, [never], SAMPLES[1:]).train(2)
+    assert np.isfinite(list(parts.values())).all()  # not one patch was from the others
     with pytest.raises(BadInput, match=r"\(41, h, w\)"):
         ReliefTrainer(settings, SAMPLES, [SAMPLES[0][:40]])
 
