@@ -15,34 +15,74 @@ def _percent(values: Sequence[float], digits: int = 1) -> str:
 
 
 def _centred(row: dict[str, Any], place: str) -> str:
-    rms, mean, level = (row[f"{place}_{what}"] for what in ("rms", "mean", "psnr_db"))
-    return f"{100 * rms:.2f} %, {100 * mean:+.2f} %, {level:.1f} dB"
+    rms, mean, level = (row[f"{place}_{what}"] for what in ("rms", "mean", "db"))
+    return f"{100 * rms:.2f} %, {100 * mean:+.2f} %, {_level(level)}"
+
+
+def _level(decibels: dict[str, float]) -> str:
+    """With the peak of the white image, then of the true part itself."""
+    return f"{decibels['white_peak']:.1f} / {decibels['own_peak']:.1f}"
+
+
+def _ranges(rows: Sequence[dict[str, Any]], part: str) -> list[str]:
+    """Least to greatest PSNR over the surfaces by check size and way: white peak, then own peak."""
+    ways = list(dict.fromkeys((row["shifts"], row["method"]) for row in rows))
+    lines = []
+    for check in sorted({row["check_mm"] for row in rows}):
+        cells = [f"{check}"]
+        for way in ways:
+            group = [row[part] for row in rows if (row["check_mm"], row["shifts"], row["method"]) == (check, *way)]
+            levels = [[row[peak] for row in group] for peak in ("white_peak", "own_peak")]
+            cells.append(" / ".join(f"{min(values):.1f} to {max(values):.1f}" for values in levels))
+        lines.append(cells)
+    return _table(("check mm", *(f"{shifts}: {method}" for shifts, method in ways)), lines)
+
+
+def _noise_ranges(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Least to greatest figures over the surfaces, of the way's bias over surfaces and channels."""
+    lines = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        group = [row for row in rows if row["method"] == method]
+        levels = [
+            f"{min(values):.1f} to {max(values):.1f}"
+            for part in ("direct_db", "noise_free_db")
+            for values in ([row[part]["own_peak"] for row in group],)
+        ]
+        biases = [
+            f"{100 * min(values):+.1f} to {100 * max(values):+.1f} %"
+            for part in ("bias_by_noise", "bias")
+            for values in ([value for row in group for value in row[part]],)
+        ]
+        lines.append([method, *levels, *biases])
+    return _table(("way", "dB", "dB without noise", "mean error by noise", "mean error in all"), lines)
 
 
 def summary(results: dict[str, Any]) -> str:
-    """One table a part."""
-    lines = _table(
-        ("surface", "check mm", "images", "method", "direct dB", "in units of white", "global dB", "mean error"),
+    """One table a part. PSNR in dB: peak of the white image / of the true part itself (99.9th percentiles)."""
+    lines = _ranges(results["noise_free"], "direct_db") + _ranges(results["noise_free"], "global_db")
+    lines += _noise_ranges(results["noise"])
+    lines += _table(
+        ("surface", "check mm", "images", "method", "direct", "global", "mean error"),
         [
             (
                 r["surface"],
                 f"{r['check_mm']}",
                 f"{r['shifts']}",
                 r["method"],
-                *(f"{r[key]:.1f}" for key in ("direct_psnr_db", "in_units_of_white_db", "global_psnr_db")),
+                *(_level(r[key]) for key in ("direct_db", "global_db")),
                 _percent([r["mean_error"]], 2),
             )
             for r in results["noise_free"]
         ],
     )
     lines += _table(
-        ("surface", "method", "dB", "without noise", "bias by noise R, G, B", "bias against the truth"),
+        ("surface", "method", "direct", "without noise", "bias by noise R, G, B", "bias against the truth"),
         [
             (
                 r["surface"],
                 r["method"],
-                f"{r['psnr_db']:.1f}",
-                f"{r['noise_free_psnr_db']:.1f}",
+                _level(r["direct_db"]),
+                _level(r["noise_free_db"]),
                 _percent(r["bias_by_noise"]),
                 _percent(r["bias"]),
             )
@@ -57,7 +97,7 @@ def summary(results: dict[str, Any]) -> str:
         ],
     )
     lines += _table(
-        ("surface", "check mm", "centred at the LED: rms, mean, dB", "in the axis"),
+        ("surface", "check mm", "centred at the LED: rms, mean, PSNR", "in the axis"),
         [
             (
                 r["surface"],

@@ -176,7 +176,7 @@ def _figures(parts: Separation, plan: PatternFolder, light: PatternLight) -> dic
     if plan.method == "checkerboard" and plan.patterns is not None and plan.check_px is None:
         warnings.append(
             "global light was taken to be the same under all shifts; on skin it is not, and direct light comes out a "
-            "fifth too low: give check_px for skin."
+            "quarter too low: give check_px for skin."
         )
     white = None
     if light.white is not None and light.white.shape == total.shape:

@@ -7,8 +7,8 @@ lit and the dark images has no such bias and less variance.
 
 Skin adds a twist. Its global light is not the same under all shifts: some of it comes from less than a check away, so
 that a pixel at the rim of a lit check records less than one in its middle. Maximum minus minimum is what it records in
-the *middle* of lit and dark checks; the mean over all lit and dark images is some 20 % less. With `check_px` the spread
-of the light is fitted too, and the result is that of the middle.
+the *middle* of lit and dark checks; the mean over all lit and dark images is a fifth to a third less. With `check_px`
+the spread of the light is fitted too, and the result is that of the middle.
 """
 
 from __future__ import annotations

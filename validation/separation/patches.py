@@ -1,0 +1,82 @@
+"""Patches of palms and fingers under a projector, which of their pixels are judged, and how."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.simulate.diffusion import load_walks
+from splitknit.simulate.finger import Pose, draw_finger, finger_surface
+from splitknit.simulate.palm import draw_palm, palm_surface
+from splitknit.simulate.projector import Checkerboard, pattern_states
+from splitknit.simulate.renderer import RenderSettings
+from splitknit.simulate.rig import default_rig
+from splitknit.simulate.separation import Separated, checkerboard_stack, separate_truth
+from splitknit.simulate.skin import ChannelOptics, SkinRanges, SkinSettings
+from splitknit.simulate.surface import Surface
+from splitknit.types import Camera, Led
+
+PX_PER_MM = 37.85
+SIZE = (224, 240)
+LEDS = default_rig().leds
+OPAQUE = (ChannelOptics(scattering_per_mm=1e6, absorption_per_mm=1e5, relief_gain_per_um=0.0),)
+"""Light leaves where it entered: the pattern is ideal."""
+RENDER: dict[str, Any] = {"walks": load_walks(), "settings": RenderSettings(reach_mm=3.0, workers=1)}
+"""A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
+
+Patch = tuple[Surface, Led, SkinSettings]
+"""What is looked at, where the projector stands, and the skin: the first arguments of the twin's separation."""
+
+
+def draw_patches(smoke: bool) -> dict[str, Patch]:
+    """Crops of palms and fingers with skins drawn from the population's ranges."""
+    size = (96, 104) if smoke else SIZE
+    camera = Camera(PX_PER_MM, size)
+    result = {}
+    for k in range(1 if smoke else 2):
+        skin = SkinRanges().draw(np.random.default_rng([17, k]))
+        result[f"palm {k}"] = (palm_surface(draw_palm(500 + k), camera), LEDS[k], skin)
+        # the pad fills most of the crop, its flank and outline the rest
+        pose = Pose(x_mm=3.5 * (-1) ** k, insertion_mm=size[0] / PX_PER_MM + 6.0, roll_rad=0.1)
+        finger = finger_surface(draw_finger(500 + k, ("whorl", "left_loop")[k]), pose, camera, workers=1)
+        result[f"finger {k}"] = (finger, LEDS[k + 3], skin)
+    return result
+
+
+def truth_of(patch: Patch, check_mm: float, **options: Any) -> Separated:
+    """Direct and global light at this check size."""
+    return separate_truth(*patch, check_mm=check_mm, **RENDER, **options)
+
+
+def photograph(patch: Patch, pattern: Checkerboard, **options: Any) -> np.ndarray:
+    """Return the images (N, h, w, C) under all shifts of a pattern, without noise."""
+    return np.moveaxis(checkerboard_stack(*patch, pattern, **RENDER, **options), 1, -1)
+
+
+def inner(surface: Surface, truth: Separated) -> np.ndarray:
+    """Pixels that are judged: on the skin, not on its outline, not grazing, lit."""
+    mask = cv2.erode(surface.mask[truth.window].astype(np.uint8), np.ones((5, 5))) > 0
+    slope = surface.shape_normals[truth.window][..., 2] > 0.5
+    lit = truth.white[0] > 0.05 * np.percentile(truth.white[0][mask], 99)
+    return np.asarray(mask & slope & lit)
+
+
+def known_states(patch: Patch, truth: Separated, mask: np.ndarray, pattern: Checkerboard) -> np.ndarray:
+    """The pattern's states in the window; beside the judged pixels, where any will do, those of the finger plane."""
+    x, y = np.meshgrid(np.arange(mask.shape[1]) / PX_PER_MM, np.arange(mask.shape[0]) / PX_PER_MM)
+    states = pattern_states(patch[0], patch[1], pattern)[(slice(None), *truth.window)]
+    beside = np.stack([pattern.state(x, y, shift, 1.0 / PX_PER_MM) for shift in pattern.shifts_mm()])
+    return np.where(mask, states, beside)
+
+
+def decibels(error: np.ndarray, truth: np.ndarray, white: np.ndarray) -> dict[str, float]:
+    """PSNR of an error (..., pixels) under both conventions of what the peak is.
+
+    ``white_peak``: the 99.9th percentile of the image under full light, as for photographs whose full scale is 1.
+    ``own_peak``: the 99.9th percentile of the true part itself, which is darker: the stricter figure.
+    """
+    rms = np.sqrt(np.mean(np.square(error, dtype=np.float64)))
+    peaks = {"white_peak": white, "own_peak": truth}
+    return {name: float(20 * np.log10(np.percentile(peak, 99.9) / rms)) for name, peak in peaks.items()}
