@@ -37,10 +37,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--smoke", action="store_true", help="one small case of each kind")
     parser.add_argument("--last-first", action="store_true", help="the other way round: a second process beside one")
     parser.add_argument("--only-collect", action="store_true", help="write results.json from the cases done so far")
+    parser.add_argument("--code", help="with --only-collect: first 12 digits of the hash of the code that measured")
     parser.add_argument("--out", type=Path, help="where the results go; validation/twin/results.json by default")
     options = parser.parse_args(arguments)
     out = options.out or (OUT / "smoke.json" if options.smoke else HERE / "results.json")
-    code = source_hash()
+    code = options.code or source_hash()
     folder = OUT / code[:12]
     folder.mkdir(parents=True, exist_ok=True)
     results: dict[str, list[dict[str, Any]]] = {}

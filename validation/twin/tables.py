@@ -196,6 +196,8 @@ def three(found: dict[str, float]) -> str:
 
 
 def pm(row: dict[str, Any], value: str, error: str, digits: int = 3) -> str:
+    if value == "drift" and row[value] > 2.49:
+        return "over 2.5"  # the end of the search
     return f"{row[value]:.{digits}f} +- {row[error]:.{digits}f}"
 
 
