@@ -178,7 +178,8 @@ def inversion_table(crops: Sequence[dict[str, Any]]) -> Iterator[str]:
             ways = ("blue_blurred", "red", "green", "blue", "all")
             label = f"{crop['depth_um']:g} um, x{crop['factor']:g} (assumed x{crop['assumed_factor']:g}), {kind}"
             rows.append([label.replace("_", " "), *(three(crop[kind][way]) for way in ways)])
-    yield "'volume': glare left out; 'with glare': left in; 'twin': the fast twin's volume light, without noise."
+    painted = "; 'twin': the fast twin's volume light, without noise" if any("twin" in crop for crop in crops) else ""
+    yield f"'volume': glare left out; 'with glare': left in{painted}."
     yield table(("crop", "blue, not inverted", "red", "green", "blue", "all three"), rows)
 
 
