@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.separate.direct import direct_light, exposure_level, local_level
+from splitknit.separate.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 from splitknit.separate.tiles import padded_index, plan_tiles
 from splitknit.separate.unet import Network, load_network, run_network
 
@@ -143,3 +143,13 @@ def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> Non
 
 def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
     assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
+
+
+def test_the_direct_part_of_enhanced_images_follows_the_colours(network: Network, images: np.ndarray) -> None:
+    enhanced = np.sqrt(images.mean(axis=1))
+    weights = np.array([0.299, 0.587, 0.114])[:, None, None]
+    share = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(axis=1)
+    assert np.ptp(share) > 0.05
+    np.testing.assert_allclose(direct_of_enhanced(enhanced, images, network), enhanced * share, rtol=1e-4, atol=1e-6)
+    with pytest.raises(BadInput, match="do not match"):
+        direct_of_enhanced(enhanced[:1], images, network)

@@ -9,7 +9,8 @@ optics of the skin, pixel size and noise are drawn anew.
 
 A value of one is the photograph's exposure level: the 99.9th percentile of its white image. Judged are the pixels on
 the skin. Red, green, blue: the linear photograph. Enhanced: the grey image after CLAHE, as the presets ``pr`` and
-``snk`` have it. Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
+``snk`` have it; *network on the colours, their share* multiplies it by the direct share found in the linear colours.
+Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
 
 *Single image* is Nayar's separation from one photograph under the checkerboard, by the same camera, in blocks of two
 checks; *pattern known*: told where the checks lie. It needs a projector. It is judged in a box that is all skin, and
@@ -29,7 +30,7 @@ import cv2
 import numpy as np
 
 from splitknit.apps.train import HELD_OUT_FROM, enhance
-from splitknit.separate.direct import direct_light
+from splitknit.separate.direct import direct_light, direct_of_enhanced
 from splitknit.separate.patterns import single_image
 from splitknit.separate.stacks import StackSettings
 from splitknit.separate.train import DataSettings, Photograph, photographs, surface_of
@@ -110,6 +111,8 @@ def judge(
         "best fraction of this image": image * best_fraction(image, truth, mask)[:, None, None],
     }
     rows = [row for method, made in found.items() for row in figures(name, method, made, truth, mask)]
+    by_share = direct_of_enhanced(image[3:], image[None, :3], network)
+    rows += figures(name, "network on the colours, their share", by_share, truth[3:], mask, CHANNELS[3:])
     box = largest_box(mask)
     inside = np.ones_like(mask[box])
     projected = by_one_image(photograph, name, image, box, data)
@@ -180,11 +183,16 @@ def by_one_image(
 
 
 def figures(
-    name: tuple[str, int], method: str, made: np.ndarray, truth: np.ndarray, mask: np.ndarray
+    name: tuple[str, int],
+    method: str,
+    made: np.ndarray,
+    truth: np.ndarray,
+    mask: np.ndarray,
+    names: tuple[str, ...] = CHANNELS,
 ) -> list[dict[str, Any]]:
     """PSNR and SSIM of each channel, for a peak of one and for the direct light's own peak."""
     rows = []
-    for channel, one, real in zip(CHANNELS, made, truth, strict=False):
+    for channel, one, real in zip(names, made, truth, strict=False):
         mean_square = float(np.mean(np.square((one - real)[mask], dtype=np.float64)))
         own = float(np.percentile(real[mask], 99.9))
         rows.append(

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from splitknit.check import require
+from splitknit.radiance import GREY_WEIGHTS
 from splitknit.separate.unet import TILE, Network, load_network, run_network
 from splitknit.types import FloatArray
 
@@ -108,3 +109,40 @@ def direct_light(
         made = made.mean(axis=1, dtype=np.float32)
     made *= levels
     return np.clip(made, 0.0, np.maximum(stack, 0.0), out=made)
+
+
+def direct_of_enhanced(
+    enhanced: Any,
+    images: Any,
+    network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
+    *,
+    tile: int = TILE,
+    workers: int = 2,
+) -> FloatArray:
+    """Direct part of enhanced grey images, by the direct share of the colour images they were made of.
+
+    A grey image has lost the colours that tell how much of skin's light is direct. Here the network is given the
+    colours, and the enhanced image is multiplied by the share of direct light that it finds; the thesis gives the
+    network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
+
+    Parameters
+    ----------
+    enhanced : (N, H, W) images after CLAHE, zero outside the skin
+    images : (N, 3, H, W) the same in linear red, green and blue
+    network, tile, workers
+        As of :func:`direct_light`.
+
+    Returns
+    -------
+    (N, H, W) float32, between zero and `enhanced`
+    """
+    grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
+    require(
+        grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:]),
+        f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.",
+    )
+    direct = direct_light(colours, network, tile=tile, workers=workers)
+    weights = GREY_WEIGHTS[:, None, None]
+    of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
+    share = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
+    return np.asarray(np.maximum(grey, 0.0) * share, dtype=np.float32)
