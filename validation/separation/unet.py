@@ -55,6 +55,7 @@ def main() -> int:
     parser.add_argument("--smoke", action="store_true", help="one palm and one finger: does everything run?")
     parser.add_argument("--network", default="direct", help="shipped network, or path of an .onnx file")
     parser.add_argument("--count", type=int, default=6, help="palms, and as many fingers (default: 6)")
+    parser.add_argument("--card", type=Path, default=None, help="card to write the network's figures into")
     options = parser.parse_args()
     count = 1 if options.smoke else options.count
     data = DataSettings(labels="stack", patches=1)
@@ -78,7 +79,24 @@ def main() -> int:
     if not options.smoke:
         (HERE / "unet.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         (HERE / "unet.md").write_text(table, encoding="utf-8")
+    if options.card is not None:
+        note(options.card, result)
     return 0
+
+
+def note(card: Path, result: dict[str, Any]) -> None:
+    """Write the network's own rows into its card."""
+    document = json.loads(card.read_text(encoding="utf-8"))
+    if document["sha256"] != result["network"]["sha256"]:
+        raise SystemExit(f"{card} is the card of another network")
+    rows = [entry for entry in result["summary"] if entry["method"] == "network"]
+    document["metrics"]["validation"] = {
+        "command": "python validation/separation/unet.py",
+        "what": "palms and fingers not trained on, mean over photographs; peak 1 is the photograph's exposure level",
+        "psnr_db": {f"{entry['kind']} {entry['channel']}": round(entry["psnr_db"]["mean"], 2) for entry in rows},
+        "ssim": {f"{entry['kind']} {entry['channel']}": round(entry["ssim"]["mean"], 4) for entry in rows},
+    }
+    card.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def constant_fractions(data: DataSettings, count: int) -> np.ndarray:
@@ -112,7 +130,7 @@ def judge(
     }
     rows = [row for method, made in found.items() for row in figures(name, method, made, truth, mask)]
     by_share = direct_of_enhanced(image[3:], image[None, :3], network)
-    rows += figures(name, "network on the colours, their share", by_share, truth[3:], mask, CHANNELS[3:])
+    rows += figures(name, "network on the colours, their share", by_share, truth[3:], mask, names=CHANNELS[3:])
     box = largest_box(mask)
     inside = np.ones_like(mask[box])
     projected = by_one_image(photograph, name, image, box, data)
@@ -188,6 +206,7 @@ def figures(
     made: np.ndarray,
     truth: np.ndarray,
     mask: np.ndarray,
+    *,
     names: tuple[str, ...] = CHANNELS,
 ) -> list[dict[str, Any]]:
     """PSNR and SSIM of each channel, for a peak of one and for the direct light's own peak."""
