@@ -218,7 +218,7 @@ def test_whole_settings_are_taken_too(capture: Capture) -> None:
 
 
 def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
-    assert differing(PRESETS["ea"], PRESETS["pr"]) == {"enhance.clahe": True}
+    assert differing(PRESETS["ea"], PRESETS["pr"]) == {"enhance.clahe": True, "direct.method": "network"}
     assert differing(PRESETS["pr"], PRESETS["snk"]) == {"knit.method": "addition"}
     assert PRESETS["ea"].height.method == "frankot_chellappa"
     assert PRESETS["snk"].shapelets.scales == 3

@@ -125,7 +125,7 @@ def _thesis(split: bool, knit: str) -> PipelineSettings:
     return PipelineSettings(
         method="thesis",
         enhance=EnhanceSettings(clahe=split),
-        direct=DirectSettings(method="none"),
+        direct=DirectSettings(method="network" if split else "none"),
         normals=NormalsSettings(method="lambertian"),
         height=HeightSettings(method="frankot_chellappa"),
         shapelets=ShapeletSettings(scales=3),
