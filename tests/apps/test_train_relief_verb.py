@@ -12,7 +12,8 @@ from splitknit.apps import train_relief as app
 from splitknit.apps.cli import build_parser, main
 from splitknit.apps.relief_card import network_metrics, write_network
 from splitknit.apps.relief_scenes import ReliefData
-from splitknit.apps.train_relief import HELD_OUT_FROM, train_relief
+from splitknit.apps.train_relief import train_relief
+from splitknit.apps.training_data import HELD_OUT_FROM
 from splitknit.check import BadInput
 from splitknit.separate.train_relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network
 from splitknit.separate.unet import load_network, run_network

@@ -125,6 +125,7 @@ def _add_separate(verbs: Any) -> None:
 
 def _add_train(verbs: Any) -> None:
     from splitknit.apps.train_relief_verb import add_relief_options  # noqa: PLC0415
+    from splitknit.apps.train_shape_verb import add_shape_options  # noqa: PLC0415
     from splitknit.apps.train_verb import add_separation_options  # noqa: PLC0415
 
     does = "train a network on simulated skin (needs torch)"
@@ -135,6 +136,8 @@ def _add_train(verbs: Any) -> None:
     add_separation_options(verb)
     verb = _verb(kinds, "relief", "the network of the preset metric, which draws relief and glare", run_train_relief)
     add_relief_options(verb)
+    verb = _verb(kinds, "shape", "the network of the preset metric that mends the shape", run_train_shape)
+    add_shape_options(verb)
 
 
 def _verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
@@ -263,6 +266,14 @@ def run_train_relief(options: argparse.Namespace) -> Outcome:
 
     with _Progress(options) as progress:
         return run_relief(options, progress.update)
+
+
+def run_train_shape(options: argparse.Namespace) -> Outcome:
+    """Simulate and reconstruct the fingers, and train the network that mends the shape."""
+    from splitknit.apps.train_shape_verb import run_shape  # noqa: PLC0415
+
+    with _Progress(options) as progress:
+        return run_shape(options, progress.update)
 
 
 def _guarded(options: argparse.Namespace) -> int:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.relief_data import TruthOnGrid, assembled, light_on
-from splitknit.apps.relief_scenes import ReliefData, draw_base, draw_finger_of, moved_rig
+from splitknit.apps.relief_scenes import ReliefData
+from splitknit.apps.scene_ranges import draw_base, draw_finger_of, moved_rig
 from splitknit.check import require
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.apps.relief_scenes import ReliefData, draw_scene, photograph_scene
+from splitknit.apps.relief_scenes import ReliefData, draw_scene
+from splitknit.apps.scene_ranges import photograph_scene
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.features import RIDGE_BAND_MM, azimuth_waves, features
 from splitknit.metric.grid import Grid, coarsen

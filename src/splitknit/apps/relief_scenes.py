@@ -1,30 +1,28 @@
-"""Simulated fingers to train the relief's network on: skin, ridges, camera and lights drawn from wide ranges."""
+"""Simulated fingers to train the relief's network on, and how many."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from splitknit.apps.scene_ranges import (
+    Range,
+    Scene,
+    SceneRanges,
+    draw_base,
+    draw_finger_of,
+    moved_rig,
+)
 from splitknit.check import require
-from splitknit.simulate.finger import Finger, draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
 from splitknit.simulate.renderer import RenderSettings
 from splitknit.simulate.rig import default_rig
-from splitknit.simulate.skin import SkinRanges, SkinSettings
-from splitknit.simulate.twin import TwinSettings, photograph
-from splitknit.types import Capture, Rig
-
-Range = tuple[float, float]
+from splitknit.simulate.twin import TwinSettings
 
 
 @dataclass(frozen=True, slots=True)
-class ReliefData:
-    """How many fingers, and the ranges from which each is drawn: all far beyond those of plausible fingers."""
+class ReliefData(SceneRanges):
+    """How many fingers, and the ranges from which each is drawn."""
 
     fingers: int = 160
     """Of which pieces are taken to train on; about 35 MB each on disk."""
@@ -48,38 +46,10 @@ class ReliefData:
     """Of the other fingers."""
     other_scale_share: float = 0.25
     """Part of the whole fingers that have another size."""
-    scattering_factor: Range = (0.45, 2.2)
-    """Log-uniform; multiplies the scattering of the literature's skin."""
-    melanin: Range = (0.0002, 0.015)
-    """Log-uniform volume fraction."""
-    blood: Range = (0.002, 0.015)
-    """Log-uniform volume fraction."""
-    oxygenation: Range = (0.5, 0.9)
-    yellow_per_mm: Range = (0.05, 0.2)
-    """Absorption in the blue channel beside blood and melanin."""
-    baseline_per_mm: Range = (0.005, 0.02)
-    """Log-uniform absorption of bloodless skin."""
-    roughness: Range = (0.12, 0.45)
-    glare: Range = (0.0, 1.6)
-    relief_gain: Range = (0.4, 2.0)
-    """Log-uniform."""
-    ridge_depth_um: Range = (40.0, 105.0)
-    aperture_mm: Range = (1.0, 4.0)
-    """Of a part of the cameras, which are out of focus where the finger falls away."""
-    aperture_share: float = 0.3
-    """That part; the others are sharp everywhere."""
-    other_rig_share: float = 0.5
-    """Part of the fingers whose lights stand elsewhere than on the thesis's rig, within the following ranges."""
-    led_radius_mm: Range = (42.0, 62.0)
-    led_height_mm: Range = (120.0, 165.0)
-    """Of lights and camera."""
-    led_twist_rad: Range = (-0.45, 0.45)
-    """By which the circle of lights is turned."""
-    led_jitter_mm: float = 1.0
-    """Standard deviation of each light's place, every way."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        SceneRanges.__post_init__(self)
+        self._check_counts(
             ("fingers", 1, 100_000),
             ("crops", 1, 1000),
             ("crop_px", 1, 2000),
@@ -87,50 +57,12 @@ class ReliefData:
             ("held_out", 1, 1000),
             ("first", 0, 900_000),
             ("first_whole", 0, 900_000),
-        ):
-            value = getattr(self, name)
-            require(least <= value <= most, f"data.{name} must lie between {least} and {most}, but it is {value}.")
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            if isinstance(value, (tuple, list)):
-                object.__setattr__(self, name, (float(value[0]), float(value[1])))
-                require(value[0] <= value[1], f"data.{name} must be (low, high), but it is {list(value)}.")
-        for name in ("other_scale_share", "crop_usual_share", "aperture_share", "other_rig_share"):
-            require(0 <= getattr(self, name) <= 1, f"data.{name} must lie in [0, 1].")
+        )
+        self._check_shares("other_scale_share", "crop_usual_share")
         require(
             0 < self.scale <= 1 and self.other_scale[0] > 0 and self.other_scale[1] <= 1,
             "data.scale and data.other_scale must lie in (0, 1].",
         )
-        require(self.ridge_depth_um[0] > 0 and self.aperture_mm[0] > 0, "data: depth and aperture must be positive.")
-        require(self.led_height_mm[0] > 20 and self.led_radius_mm[0] > 0, "data: lights must stand above the finger.")
-        self.skin(SkinSettings())
-
-    def skin(self, base: SkinSettings) -> SkinRanges:
-        """The ranges that the twin draws from by itself, around what it does not draw."""
-        names = ("scattering_factor", "melanin", "blood", "oxygenation", "roughness", "glare", "relief_gain")
-        return SkinRanges(base=base, **{name: getattr(self, name) for name in names})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """One finger, before it is photographed."""
-
-    number: int
-    finger: Finger
-    rig: Rig
-    settings: TwinSettings
-
-    def facts(self) -> dict[str, Any]:
-        """What was drawn beside the skin, for the file that goes with the finger."""
-        camera = self.rig.camera
-        return {
-            "finger": self.number,
-            "px_per_mm": camera.px_per_mm,
-            "camera_height_mm": camera.height_mm,
-            "aperture_mm": self.settings.render.aperture_mm,
-            "ridge_depth_um": self.finger.skin.ridge_depth_um,
-            "led_mm": [list(led.position_mm or ()) for led in self.rig.leds],
-        }
 
 
 def draw_scene(number: int, data: ReliefData) -> Scene:
@@ -151,44 +83,3 @@ def draw_scene(number: int, data: ReliefData) -> Scene:
         rig = moved_rig(rig, rng, data)
     settings = TwinSettings(scale=scale, skin=data.skin(base), render=RenderSettings(aperture_mm=aperture_mm))
     return Scene(number, finger, rig, settings)
-
-
-def draw_base(rng: np.random.Generator, data: ReliefData) -> SkinSettings:
-    """What the twin's own ranges of skin do not draw."""
-    yellow = float(rng.uniform(*data.yellow_per_mm))
-    low, high = (math.log(limit) for limit in data.baseline_per_mm)
-    return SkinSettings(yellow_per_mm=yellow, baseline_per_mm=math.exp(float(rng.uniform(low, high))))
-
-
-def draw_finger_of(number: int, rng: np.random.Generator, data: ReliefData) -> Finger:
-    """The finger `number` with ridges of any depth in the range."""
-    finger = draw_finger(number)
-    depth_um = float(rng.uniform(*data.ridge_depth_um))
-    return replace(finger, skin=replace(finger.skin, ridge_depth_um=depth_um))
-
-
-def moved_rig(rig: Rig, rng: np.random.Generator, data: ReliefData) -> Rig:
-    """The rig with its lights on another circle, each a little off it."""
-    radius, height, twist = (
-        float(rng.uniform(*limits)) for limits in (data.led_radius_mm, data.led_height_mm, data.led_twist_rad)
-    )
-    leds = []
-    for led in rig.leds:
-        assert led.position_mm is not None
-        azimuth = math.atan2(led.position_mm[1], led.position_mm[0]) + twist
-        x, y, z = rng.normal(0.0, data.led_jitter_mm, 3)
-        place = (float(radius * math.cos(azimuth) + x), float(radius * math.sin(azimuth) + y), float(height + z))
-        leds.append(replace(led, position_mm=place))
-    return replace(rig, leds=tuple(leds), camera=replace(rig.camera, height_mm=height))
-
-
-def photograph_scene(scene: Scene) -> tuple[Capture, Mapping[str, NDArray[Any]]]:
-    """Capture and truth, as :func:`splitknit.simulate.twin.simulate_capture` makes them, with the scene's own rig."""
-    settings, camera = scene.settings, scene.rig.camera
-    person = np.random.default_rng(np.random.SeedSequence([scene.number, 0x51]))
-    pose_seed, photo_seed = np.random.SeedSequence([scene.number, 0, 0x52]).spawn(2)
-    assert isinstance(settings.skin, SkinRanges) and isinstance(settings.pose, PoseRanges)
-    skin = settings.skin.draw(person)
-    pose = settings.pose.draw(np.random.default_rng(pose_seed), camera)
-    surface = finger_surface(scene.finger, pose, camera, workers=settings.render.workers)
-    return photograph(surface, scene.rig, skin, photo_seed, settings=settings)

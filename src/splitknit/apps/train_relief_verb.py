@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 Progress = Callable[[str, float], None]
+Counts = tuple[tuple[str, int, str], ...]
+"""Name, default and meaning of the whole numbers among the options."""
 _COUNTS = (
     ("fingers", 160, "simulated fingers to take pieces of, about 35 MB each on disk"),
     ("crops", 5, "pieces of each, every one with its own skin, lights and exposure"),
@@ -16,7 +18,7 @@ _COUNTS = (
     ("held_out", 6, "further whole ones, for the learning curve and the card"),
     ("first", 7000, "number of the first finger for pieces; everything about a finger follows from its number"),
     ("first_whole", 5000, "number of the first whole finger"),
-    ("iterations", 6000, "corrections of the weights"),
+    ("iterations", 7200, "corrections of the weights"),
     ("batch", 6, "patches of each"),
     ("patch", 192, "side of a patch in pixels"),
     ("seed", 0, "of weights and patches"),
@@ -25,12 +27,17 @@ _COUNTS = (
 
 
 def add_relief_options(verb: argparse.ArgumentParser) -> None:
-    """Add the options of ``splitknit train relief``; the defaults are those of the network that ships."""
+    """Add the options of ``splitknit train relief``; the defaults are what the shipped network saw in all."""
+    add_training_options(verb, _COUNTS)
+
+
+def add_training_options(verb: argparse.ArgumentParser, counts: Counts) -> None:
+    """Add the options of the training of one of `metric`'s networks."""
     verb.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder to train in; new, or with --resume"
     )
     verb.add_argument("--resume", action="store_true", help="go on with the training in DIR")
-    for name, default, words in _COUNTS:
+    for name, default, words in counts:
         option = f"--{name.replace('_', '-')}"
         verb.add_argument(option, type=int, default=default, metavar="N", help=f"{words} (default: {default})")
     verb.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
@@ -75,8 +82,13 @@ def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[st
 
 def relief_command(options: argparse.Namespace) -> str:
     """The command line that does this again, every option written out, for the network's card."""
-    words = ["splitknit", "train", "relief", "--out", "DIR"]
-    for name in (*(name for name, _, _ in _COUNTS), "device", "precision"):
+    return command_line(options, "relief", _COUNTS)
+
+
+def command_line(options: argparse.Namespace, network: str, counts: Counts) -> str:
+    """The command line of the training of a network, every option written out."""
+    words = ["splitknit", "train", network, "--out", "DIR"]
+    for name in (*(name for name, _, _ in counts), "device", "precision"):
         words += [f"--{name.replace('_', '-')}", str(getattr(options, name))]
     return shlex.join(words)
 

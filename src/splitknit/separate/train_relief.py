@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from splitknit.separate.train_network import export_onnx, unet_reach
+from splitknit.separate.train_fields_pack import packed_fields
 from splitknit.separate.train_relief_batches import (
     CHANNELS,
     FIELDS,
@@ -28,7 +28,6 @@ from splitknit.separate.train_relief_loop import JUDGED_PX, ReliefTrainer, judge
 from splitknit.separate.train_relief_loss import relief_losses, total_loss
 from splitknit.separate.train_relief_network import network_from, relief_network
 from splitknit.separate.train_relief_settings import ReliefSettings
-from splitknit.separate.weights import card_bytes
 
 __all__ = [
     "CHANNELS",
@@ -56,36 +55,13 @@ __all__ = [
 ]
 
 NAME = "relief"
+WHAT = (
+    "relief and glare of skin: the fields of splitknit.metric.features to the relief in 0.02 mm, seven "
+    "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
+    "variance"
+)
 
 
 def packed(state: Mapping[str, Any], facts: Mapping[str, Any], name: str = NAME) -> tuple[bytes, bytes]:
-    """The files of a finished network: ONNX, its weights in half precision, and card.
-
-    Parameters
-    ----------
-    state : ``state_dict`` of a :func:`relief_network`
-    facts : what the card says beside channels, stride, reach and architecture: data, training, metrics, command, ...
-    name : of the network
-
-    Raises
-    ------
-    BadInput
-        If `state` belongs to another network.
-    """
-    network = network_from(state)
-    widths = [int(level[0].out_channels) for level in network.down]
-    fields, outputs = int(network.down[0][0].in_channels), int(network.out.out_channels)
-    depth = len(widths) - 1
-    weights = export_onnx(network, fields, 2**depth)
-    head = {
-        "channels_in": fields,
-        "channels_out": outputs,
-        "stride": 2**depth,
-        "reach": unet_reach(depth),
-        "what": "relief and glare of skin: the fields of splitknit.metric.features to the relief in 0.02 mm, seven "
-        "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
-        "variance",
-        "architecture": f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}",
-        "licence": "Apache-2.0",
-    }
-    return weights, card_bytes(name, weights, {**head, **facts})
+    """The files of a finished network: ONNX, its weights in half precision, and card; see :func:`packed_fields`."""
+    return packed_fields(state, facts, name, WHAT)

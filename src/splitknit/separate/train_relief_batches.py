@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
 from splitknit.separate.train_relief_settings import ReliefSettings
+from splitknit.separate.train_turns import Turns, cut_out
 from splitknit.types import FloatArray
 
 FIELDS = 32
@@ -29,12 +30,13 @@ CHANNELS = 41
 OUTPUTS = 9
 """Of the network: the relief, seven waves of the glare, the logarithm of the relief's variance."""
 
-VECTORS = ((3, 4), (5, 6), (7, 8), (21, 22), (34, 35))
-"""Pairs of fields that are a vector's x and y (up), or cos a and sin a of its azimuth."""
-SECOND_WAVES = ((9, 10), (13, 14), (17, 18), (36, 37))
-"""Pairs of fields that are parts of cos 2a and sin 2a."""
-THIRD_WAVES = ((11, 12), (15, 16), (19, 20), (38, 39))
-"""Pairs of fields that are parts of cos 3a and sin 3a."""
+TURNS = Turns(
+    vectors=((3, 4), (5, 6), (7, 8), (21, 22), (34, 35)),
+    second_waves=((9, 10), (13, 14), (17, 18), (36, 37)),
+    third_waves=((11, 12), (15, 16), (19, 20), (38, 39)),
+)
+"""How a sample turns."""
+mirrored, transposed, turned_by = TURNS.mirrored, TURNS.transposed, TURNS.turned_by
 
 Sample = NDArray[np.floating[Any]]
 """(41, h, w), any float type."""
@@ -42,40 +44,6 @@ Sample = NDArray[np.floating[Any]]
 _TRIES = 2000
 _KEEP_SCALE = 0.02
 _SCALE_PATCHES = 12
-
-
-def mirrored(sample: FloatArray) -> FloatArray:
-    """Swap left and right: x becomes -x, an azimuth a becomes pi - a."""
-    turned: FloatArray = np.array(sample[:, :, ::-1], dtype=np.float32)
-    for x, _ in VECTORS:
-        turned[x] *= -1
-    for _, sine in SECOND_WAVES:
-        turned[sine] *= -1
-    for cosine, _ in THIRD_WAVES:
-        turned[cosine] *= -1
-    return turned
-
-
-def transposed(sample: FloatArray) -> FloatArray:
-    """Swap rows and columns: (x, y) becomes (-y, -x), for y points up against the rows; a becomes 3 pi / 2 - a."""
-    old = np.asarray(sample.swapaxes(1, 2), dtype=np.float32)
-    turned = old.copy()
-    for x, y in VECTORS:
-        turned[x], turned[y] = -old[y], -old[x]
-    for cosine, _ in SECOND_WAVES:
-        turned[cosine] *= -1
-    for cosine, sine in THIRD_WAVES:
-        turned[cosine], turned[sine] = old[sine], old[cosine]
-    return turned
-
-
-def turned_by(sample: FloatArray, way: int) -> FloatArray:
-    """One of the eight ways (0 to 7) to lay down a square."""
-    if way & 1:
-        sample = mirrored(sample)
-    if way & 2:
-        sample = transposed(mirrored(transposed(sample)))  # top and bottom swapped
-    return transposed(sample) if way & 4 else sample
 
 
 def draw_patch(
@@ -95,10 +63,7 @@ def draw_patch(
         pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
         sample = pool[int(rng.integers(len(pool)))]
         row, column = (int(rng.integers(max(1, length - side))) for length in sample.shape[1:])
-        patch = np.asarray(sample[:, row : row + side, column : column + side], dtype=np.float32)
-        missing = [(0, side - length) for length in patch.shape[1:]]
-        if any(after for _, after in missing):
-            patch = np.pad(patch, ((0, 0), *missing))
+        patch = cut_out(sample, row, column, side)
         if patch[WEIGHT].mean() >= settings.least_trust:
             return patch
     raise BadInput(

@@ -1,21 +1,19 @@
-"""The training of the relief's network: some iterations at a time, to be stopped and taken up again."""
+"""The training of the relief's network, and how it is judged."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
-from splitknit.separate.train_network import load_torch
+from splitknit.check import require
+from splitknit.separate.train_fields_loop import FieldsTrainer
 from splitknit.separate.train_relief_batches import (
     FIELDS,
     GLARE,
+    OUTPUTS,
     RELIEF,
     WEIGHT,
     Sample,
@@ -23,8 +21,7 @@ from splitknit.separate.train_relief_batches import (
     draw_batch,
     field_scale,
 )
-from splitknit.separate.train_relief_loss import PARTS, VARIANCE_LIMITS, relief_losses, total_loss
-from splitknit.separate.train_relief_network import relief_network
+from splitknit.separate.train_relief_loss import VARIANCE_LIMITS, relief_losses, total_loss
 from splitknit.separate.train_relief_settings import ReliefSettings
 from splitknit.types import FloatArray
 
@@ -32,132 +29,35 @@ JUDGED_PX = 512
 """Side of the middle part of a finger on which it is judged."""
 
 
-class ReliefTrainer:
-    """A network in training.
-
-    Repeatable on a processor: the same settings and samples give the same weights, also when the training was
-    interrupted, as long as the number of threads is the same.
-    """
+class ReliefTrainer(FieldsTrainer):
+    """The network of the relief in training."""
 
     def __init__(self, settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> None:
         """Draw the first weights from the settings' seed, and the fields' scale from the samples.
 
         A share of the patches, :attr:`ReliefSettings.whole_share`, is cut from the samples `whole`, if there are any.
         """
-        torch = load_torch()
-        require(
-            settings.device != "cuda" or bool(torch.cuda.is_available()),
-            "no GPU can be used by torch here; train with --device cpu.",
-        )
         check_samples(samples)
         if len(whole) > 0:
             check_samples(whole)
-        self.torch, self.settings, self.samples, self.whole = torch, settings, samples, whole
-        self.device = torch.device(settings.device)
-        torch.set_num_threads(settings.threads)
-        torch.manual_seed(settings.seed)
-        network = relief_network(settings.widths)
-        network.scale.copy_(torch.from_numpy(field_scale(samples, settings, whole)))
-        # channels last: convolutions of few channels run about twice as fast
-        self.network = network.to(self.device, memory_format=torch.channels_last)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
-        self.iteration = 0
-        """Iterations done."""
-        self.curve: list[dict[str, float]] = []
-        """Entries by whoever trains."""
+        super().__init__(settings, OUTPUTS, field_scale(samples, settings, whole))
+        self.settings, self.samples, self.whole = settings, samples, whole
 
-    def train(self, iterations: int, tick: Callable[[float], None] | None = None) -> dict[str, float]:
-        """Go on by so many iterations and return the mean of each part of the loss; `tick(share)` hears of it.
+    def draw(self, iteration: int) -> FloatArray:
+        """See :func:`splitknit.separate.train_relief_batches.draw_batch`."""
+        return draw_batch(self.samples, self.settings, iteration, self.whole)
 
-        Raises
-        ------
-        BadInput
-            If the loss is no number any more.
-        """
-        settings = self.settings
-        self.network.train()
-        totals = dict.fromkeys(PARTS, 0.0)
-        for _ in range(iterations):
-            for group in self.optimiser.param_groups:
-                group["lr"] = settings.rate(self.iteration)
-            batch = self._tensor(draw_batch(self.samples, settings, self.iteration, self.whole))
-            with self._precision():
-                made = self.network(batch[:, :FIELDS].contiguous(memory_format=self.torch.channels_last))
-            parts = relief_losses(made.float(), batch)
-            self.optimiser.zero_grad(set_to_none=True)
-            total_loss(parts, settings).backward()
-            self.torch.nn.utils.clip_grad_norm_(self.network.parameters(), settings.gradient_limit)
-            self.optimiser.step()
-            for name in PARTS:
-                totals[name] += float(parts[name].detach())
-            self.iteration += 1
-            if tick is not None:
-                tick(self.iteration / settings.iterations)
-        if not all(map(math.isfinite, totals.values())):
-            raise BadInput("the training diverged (its loss is no number); train with a lower learning rate.")
-        return {name: total / iterations for name, total in totals.items()}
+    def losses(self, made: Any, batch: Any) -> dict[str, Any]:
+        """See :func:`splitknit.separate.train_relief_loss.relief_losses`."""
+        return relief_losses(made, batch)
 
-    def run(self, fields: FloatArray) -> FloatArray:
-        """(32, h, w) through the network as it is, in single precision; sides are multiples of the stride."""
-        self.network.eval()
-        with self.torch.no_grad():
-            made = self.network(self._tensor(fields[None]))[0]
-        return np.asarray(made.float().cpu().numpy(), dtype=np.float32)
+    def total(self, parts: dict[str, Any]) -> Any:
+        """See :func:`splitknit.separate.train_relief_loss.total_loss`."""
+        return total_loss(parts, self.settings)
 
     def judge(self, sample: Sample) -> dict[str, float]:
         """What the network makes of the middle of a finger, see :func:`judged`."""
         return judge_middle(self.run, sample, self.settings.stride)
-
-    def state(self) -> bytes:
-        """Everything that is needed to go on from here."""
-        buffer = io.BytesIO()
-        self.torch.save(
-            {
-                "settings": asdict(self.settings),
-                "iteration": self.iteration,
-                "curve": self.curve,
-                "network": self.network.state_dict(),
-                "optimiser": self.optimiser.state_dict(),
-            },
-            buffer,
-        )
-        return buffer.getvalue()
-
-    def restore(self, state: bytes) -> None:
-        """Go on from where `state` was taken.
-
-        Raises
-        ------
-        BadInput
-            If it is damaged or of a training with other settings.
-        """
-        try:
-            document = self.torch.load(io.BytesIO(state), map_location=self.device, weights_only=True)
-            settings, iteration, curve = document["settings"], int(document["iteration"]), list(document["curve"])
-        except Exception as error:  # torch, zipfile and pickle each have their own
-            raise BadInput(
-                f"the checkpoint is damaged ({type(error).__name__}); train anew in another folder."
-            ) from error
-        free = ("threads", "device", "precision")  # these may change on the way
-        ours = asdict(self.settings)
-        changed = [name for name in ours if name not in free and settings.get(name) != ours[name]]
-        require(
-            not changed,
-            f"the checkpoint is of a training with other settings ({', '.join(changed)}); "
-            "resume with the same settings or train in another folder.",
-        )
-        self.network.load_state_dict(document["network"])
-        self.optimiser.load_state_dict(document["optimiser"])
-        self.iteration, self.curve = iteration, curve
-
-    def _tensor(self, array: FloatArray) -> Any:
-        tensor = self.torch.from_numpy(np.ascontiguousarray(array))
-        return tensor.to(self.device, memory_format=self.torch.channels_last)
-
-    def _precision(self) -> Any:
-        if self.settings.precision != "mixed":
-            return contextlib.nullcontext()
-        return self.torch.autocast(self.settings.device, dtype=self.torch.bfloat16)
 
 
 def judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
