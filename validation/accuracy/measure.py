@@ -30,7 +30,7 @@ def source_hash() -> str:
     folder = Path(splitknit.__file__).parent
     digest = hashlib.sha256()
     for file in sorted(folder.rglob("*")):
-        if file.suffix in (".py", ".npz"):
+        if file.suffix in (".py", ".npz", ".onnx"):
             digest.update(file.relative_to(folder).as_posix().encode())
             digest.update(file.read_bytes())
     return digest.hexdigest()
