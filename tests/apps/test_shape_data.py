@@ -21,7 +21,8 @@ from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE
 from splitknit.metric.shape_features import shape_features
 from splitknit.pipeline import preset_settings
 from splitknit.separate import SkinSettings, diffusion
-from splitknit.separate.train_shape import CHANNELS, FIELDS, SLOPES, TURNS, WEIGHT
+from splitknit.separate.train_shape import CHANNELS, FIELDS, SLOPES, TURNS, WEIGHT, without_nir
+from splitknit.separate.train_shape_batches import OF_NIR
 from splitknit.types import Camera, Led, Rig
 
 PITCH_MM = 0.106
@@ -102,6 +103,14 @@ def _same(one: np.ndarray, other: np.ndarray) -> None:
     for number in range(CHANNELS):  # stored in half precision
         limit = 2e-3 * max(float(np.abs(other[number]).max()), 0.05)
         np.testing.assert_allclose(one[number], other[number], atol=limit, err_msg=f"field {number}")
+
+
+def test_the_fields_of_near_infrared_are_those_that_vanish_without_it(scene) -> None:
+    with_nir, without = (replace(scene, bands=scene.bands[:count]).sample() for count in (2, 1))
+    vanished = [n for n in range(FIELDS) if with_nir[n].any() and not without[n].any()]
+    assert tuple(vanished) == OF_NIR
+    others = [n for n in range(CHANNELS) if n not in (*OF_NIR, 23)]  # 23 is the trust in the last band's lights
+    np.testing.assert_array_equal(without[others], without_nir(with_nir)[others])
 
 
 def test_a_sample_holds_the_slopes_that_are_missing(scene) -> None:

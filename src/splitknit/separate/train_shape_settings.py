@@ -12,8 +12,8 @@ from splitknit.separate.train_fields_settings import FieldsSettings
 class ShapeSettings(FieldsSettings):
     """Network, loss and training.
 
-    The network that ships was trained in runs, each from the weights of the one before, as its fingers became ready.
-    The defaults are its numbers, rounded, in one run.
+    The network that ships was trained in two runs of 957 and 2623 iterations, the second from the weights of the first,
+    while its fingers became ready. The defaults are its numbers, the iterations rounded up, in one run.
     """
 
     widths: tuple[int, ...] = (24, 32, 48, 64)
