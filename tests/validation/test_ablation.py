@@ -93,6 +93,28 @@ def test_the_twin_takes_the_networks_place(script: Script, bench: Any, monkeypat
     assert not np.allclose(other.ridge_mm[other.mask], plain.ridge_mm[plain.mask], rtol=0.1, atol=0)
 
 
+def test_share_that_the_network_finds_in_colours(script: Script, bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def finding(enhanced: Any, images: Any, network: str) -> Any:
+        assert network == "direct" and np.all(enhanced == 1)
+        inside = images[:, :, bench.finger.wider[bench.finger.window]]
+        assert np.all(images >= 0) and np.all(images[:, :, ~bench.finger.wider[bench.finger.window]] == 0)
+        # red, green and blue of each light in their order
+        white = linear_channels(bench.twin.capture.bands["white"], "linear", ("red", "green", "blue"))
+        wanted = np.maximum(white[:, :, bench.finger.wider], 0).swapaxes(0, 1)
+        np.testing.assert_array_equal(inside, wanted)
+        return np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None] * enhanced
+
+    rows = script("ablation_rows")
+    with monkeypatch.context() as patch:
+        patch.setattr(rows, "direct_of_enhanced", finding)
+        share = type(bench)._coloured.func(bench)
+    np.testing.assert_allclose(share[:, 0, 0], 1)
+    monkeypatch.setitem(bench.__dict__, "_coloured", share)
+    monkeypatch.setitem(bench.__dict__, "_shares", {"all but glare": share})
+    by_network, by_truth = (bench.reconstructed(rows.ROWS[f"snk_plain_{name}"]) for name in ("colours", "matt"))
+    np.testing.assert_array_equal(by_network.height_mm, by_truth.height_mm)
+
+
 def test_glare_that_the_network_draws(script: Script, bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = script("ablation_rows")
     height, width = bench.twin.capture.shape

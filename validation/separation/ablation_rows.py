@@ -16,11 +16,13 @@ import splitknit.metric.surface as metric_surface
 from splitknit.apps.compare import compare
 from splitknit.check import BadInput, require
 from splitknit.pipeline import preset_settings, undoes_blur
+from splitknit.radiance import linear_channels
 from splitknit.recipe import surfaces
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.result import assemble
 from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.separate.direct import direct_of_enhanced
 from splitknit.settings import override
 from splitknit.types import Capture, FloatArray, Reconstruction
 
@@ -44,7 +46,8 @@ class Row:
     change: Mapping[str, Any] = field(default_factory=dict)
     """Settings, beside the preset's."""
     share: str = ""
-    """What of the white light the twin lets through in the network's place; empty: nothing is changed."""
+    """What of the white light is let through instead of the network's grey output: that of the twin's truth by this
+    name, or of the ``network`` that is given the colours; empty: nothing is changed."""
     glare: str = "in"
     """``in``, or what takes it out of the images: ``network``, ``truth`` (white), ``truth_both`` (both bands)."""
     grey: bool = False
@@ -59,6 +62,7 @@ COLOUR = "blur inverted, images in colour (`metric`)"
 LIGHTS = {
     "all": ("all light", ""),
     "network": ("direct light by the network", ""),
+    "colours": ("direct light by the network, from the colours", "network"),
     "direct": ("true direct light", "direct"),
     "direct_matt": ("true direct light without its glare", "direct without glare"),
     "matt": ("glare truly out", "all but glare"),
@@ -77,7 +81,7 @@ def _rows() -> dict[str, Row]:
         for light, (words, share) in LIGHTS.items():
             # where the twin gives the light, it does so in the network's place
             change = {"enhance.clahe": clahe, "direct.method": "none" if light == "all" else "network"}
-            needs = ("direct",) if light == "network" else ()
+            needs = ("direct",) if light in ("network", "colours") else ()
             text = f"CLAHE {'on' if clahe else 'off'}, {words}"
             name = f"snk_{'clahe' if clahe else 'plain'}_{light}"
             rows[name] = Row(THESIS, text, "snk", change, share, networks=needs)
@@ -101,6 +105,8 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("CLAHE, all light", "snk_clahe_all", "snk_plain_all"),
     ("direct light by the network, CLAHE off", "snk_plain_network", "snk_plain_all"),
     ("direct light by the network, CLAHE on", "snk_clahe_network", "snk_clahe_all"),
+    ("direct light by the network, from the colours, CLAHE off", "snk_plain_colours", "snk_plain_all"),
+    ("direct light by the network, from the colours, CLAHE on", "snk_clahe_colours", "snk_clahe_all"),
     ("true direct light, CLAHE off", "snk_plain_direct", "snk_plain_all"),
     ("true direct light, CLAHE on", "snk_clahe_direct", "snk_clahe_all"),
     ("true direct light without its glare, CLAHE off", "snk_plain_direct_matt", "snk_plain_all"),
@@ -154,7 +160,8 @@ class Bench:
         capture, settings = self._capture(row), self._settings(row)
         if not row.share:
             return reconstruct(capture, self.finger, settings)
-        share = self._shares[row.share][(slice(None), *self.finger.window)]
+        share = self._coloured if row.share == "network" else self._shares[row.share]
+        share = share[(slice(None), *self.finger.window)]
         with mock.patch.object(surfaces, "direct_light", lambda visible, _network: visible * share):
             return reconstruct(capture, self.finger, settings)
 
@@ -174,6 +181,18 @@ class Bench:
     @cached_property
     def _shares(self) -> dict[str, FloatArray]:
         return true_shares(self.twin, self.options.check_mm)
+
+    @cached_property
+    def _coloured(self) -> FloatArray:
+        """(L, H, W) share of direct light in the grey images, as the network finds it in the linear, coloured ones."""
+        capture, window = self.twin.capture, self.finger.window
+        light = linear_channels(capture.bands["white"], capture.encoding, ("red", "green", "blue"), window)
+        light = np.maximum(light, np.float32(0.0)) * self.finger.wider[window]
+        share = np.ones((light.shape[1], *capture.shape), dtype=np.float32)
+        share[(slice(None), *window)] = direct_of_enhanced(
+            np.ones_like(light[0]), light.swapaxes(0, 1), self.options.direct
+        )
+        return share
 
     @cached_property
     def _by_network(self) -> tuple[Reconstruction, FloatArray]:
