@@ -63,7 +63,7 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
         visible = _grey(capture, white, finger.window)
         if settings.enhance.clahe:
             visible = _enhanced(visible, mask, capture, settings)
-        if settings.direct.method == "network":
+        if _draws_direct(capture, settings):
             visible = direct_light(visible * mask, settings.direct.network)
     with watch("normals"):
         normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
@@ -79,7 +79,7 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
             slopes = gradients_from_normals(below, mask, settings.normals.max_slope)
             shape = _integrate(slopes, mask, settings) * pitch
             height, ridge = _knitted(ridge, shape, gradients, mask, settings, capture)
-    return SurfaceParts(height, ridge, shape, albedo, None, _facts(settings, white, nir), warnings)
+    return SurfaceParts(height, ridge, shape, albedo, None, _facts(capture, settings, white, nir), warnings)
 
 
 def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
@@ -98,7 +98,7 @@ def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, 
             below = _integrate(slopes, mask, settings) * pitch
             height = crossover(visible, below, _response(settings, capture), mask)
     warnings = (*warnings, ORTHOGRAPHIC) if capture.rig.camera.model == "perspective" else warnings
-    facts = {**_facts(settings, white, nir), "separation": "none (opaque material)"}
+    facts = {**_facts(capture, settings, white, nir), "separation": "none (opaque material)"}
     return SurfaceParts(height, ridge, height - ridge, albedo, None, facts, warnings)
 
 
@@ -122,7 +122,7 @@ def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, wa
         for part in (skin.shape_mm, skin.relief_mm, skin.albedo, skin.deviation_mm)
     )
     facts = {
-        **_facts(settings, white, nir),
+        **_facts(capture, settings, white, nir),
         "separation": HOW[skin.facts["relief_by"]],
         "optics": skin.facts,
     }
@@ -169,9 +169,17 @@ def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tu
     return white, capture.bands["nir"], ()
 
 
-def _facts(settings: PipelineSettings, white: Band, nir: Band) -> dict[str, Any]:
-    direct = settings.direct
-    separation = f"direct light by the network '{direct.network}'" if direct.method == "network" else "none"
+def _draws_direct(capture: Capture, settings: PipelineSettings) -> bool:
+    """Whether the network of direct light is asked: what does not scatter inside has direct light alone."""
+    return settings.direct.method == "network" and capture.material == "skin"
+
+
+def _facts(capture: Capture, settings: PipelineSettings, white: Band, nir: Band) -> dict[str, Any]:
+    separation = "none"
+    if settings.direct.method == "network":
+        separation = "none (opaque material: all light is direct)"
+        if _draws_direct(capture, settings):
+            separation = f"direct light by the network '{settings.direct.network}'"
     return {"shape_source": "white" if nir is white else "nir", "separation": separation}
 
 
