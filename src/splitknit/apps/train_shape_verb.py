@@ -11,7 +11,7 @@ _COUNTS = (
     ("fingers", 160, "simulated fingers to train on, about 4 MB each on disk"),
     ("held_out", 8, "further ones, for the learning curve and the card"),
     ("first", 5000, "number of the first finger; everything about a finger follows from its number"),
-    ("iterations", 4000, "corrections of the weights"),
+    ("iterations", 6000, "corrections of the weights"),
     ("batch", 8, "patches of each"),
     ("patch", 160, "side of a patch in pixels of the coarse grid"),
     ("seed", 0, "of weights and patches"),
