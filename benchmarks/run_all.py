@@ -16,6 +16,7 @@ HERE = Path(__file__).resolve().parent
 SUITES = {
     "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
+    "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
 }
 
