@@ -71,6 +71,8 @@ def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], t
 def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], capture: Capture) -> None:
     for preset, result in results.items():
         assert ("direct light by the network" in result.facts["separation"]) == (preset in ("pr", "snk"))
+        # a sixth of the full scale is too coarse for the network
+        assert any("the network of the relief needs" in words for words in result.warnings) == (preset == "metric")
         assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
         assert result.facts["mask"] == "found"
         assert result.settings == asdict(preset_settings(preset))

@@ -26,6 +26,10 @@ from splitknit.separate.unet import load_network, run_network
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
 
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
+NO_NETWORK = (
+    "the network of the relief needs six white lights all around the finger and 25 to 60 pixels a millimetre (or a "
+    "multiple); relief and glare are told apart by their colours alone."
+)
 HOW = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
     "colour": "glare by colour, scattering by its transfer function (modelled)",
@@ -108,13 +112,16 @@ def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, wa
     white, nir, warnings = _bands(capture, settings)
     with watch("light"):
         grid, bands, binning = skin_images(capture, finger, settings)
-    networks = _networks(settings) if can_learn(bands[0], grid.pitch_mm) else None
+    able = can_learn(bands[0], grid.pitch_mm)
+    networks = _networks(settings) if able else None
     with watch("surface"):
         skin = reconstruct_skin(
             bands, grid, settings.skin, settings.metric, lambda share: watch.report("surface", share), networks
         )
     if not has_colour(white):
         warnings = (*warnings, "the white images are grey: glare cannot be told from skin by its colour.")
+    elif not able and settings.metric.relief == "network":
+        warnings = (*warnings, NO_NETWORK)
     warnings = (*warnings, ORTHOGRAPHIC) if camera.model == "perspective" else warnings
     size = finger.wider[finger.window].shape
     shape, ridge, albedo, deviation = (
