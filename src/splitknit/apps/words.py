@@ -19,7 +19,9 @@ EXPLAINED = {
     "yaw_deg": "Turn of the finger in the image, counter-clockwise; it is taken out.",
     "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
     "shift_mm": "How far the finger moved between the shots. Good: below 0.1 mm.",
-    "scattering": "How far light travels in the skin, as assumed when the blur was undone.",
+    "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
+    "relief_by": "network: ridges drawn by the trained network; colour: told from glare by colour alone.",
+    "separation": "What was done about glare and about light that spreads inside the skin.",
 }
 """Name in ``quality`` or ``facts`` to what it says and what good looks like."""
 
