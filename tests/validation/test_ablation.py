@@ -233,6 +233,12 @@ def test_rows_are_what_they_are_called(script: Script, bench: Any) -> None:
         assert bench._settings(rows.ROWS[name]) == rows.preset_settings(preset)
 
 
+def test_the_page_shows_the_figures(script: Script) -> None:
+    assert script("ablation_report").main(["--check"]) == 0, "run validation/separation/ablation_report.py"
+    results = json.loads((FOLDER / "ablation.json").read_text())
+    assert list(results["rows"]) == list(script("ablation_rows").ROWS)
+
+
 def test_page_is_filled(script: Script, tmp_path: Path) -> None:
     report = script("ablation_report")
     figures = {key: {"mean": 0.5, "interval": [0.4, 0.6]} for key in report.COLUMNS}
@@ -246,6 +252,10 @@ def test_page_is_filled(script: Script, tmp_path: Path) -> None:
     text = report.section(results)
     assert "| all light (1 refused) | 0.500 [0.400, 0.600] | 0.50 [0.40, 0.60] | 0.5 [0.4, 0.6] |" in text
     assert "| a against b | +0.500 [+0.400, +0.600] |" in text
+    # an interval ends where the figure does, a difference's does not
+    figures = {key: {"mean": 0.9, "interval": [0.7, 1.1]} for key in report.COLUMNS}
+    assert "| x | 0.900 [0.700, 1.000] | 0.90 [0.70, 1.10] |" in report._line("x", figures, "")
+    assert "| x | +0.900 [+0.700, +1.100] |" in report._line("x", figures, "+")
     page = report.filled("# Page\n", "old")
     assert page == "# Page\n\n## Ablation\n\n<!-- ablation -->\nold\n<!-- /ablation -->\n"
     assert report.filled(page + "more\n", "new") == page.replace("old", "new") + "more\n"

@@ -25,6 +25,7 @@ COLUMNS = {
     "normals_mean_deg": ("normals, deg", 1),
     "surface_rms_mm": ("surface rms, mm", 3),
 }
+AT_MOST_ONE = ("ridge_correlation", "ridge_good_area")
 Tree = Mapping[str, Any]
 
 
@@ -54,13 +55,22 @@ def _head(first: str) -> list[str]:
 
 
 def _line(words: str, figures: Tree, sign: str) -> str:
-    cells = [_cell(figures[key], digits, sign) if figures else "" for key, (_, digits) in COLUMNS.items()]
+    cells = [
+        _cell(_cut(key, figures[key], sign), digits, sign) if figures else "" for key, (_, digits) in COLUMNS.items()
+    ]
     return f"| {words} | " + " | ".join(cells) + " |"
+
+
+def _cut(key: str, figure: Tree, sign: str) -> Tree:
+    """Student's t knows nothing of what a figure can be."""
+    if sign or key not in AT_MOST_ONE or figure["interval"] is None:
+        return figure
+    return {**figure, "interval": [min(end, 1.0) for end in figure["interval"]]}
 
 
 def _cell(figure: Tree, digits: int, sign: str) -> str:
     def shown(value: float) -> str:
-        return f"{value:{sign}.{digits}f}"
+        return f"{value:{sign}z.{digits}f}"
 
     if figure["interval"] is None:
         return shown(figure["mean"])
@@ -75,7 +85,7 @@ def section(results: Tree) -> str:
         [
             f"{len(seeds)} fingers, seeds {seeds[0]} to {seeds[-1]}, images at {results['scale']:g} of the full scale; "
             f"direct light through checks of {results['check_mm']:g} mm. Mean [95 % interval over fingers, Student's "
-            "t]; definitions in [accuracy.md](accuracy.md#definitions).",
+            "t, cut at 1]; definitions in [accuracy.md](accuracy.md#definitions).",
             "",
             rows_table(results),
             "",
