@@ -86,15 +86,17 @@ def features(band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLi
         np.minimum(grid.depth_mm, 1),
         light.trust.mean(axis=0),
         *(np.clip(t, -3, 3) / 2 for t in tints),
-        np.full(grid.shape, grid.pitch_mm / 0.0264 - 1),
-        np.full(grid.shape, tangent * 2),
+        np.float32(grid.pitch_mm / 0.0264 - 1),
+        np.float32(tangent * 2),
     ]
-    whole = [np.full(grid.shape, value) for value in _statistics(slopes, beyond, light.trust.min(axis=0) > 0.9)]
-    fields = np.stack([*bright, *slopes, *beyond, *geometry, *whole]).astype(np.float32) * mask
-    return Features(np.nan_to_num(fields), np.stack(levels))
+    whole = _statistics(slopes, beyond, light.trust.min(axis=0) > 0.9)
+    fields = np.zeros((COUNT, *grid.shape), dtype=np.float32)
+    for room, field in zip(fields, [*bright, *slopes, *beyond, *geometry, *whole], strict=True):
+        np.multiply(field, mask, out=room, casting="same_kind")
+    return Features(np.nan_to_num(fields, copy=False), np.stack(levels))
 
 
-def _statistics(slopes: list[FloatArray], beyond: list[FloatArray], lit: BoolArray) -> list[float]:
+def _statistics(slopes: list[FloatArray], beyond: list[FloatArray], lit: BoolArray) -> list[np.float32]:
     """What tells the scattering and the glare of the whole finger.
 
     Logarithms of the rms slope in every channel but the last over that in the last (more scattering takes more from red
@@ -108,7 +110,7 @@ def _statistics(slopes: list[FloatArray], beyond: list[FloatArray], lit: BoolArr
     channels = len(slopes) // 2
     of_slopes = [power(slopes[2 * c : 2 * c + 2]) for c in range(channels)]
     ratios = [*(p / of_slopes[-1] for p in of_slopes[:-1]), power(beyond) / of_slopes[-1]]
-    return [float(np.clip(np.log(ratio), -8, 8)) / 2 for ratio in ratios]
+    return [np.float32(np.clip(np.log(ratio), -8, 8) / 2) for ratio in ratios]
 
 
 def azimuth_waves(rig: Rig, most: int) -> FloatArray:
