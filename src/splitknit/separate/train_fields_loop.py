@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.check import BadInput, require
+from splitknit.separate.train_checkpoint import opened_state, packed_state
 from splitknit.separate.train_fields_settings import FieldsSettings
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_relief_network import relief_network
@@ -123,8 +123,8 @@ class FieldsTrainer(ABC):
 
     def state(self) -> bytes:
         """Everything that is needed to go on from here."""
-        buffer = io.BytesIO()
-        self.torch.save(
+        return packed_state(
+            self.torch,
             {
                 "settings": asdict(self._common),
                 "iteration": self.iteration,
@@ -132,9 +132,7 @@ class FieldsTrainer(ABC):
                 "network": self.network.state_dict(),
                 "optimiser": self.optimiser.state_dict(),
             },
-            buffer,
         )
-        return buffer.getvalue()
 
     def restore(self, state: bytes) -> None:
         """Go on from where `state` was taken.
@@ -144,23 +142,10 @@ class FieldsTrainer(ABC):
         BadInput
             If it is damaged or of a training with other settings.
         """
-        try:
-            document = self.torch.load(io.BytesIO(state), map_location=self.device, weights_only=True)
-            settings, iteration, curve = document["settings"], int(document["iteration"]), list(document["curve"])
-        except Exception as error:  # torch, zipfile and pickle each have their own
-            raise BadInput(
-                f"the checkpoint is damaged ({type(error).__name__}); train anew in another folder."
-            ) from error
-        ours = asdict(self._common)
-        changed = [name for name in ours if name not in FREE and settings.get(name) != ours[name]]
-        require(
-            not changed,
-            f"the checkpoint is of a training with other settings ({', '.join(changed)}); "
-            "resume with the same settings or train in another folder.",
-        )
+        document = opened_state(self.torch, state, self.device, asdict(self._common), FREE)
         self.network.load_state_dict(document["network"])
         self.optimiser.load_state_dict(document["optimiser"])
-        self.iteration, self.curve = iteration, curve
+        self.iteration, self.curve = int(document["iteration"]), list(document["curve"])
 
     def _tensor(self, array: FloatArray) -> Any:
         tensor = self.torch.from_numpy(np.ascontiguousarray(array))

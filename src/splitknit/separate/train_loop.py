@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import math
 from dataclasses import asdict
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from splitknit.check import BadInput, require
 from splitknit.separate.train_batches import Batch, Patches
+from splitknit.separate.train_checkpoint import opened_state, packed_state
 from splitknit.separate.train_network import export_onnx, load_torch, unet
 from splitknit.separate.train_settings import MAY_CHANGE, TrainSettings
 from splitknit.types import FloatArray
@@ -90,8 +90,8 @@ class Trainer:
 
     def state(self) -> bytes:
         """Everything that is needed to go on from here."""
-        buffer = io.BytesIO()
-        self.torch.save(
+        return packed_state(
+            self.torch,
             {
                 "settings": asdict(self.settings),
                 "epoch": self.epoch,
@@ -100,9 +100,7 @@ class Trainer:
                 "optimiser": self.optimiser.state_dict(),
                 "random": self.torch.get_rng_state(),
             },
-            buffer,
         )
-        return buffer.getvalue()
 
     def restore(self, state: bytes) -> None:
         """Go on from where `state` was taken.
@@ -112,24 +110,11 @@ class Trainer:
         BadInput
             If it is damaged or of a training with other settings.
         """
-        try:
-            document = self.torch.load(io.BytesIO(state), map_location=self.device, weights_only=True)
-            settings, epoch, curve = document["settings"], int(document["epoch"]), list(document["curve"])
-        except Exception as error:  # torch, zipfile and pickle each have their own
-            raise BadInput(
-                f"the checkpoint is damaged ({type(error).__name__}); train anew in another folder."
-            ) from error
-        ours = asdict(self.settings)
-        changed = [name for name in ours if name not in MAY_CHANGE and settings.get(name) != ours[name]]
-        require(
-            not changed,
-            f"the checkpoint is of a training with other settings ({', '.join(changed)}); "
-            "resume with the same settings or train in another folder.",
-        )
+        document = opened_state(self.torch, state, self.device, asdict(self.settings), MAY_CHANGE)
         self.network.load_state_dict(document["network"])
         self.optimiser.load_state_dict(document["optimiser"])
         self.torch.set_rng_state(document["random"].cpu())
-        self.epoch, self.curve = epoch, curve
+        self.epoch, self.curve = int(document["epoch"]), list(document["curve"])
 
     def _loss(self, batch: Batch) -> Any:
         inputs, targets = (self._tensor(part) for part in batch)
