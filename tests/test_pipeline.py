@@ -200,6 +200,8 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
         {"enhance.clahe": False},
         {"shapelets.scales": 4},
         {"shape.source": "white"},
+        {"direct.method": "none"},
+        {"direct.from_colours": True},
         {"normals.method": "robust"},
     ],
 )

@@ -41,6 +41,9 @@ class DirectSettings:
     """``network`` (the thesis's U-Net) or ``none``."""
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
+    from_colours: bool = False
+    """Find the share of direct light in the colours, where there are any, and apply it to the grey images; the thesis
+    gives the network the grey images themselves."""
 
     def __post_init__(self) -> None:
         require(self.method in ("network", "none"), f"direct.method must be network or none, not '{self.method}'.")

@@ -21,7 +21,7 @@ from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.separate.direct import direct_light
+from splitknit.separate.direct import direct_light, direct_of_enhanced
 from splitknit.separate.unet import load_network, run_network
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
 
@@ -68,7 +68,7 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
         if settings.enhance.clahe:
             visible = _enhanced(visible, mask, capture, settings)
         if _draws_direct(capture, settings):
-            visible = direct_light(visible * mask, settings.direct.network)
+            visible = _direct(capture, white, finger.window, visible * mask, settings)
     with watch("normals"):
         normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
         gradients = gradients_from_normals(normals, mask, settings.normals.max_slope)
@@ -174,6 +174,16 @@ def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tu
         skin = capture.material == "skin"
         return white, white, (NO_NIR.format("ridges, scattering and glare" if skin else "ridges and glare"),)
     return white, capture.bands["nir"], ()
+
+
+def _direct(
+    capture: Capture, white: Band, window: Window, visible: FloatArray, settings: PipelineSettings
+) -> FloatArray:
+    """What the network takes for direct in the grey images, zero outside the skin."""
+    if not (settings.direct.from_colours and has_colour(white)):
+        return direct_light(visible, settings.direct.network)
+    colours = np.moveaxis(linear_channels(white, capture.encoding, ("red", "green", "blue"), window), 0, 1)
+    return direct_of_enhanced(visible, colours * (visible > 0)[:, None], settings.direct.network)
 
 
 def _draws_direct(capture: Capture, settings: PipelineSettings) -> bool:
