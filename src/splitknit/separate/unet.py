@@ -75,7 +75,6 @@ def network_of(card: Card, weights: bytes) -> Network:
     # one thread a session: sums are then always formed in the same order, and our own threads take a tile each
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
-    options.enable_cpu_mem_arena = False  # memory goes back after every tile
     options.log_severity_level = 3
     try:
         session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
