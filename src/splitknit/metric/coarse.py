@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,6 +100,19 @@ def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -
     return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
 
 
+def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
+    """(h, w) pixels away from the outline that every light reaches; the whole mask where there are none."""
+    reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
+    return reached if reached.any() else grid.mask
+
+
+def predict(light: Lighting, grid: Grid, mean_normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
+    """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
+    irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
+    spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
+    return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
+
+
 def unit(normals: FloatArray) -> FloatArray:
     """Unit length, (H, W, 3)."""
     length = np.sqrt((normals * normals).sum(axis=-1, keepdims=True))
@@ -162,11 +175,8 @@ def compare(  # noqa: PLR0917
     scale = 1.0
     for band in bands:
         light = lighting(band.rig, grid, height_mm, normals)
-        reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
-        reached = reached if reached.any() else grid.mask
-        irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
-        spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
-        expected = np.stack([grid.inverse(spectrum * transfer[n]) * grid.mask for n in band.channels])
+        reached = reached_by_all(light, grid)
+        expected = predict(light, grid, mean_normals, [transfer[n] for n in band.channels])
         dull = _dullest(microfacet_glare(shape_normals, light.vectors, 0.3), reached)
         for c, name in enumerate(band.channels):
             brightness[name] = _median_ratio(band.stack[c], expected[c], dull)

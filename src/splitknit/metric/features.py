@@ -56,7 +56,7 @@ def features(band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLi
     normals = normals_from_gradients(slope_x, slope_y)
     nz = normals[..., 2]
     mask = grid.mask.astype(np.float32)
-    to_harmonics = _harmonics(band.rig)
+    to_harmonics = beyond_matt(band.rig)
     size = np.sqrt((light.vectors * light.vectors).sum(axis=1))  # (L, h, w)
     bright: list[FloatArray] = []
     slopes: list[FloatArray] = []
@@ -121,6 +121,6 @@ def azimuth_waves(rig: Rig, most: int) -> FloatArray:
     return np.stack(waves, axis=1).astype(np.float32)
 
 
-def _harmonics(rig: Rig) -> FloatArray:
+def beyond_matt(rig: Rig) -> FloatArray:
     """(4, L) what turns an image's remainders into the second and third waves of the light's azimuth."""
     return np.asarray(np.linalg.pinv(azimuth_waves(rig, 3)[:, 3:], rcond=0.2), dtype=np.float32)

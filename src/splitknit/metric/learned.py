@@ -76,7 +76,7 @@ def relief_by_network(
     deviation = np.hypot(np.sqrt(variance) * trust, typical * (1 - trust)) * grid.mask
     power, error = float((relief[inner] ** 2).mean()), float(variance[inner].mean())
     size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
-    waves = azimuth_waves(white.rig, 3).astype(np.float32)
+    waves = azimuth_waves(white.rig, 3)
     glare = np.tensordot(waves, drawn[1:8] * GLARE, 1) * seen.level[1] * size
     return ReliefEstimate(
         relief_mm=relief.astype(np.float32),

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from splitknit.geometry import height_gradients
-from splitknit.metric.coarse import BandImages, lacking_coarse, lighting, unit
+from splitknit.metric.coarse import BandImages, lacking_coarse, lighting, predict, reached_by_all, unit
 from splitknit.metric.facets import Facets, facet_normals
-from splitknit.metric.features import azimuth_waves
+from splitknit.metric.features import beyond_matt
 from splitknit.metric.grid import Grid
 from splitknit.normals import pseudo_normals
 from splitknit.separate import Diffusion
@@ -56,14 +56,12 @@ def shape_features(
     for band in bands:
         light = lighting(band.rig, grid, height_mm, unit(normals))
         trusted = light.trust.mean(axis=0)
-        reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
-        reached = reached if reached.any() else grid.mask
-        irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, normals), 0) * light.entering
-        spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
-        waves = np.linalg.pinv(azimuth_waves(band.rig, 3)[:, 3:], rcond=0.2).astype(np.float32)
+        reached = reached_by_all(light, grid)
+        predicted_all = predict(light, grid, normals, [grid.sampled(skin[name]) for name in band.channels])
+        waves = beyond_matt(band.rig)
         size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
         for c, name in enumerate(band.channels):
-            expected = grid.inverse(spectrum * grid.sampled(skin[name])) * grid.mask
+            expected = predicted_all[c]
             ratio = band.stack[c][:, reached] / np.maximum(expected[:, reached], np.float32(1e-4))
             brightness[name] = float(np.median(ratio))
             expected *= np.float32(brightness[name])

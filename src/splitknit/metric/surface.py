@@ -114,7 +114,8 @@ def reconstruct_skin(  # noqa: PLR0917
                 white, grid, smooth, light, shape.optics, other, _brightness(shape), relief, settings.by_colour
             )
         relief = found.relief_mm
-        facets = measure_facets(relief, smooth, grid, shape.low, shape.factor, found.spread)
+        if turn < settings.rounds - 1:
+            facets = measure_facets(relief, smooth, grid, shape.low, shape.factor, found.spread)
         if progress is not None:
             progress((turn + 1) / (settings.rounds + 1))
     detail = detail_of(smooth, found.trust, grid)
