@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,17 @@ def add_training_options(verb: argparse.ArgumentParser, counts: Counts) -> None:
     )
 
 
+def training_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Settings of a training as the options of :func:`add_training_options` give them."""
+    names = ("iterations", "batch", "seed", "device", "threads", "precision")
+    return {"patch_px": options.patch, **{name: getattr(options, name) for name in names}}
+
+
+def written(out: Path, files: Mapping[str, str]) -> list[str]:
+    """What a training has left in its folder, in words."""
+    return ["Written:", *(f"  {out / name}: {what}" for name, what in files.items() if (out / name).exists())]
+
+
 def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[str, Any], list[str]]:
     """Train, and say what came out."""
     from splitknit.apps.relief_scenes import ReliefData  # noqa: PLC0415 - only this verb pays for it
@@ -57,15 +68,7 @@ def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[st
 
     names = ("fingers", "crops", "whole_fingers", "held_out", "first", "first_whole")
     data = ReliefData(**{name: getattr(options, name) for name in names})
-    settings = ReliefSettings(
-        iterations=options.iterations,
-        batch=options.batch,
-        patch_px=options.patch,
-        seed=options.seed,
-        device=options.device,
-        threads=options.threads,
-        precision=options.precision,
-    )
+    settings = ReliefSettings(**training_settings(options))
     command = relief_command(options)
     facts = train_relief(options.out, data, settings, resume=options.resume, command=command, progress=progress)
     mean = facts["metrics"]["mean"]
@@ -74,10 +77,8 @@ def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[st
         f"A network was trained for {settings.iterations} iterations in {facts['total_s']:.0f} s "
         f"(pieces: {used['pieces_used']}; whole fingers: {used['whole_fingers_used']}; refused: {facts['refused']}).",
         "Held out: " + ", ".join(_figures(mean)) + ".",
-        "Written:",
     ]
-    lines += [f"  {options.out / name}: {what}" for name, what in FILES.items() if (options.out / name).exists()]
-    return facts, lines
+    return facts, lines + written(options.out, FILES)
 
 
 def relief_command(options: argparse.Namespace) -> str:

@@ -5,7 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from splitknit.apps.train_relief_verb import Progress, add_training_options, command_line
+from splitknit.apps.train_relief_verb import (
+    Progress,
+    add_training_options,
+    command_line,
+    training_settings,
+    written,
+)
 
 _COUNTS = (
     ("fingers", 160, "simulated fingers to train on, about 4 MB each on disk"),
@@ -31,15 +37,7 @@ def run_shape(options: argparse.Namespace, progress: Progress) -> tuple[dict[str
     from splitknit.separate.train_shape import ShapeSettings  # noqa: PLC0415
 
     data = ShapeData(fingers=options.fingers, held_out=options.held_out, first=options.first)
-    settings = ShapeSettings(
-        iterations=options.iterations,
-        batch=options.batch,
-        patch_px=options.patch,
-        seed=options.seed,
-        device=options.device,
-        threads=options.threads,
-        precision=options.precision,
-    )
+    settings = ShapeSettings(**training_settings(options))
     command = shape_command(options)
     facts = train_shape(options.out, data, settings, resume=options.resume, command=command, progress=progress)
     mean = facts["metrics"]["mean"]
@@ -52,9 +50,7 @@ def run_shape(options: argparse.Namespace, progress: Progress) -> tuple[dict[str
             f"Held out: error of a slope {mean['before']:.3f} before mending, {mean['after']:.3f} after; "
             f"of wide slopes {mean['wide_before']:.3f} and {mean['wide_after']:.3f}."
         )
-    lines.append("Written:")
-    lines += [f"  {options.out / name}: {what}" for name, what in FILES.items() if (options.out / name).exists()]
-    return facts, lines
+    return facts, lines + written(options.out, FILES)
 
 
 def shape_command(options: argparse.Namespace) -> str:

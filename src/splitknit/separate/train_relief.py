@@ -18,7 +18,6 @@ from splitknit.separate.train_relief_batches import (
     OUTPUTS,
     RELIEF,
     WEIGHT,
-    Sample,
     draw_batch,
     mirrored,
     transposed,
@@ -28,6 +27,7 @@ from splitknit.separate.train_relief_loop import JUDGED_PX, ReliefTrainer, judge
 from splitknit.separate.train_relief_loss import relief_losses, total_loss
 from splitknit.separate.train_relief_network import network_from, relief_network
 from splitknit.separate.train_relief_settings import ReliefSettings
+from splitknit.separate.train_samples import Sample
 
 __all__ = [
     "CHANNELS",

@@ -8,13 +8,11 @@ image are equally likely; when an image is turned, vectors and waves of the ligh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
 from splitknit.separate.train_relief_settings import ReliefSettings
+from splitknit.separate.train_samples import TRIES, Sample, check_channels, one_scale, too_little_skin
 from splitknit.separate.train_turns import Turns, cut_out
 from splitknit.types import FloatArray
 
@@ -38,10 +36,6 @@ TURNS = Turns(
 """How a sample turns."""
 mirrored, transposed, turned_by = TURNS.mirrored, TURNS.transposed, TURNS.turned_by
 
-Sample = NDArray[np.floating[Any]]
-"""(41, h, w), any float type."""
-
-_TRIES = 2000
 _KEEP_SCALE = 0.02
 _SCALE_PATCHES = 12
 
@@ -59,16 +53,14 @@ def draw_patch(
         If patches with enough skin cannot be found.
     """
     side = settings.patch_px
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
         sample = pool[int(rng.integers(len(pool)))]
         row, column = (int(rng.integers(max(1, length - side))) for length in sample.shape[1:])
         patch = cut_out(sample, row, column, side)
         if patch[WEIGHT].mean() >= settings.least_trust:
             return patch
-    raise BadInput(
-        f"hardly any patch of {side} pixels holds enough skin to train on; take smaller patches or a lower least_trust."
-    )
+    raise too_little_skin(side)
 
 
 def draw_batch(
@@ -85,7 +77,7 @@ def field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Sequ
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
     patches = np.stack([draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
-    return np.asarray(1.0 / np.maximum(patches.std(axis=(0, 2, 3)), _KEEP_SCALE), dtype=np.float32)
+    return one_scale(patches, _KEEP_SCALE)
 
 
 def check_samples(samples: Sequence[Sample]) -> None:
@@ -96,9 +88,4 @@ def check_samples(samples: Sequence[Sample]) -> None:
     BadInput
         If there are none, or one is not (41, h, w).
     """
-    require(len(samples) > 0, "there are no fingers to train on.")
-    for sample in samples:
-        require(
-            sample.ndim == 3 and sample.shape[0] == CHANNELS and min(sample.shape) > 0,
-            f"a finger to train on must have the shape ({CHANNELS}, h, w), but one has {sample.shape}.",
-        )
+    check_channels(samples, CHANNELS)

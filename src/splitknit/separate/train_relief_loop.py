@@ -16,13 +16,13 @@ from splitknit.separate.train_relief_batches import (
     OUTPUTS,
     RELIEF,
     WEIGHT,
-    Sample,
     check_samples,
     draw_batch,
     field_scale,
 )
 from splitknit.separate.train_relief_loss import VARIANCE_LIMITS, relief_losses, total_loss
 from splitknit.separate.train_relief_settings import ReliefSettings
+from splitknit.separate.train_samples import Sample
 from splitknit.types import FloatArray
 
 JUDGED_PX = 512

@@ -12,6 +12,7 @@ from typing import Any
 
 from splitknit.separate.train_fields_pack import packed_fields
 from splitknit.separate.train_relief_network import network_from, relief_network
+from splitknit.separate.train_samples import Sample
 from splitknit.separate.train_shape_batches import (
     CHANNELS,
     FIELDS,
@@ -19,7 +20,6 @@ from splitknit.separate.train_shape_batches import (
     SLOPES,
     TURNS,
     WEIGHT,
-    Sample,
     draw_batch,
     without_nir,
 )

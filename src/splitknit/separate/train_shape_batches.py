@@ -7,12 +7,10 @@ count, as one array of (35, h, w).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.separate.train_samples import TRIES, Sample, check_channels, one_scale, too_little_skin
 from splitknit.separate.train_shape_settings import ShapeSettings
 from splitknit.separate.train_turns import Turns, cut_out
 from splitknit.types import FloatArray
@@ -35,10 +33,6 @@ TURNS = Turns(
 OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
 """Fields that are zero without near-infrared images."""
 
-Sample = NDArray[np.floating[Any]]
-"""(35, h, w), any float type."""
-
-_TRIES = 2000
 _KEEP_SCALE = 0.05
 _SCALE_PATCHES = 24
 
@@ -52,7 +46,7 @@ def draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.rando
         If patches with enough skin cannot be found.
     """
     side, beyond = settings.patch_px, settings.beyond_px
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         sample = samples[int(rng.integers(len(samples)))]
         row, column = (
             int(rng.integers(-beyond, max(1 - beyond, length - side + beyond))) for length in sample.shape[1:]
@@ -60,9 +54,7 @@ def draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.rando
         patch = cut_out(sample, row, column, side)
         if patch[WEIGHT].mean() >= settings.least_trust:
             return patch
-    raise BadInput(
-        f"hardly any patch of {side} pixels holds enough skin to train on; take smaller patches or a lower least_trust."
-    )
+    raise too_little_skin(side)
 
 
 def without_nir(patch: FloatArray) -> FloatArray:
@@ -86,7 +78,7 @@ def field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArra
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
     patches = np.stack([draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
-    return np.asarray(1.0 / np.maximum(patches.std(axis=(0, 2, 3)), _KEEP_SCALE), dtype=np.float32)
+    return one_scale(patches, _KEEP_SCALE)
 
 
 def check_samples(samples: Sequence[Sample]) -> None:
@@ -97,9 +89,4 @@ def check_samples(samples: Sequence[Sample]) -> None:
     BadInput
         If there are none, or one is not (35, h, w).
     """
-    require(len(samples) > 0, "there are no fingers to train on.")
-    for sample in samples:
-        require(
-            sample.ndim == 3 and sample.shape[0] == CHANNELS and min(sample.shape) > 0,
-            f"a finger to train on must have the shape ({CHANNELS}, h, w), but one has {sample.shape}.",
-        )
+    check_channels(samples, CHANNELS)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from splitknit.separate.train_fields_loop import FieldsTrainer
-from splitknit.separate.train_shape_batches import OUTPUTS, Sample, check_samples, draw_batch, field_scale
+from splitknit.separate.train_samples import Sample
+from splitknit.separate.train_shape_batches import OUTPUTS, check_samples, draw_batch, field_scale
 from splitknit.separate.train_shape_loss import judge_whole, shape_losses
 from splitknit.separate.train_shape_settings import ShapeSettings
 from splitknit.types import FloatArray

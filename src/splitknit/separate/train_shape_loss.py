@@ -11,7 +11,8 @@ import numpy as np
 
 from splitknit.check import require
 from splitknit.separate.train_network import load_torch
-from splitknit.separate.train_shape_batches import FIELDS, SLOPES, WEIGHT, Sample
+from splitknit.separate.train_samples import Sample
+from splitknit.separate.train_shape_batches import FIELDS, SLOPES, WEIGHT
 from splitknit.types import FloatArray
 
 PARTS = ("slope", "wide")
