@@ -37,6 +37,9 @@ class Camera:
     """3 x 3 camera matrix in pixels (perspective only)."""
     distortion: tuple[float, ...] | None = None
     """Distortion coefficients in OpenCV's order (perspective only)."""
+    shading: tuple[float, ...] = ()
+    """Fall-off of the lens towards the corners: brightness is 1 + a r^2 + b r^4 + ..., r the distance from the image's
+    centre over half its diagonal. Images are divided by it."""
 
     def __post_init__(self) -> None:
         require(np.isfinite(self.px_per_mm) and self.px_per_mm > 0, "camera.px_per_mm must be a positive number.")
@@ -45,6 +48,12 @@ class Camera:
         require(self.model in ("orthographic", "perspective"), f"camera.model '{self.model}' is not known.")
         if self.model == "perspective":
             require(self.matrix is not None, "a perspective camera needs its matrix.")
+        r2 = np.linspace(0.0, 1.0, 101)
+        brightness = 1.0 + sum(a * r2 ** (k + 1) for k, a in enumerate(self.shading))
+        require(
+            bool(np.all(np.isfinite(brightness)) and np.all(brightness > 0.02)),
+            "camera.shading leaves no light somewhere in the picture; it must stay above 0.02 of the middle's.",
+        )
 
     @property
     def pitch_mm(self) -> float:
@@ -63,7 +72,9 @@ class Led:
     intensity: float = 1.0
     """Relative, one scale for the whole rig."""
     lobe_exponent: float = 0.0
-    """Exponent of the cosine about the direction from the LED to the origin; 0 is isotropic."""
+    """Exponent of the cosine about the LED's axis; 0 is isotropic."""
+    aim: tuple[float, float, float] | None = None
+    """Direction of a near LED's axis, from the LED outwards; None = towards the origin."""
     also: tuple[Led, ...] = ()
     """Further LEDs lit in the same exposure."""
 
@@ -84,6 +95,22 @@ class Led:
         )
         if self.position_mm is not None:
             require(self.position_mm[2] > 0, "an LED's position_mm must lie above the finger plane (z > 0).")
+        if self.aim is not None and vector is not None:
+            require(self.position_mm is not None, "an LED's aim needs its position_mm: distant light has no axis.")
+            require(
+                bool(np.isfinite(self.aim).all()) and float(np.linalg.norm(self.aim)) > 0,
+                "an LED's aim must be three finite numbers that are not all zero.",
+            )
+            towards = -float(np.dot(self.aim, vector)) / float(np.linalg.norm(self.aim) * np.linalg.norm(vector))
+            require(towards > 0.2, "an LED's aim must point towards the finger plane's middle, within 78 deg.")
+
+    @property
+    def axis(self) -> NDArray[np.float64]:
+        """(3,) unit vector of the beam, from the LED outwards."""
+        if self.aim is not None:
+            return np.asarray(self.aim, dtype=np.float64) / float(np.linalg.norm(self.aim))
+        vector = np.asarray(self.position_mm if self.position_mm is not None else self.direction, dtype=np.float64)
+        return np.asarray(-vector / np.linalg.norm(vector))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +149,9 @@ class Rig:
 def _vector_at_origin(led: Led) -> NDArray[np.float64]:
     if led.position_mm is not None:
         position = np.asarray(led.position_mm, dtype=np.float64)
-        vector = led.intensity * position / np.linalg.norm(position) ** 3 * 1e4
+        distance = float(np.linalg.norm(position))
+        lobe = float(np.dot(led.axis, -position) / distance) ** led.lobe_exponent if led.lobe_exponent > 0 else 1.0
+        vector = led.intensity * lobe * position / distance**3 * 1e4
     else:
         direction = np.asarray(led.direction, dtype=np.float64)
         vector = led.intensity * direction / np.linalg.norm(direction)
@@ -151,6 +180,8 @@ class Band:
     """(H, W, C) with all LEDs off, or None."""
     ambient_exposure: float = 1.0
     ambient_black_level: float = 0.0
+    shading: tuple[float, ...] = ()
+    """Of the camera that took the images, see :class:`Camera`."""
     files: tuple[str, ...] = ()
 
 

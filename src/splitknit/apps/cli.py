@@ -12,18 +12,16 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from splitknit import __version__
+from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb, scale
 from splitknit.check import BadInput
 
 DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 PRESETS = ("metric", "snk", "pr", "ea")
-
-Outcome = tuple[dict[str, Any], list[str]]
-"""Facts for ``--json``, and the same in lines for people."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,33 +53,35 @@ def build_parser() -> argparse.ArgumentParser:
     _add_reconstruct(verbs)
     _add_separate(verbs)
     _add_train(verbs)
+    _add_calibrate(verbs)
+    _add_rig(verbs)
     return parser
 
 
 def _add_demo(verbs: Any) -> None:
-    verb = _verb(verbs, "demo", "simulate a finger, reconstruct it, compare it with the truth", run_demo)
+    verb = new_verb(verbs, "demo", "simulate a finger, reconstruct it, compare it with the truth", run_demo)
     verb.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write (default: demo)")
-    verb.add_argument("--seed", type=_natural, default=1, help="which finger (default: 1)")
+    verb.add_argument("--seed", type=natural, default=1, help="which finger (default: 1)")
     verb.add_argument(
-        "--scale", type=_scale, default=0.5, help="size of the images, 1 = 3200 x 2200 pixels (default: 0.5)"
+        "--scale", type=scale, default=0.5, help="size of the images, 1 = 3200 x 2200 pixels (default: 0.5)"
     )
 
 
 def _add_simulate(verbs: Any) -> None:
-    verb = _verb(verbs, "simulate", "photograph a simulated finger: a capture folder with truth", run_simulate)
+    verb = new_verb(verbs, "simulate", "photograph a simulated finger: a capture folder with truth", run_simulate)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
-    verb.add_argument("--seed", type=_natural, default=0, help="which finger (default: 0)")
+    verb.add_argument("--seed", type=natural, default=0, help="which finger (default: 0)")
     verb.add_argument(
         "--pattern", default=None, help="loop, whorl, arch or another master print the twin knows (default: drawn)"
     )
     verb.add_argument(
-        "--scale", type=_scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
+        "--scale", type=scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
     )
-    _add_settings(verb)
+    add_settings(verb)
 
 
 def _add_reconstruct(verbs: Any) -> None:
-    verb = _verb(verbs, "reconstruct", "turn a capture folder into a 3D fingerprint in millimetres", run_reconstruct)
+    verb = new_verb(verbs, "reconstruct", "turn a capture folder into a 3D fingerprint in millimetres", run_reconstruct)
     verb.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder (with capture.json)")
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
@@ -90,11 +90,11 @@ def _add_reconstruct(verbs: Any) -> None:
         default="metric",
         help="metric (ours, the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain)",
     )
-    _add_settings(verb)
+    add_settings(verb)
 
 
 def _add_separate(verbs: Any) -> None:
-    verb = _verb(verbs, "separate", "split images under fine patterns into direct and global light", run_separate)
+    verb = new_verb(verbs, "separate", "split images under fine patterns into direct and global light", run_separate)
     verb.add_argument("folder", type=Path, metavar="FOLDER", help="folder of images, with or without separation.json")
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
@@ -120,7 +120,7 @@ def _add_separate(verbs: Any) -> None:
         help="side of a check on the images: for one image, and for noisy checkerboards on skin (whose states are "
         "found in the images unless --patterns gives them)",
     )
-    verb.add_argument("--block", type=_natural, default=None, help="side of a block of the result, for one image")
+    verb.add_argument("--block", type=natural, default=None, help="side of a block of the result, for one image")
 
 
 def _add_train(verbs: Any) -> None:
@@ -128,43 +128,36 @@ def _add_train(verbs: Any) -> None:
     from splitknit.apps.train_shape_verb import add_shape_options  # noqa: PLC0415
     from splitknit.apps.train_verb import add_separation_options  # noqa: PLC0415
 
-    does = "train a network on simulated skin (needs torch)"
-    kinds = verbs.add_parser("train", help=does, description=does[0].upper() + does[1:] + ".").add_subparsers(
-        dest="kind", metavar="WHAT", title="networks", required=True
-    )
-    verb = _verb(kinds, "separation", "the thesis's U-Net, which separates direct light", run_train_separation)
+    kinds = _group(verbs, "train", "train a network on simulated skin (needs torch)")
+    verb = new_verb(kinds, "separation", "the thesis's U-Net, which separates direct light", run_train_separation)
     add_separation_options(verb)
-    verb = _verb(kinds, "relief", "the network of the preset metric, which draws relief and glare", run_train_relief)
+    verb = new_verb(kinds, "relief", "the network of the preset metric, which draws relief and glare", run_train_relief)
     add_relief_options(verb)
-    verb = _verb(kinds, "shape", "the network of the preset metric that mends the shape", run_train_shape)
+    verb = new_verb(kinds, "shape", "the network of the preset metric that mends the shape", run_train_shape)
     add_shape_options(verb)
 
 
-def _verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
-    verb: argparse.ArgumentParser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
-    verb.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
-    verb.add_argument("--traceback", action="store_true", help="show where an error came from")
-    verb.set_defaults(run=run)
-    return verb
+def _add_calibrate(verbs: Any) -> None:
+    _group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
+    # one line a kind: from splitknit.apps.calibrate_KIND_verb import add_KIND; add_KIND(kinds)
 
 
-def _add_settings(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="STAGE.FIELD=VALUE",
-        dest="assignments",
-        help="change one setting; may be repeated and wins over --settings",
-    )
-    verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
+def _add_rig(verbs: Any) -> None:
+    _group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
+    # one line a kind: from splitknit.apps.rig_KIND_verb import add_KIND; add_KIND(kinds)
+
+
+def _group(verbs: Any, name: str, does: str) -> Any:
+    """A verb that is followed by another."""
+    group = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+    return group.add_subparsers(dest="kind", metavar="WHAT", title="what", required=True)
 
 
 def run_demo(options: argparse.Namespace) -> Outcome:
     """Simulate, reconstruct, compare."""
     from splitknit.apps.demo import demo  # noqa: PLC0415 - verbs import what they need, so that --help is quick
 
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         facts = demo(options.out, seed=options.seed, scale=options.scale, progress=progress.update)
     figures = facts["comparison"]
     lines = [
@@ -186,7 +179,7 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.options import read_changes  # noqa: PLC0415
 
     changes = read_changes(options.settings, options.assignments)
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         facts = simulate_to_folder(
             options.out,
             seed=options.seed,
@@ -210,7 +203,7 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.options import read_changes  # noqa: PLC0415
 
     changes = read_changes(options.settings, options.assignments)
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         facts = reconstruct_to_folder(
             options.capture, options.out, preset=options.preset, changes=changes, progress=progress.update
         )
@@ -233,7 +226,7 @@ def run_separate(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.separate import separate_to_folder  # noqa: PLC0415
 
     names = ("method", "alpha", "dark", "patterns", "encoding", "check_px", "block")
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         facts = separate_to_folder(
             options.folder,
             options.out,
@@ -256,7 +249,7 @@ def run_train_separation(options: argparse.Namespace) -> Outcome:
     """Build the data set and train the network for direct light."""
     from splitknit.apps.train_verb import run_separation  # noqa: PLC0415
 
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         return run_separation(options, progress.update)
 
 
@@ -264,7 +257,7 @@ def run_train_relief(options: argparse.Namespace) -> Outcome:
     """Simulate the fingers and train the network for relief and glare."""
     from splitknit.apps.train_relief_verb import run_relief  # noqa: PLC0415
 
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         return run_relief(options, progress.update)
 
 
@@ -272,7 +265,7 @@ def run_train_shape(options: argparse.Namespace) -> Outcome:
     """Simulate and reconstruct the fingers, and train the network that mends the shape."""
     from splitknit.apps.train_shape_verb import run_shape  # noqa: PLC0415
 
-    with _Progress(options) as progress:
+    with Progress(options) as progress:
         return run_shape(options, progress.update)
 
 
@@ -314,54 +307,6 @@ def _fail(options: argparse.Namespace, message: str, code: int) -> int:
 
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or "no further words"
-
-
-def _natural(text: str) -> int:
-    value = int(text) if text.isascii() and text.isdigit() else -1
-    if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 0 to 2^63 - 1")
-    return value
-
-
-def _scale(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.05 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a number from 0.05 to 1")
-    return value
-
-
-class _Progress:
-    """A bar on a terminal; silence in a pipe and with ``--json``."""
-
-    def __init__(self, options: argparse.Namespace) -> None:
-        self._bar: Any = None
-        self._wanted = sys.stderr.isatty() and not options.json
-
-    def __enter__(self) -> _Progress:
-        if self._wanted:
-            from tqdm import tqdm  # noqa: PLC0415
-
-            self._bar = tqdm(
-                total=100,
-                leave=False,
-                bar_format="{desc:24.24s} |{bar}| {percentage:3.0f} % {elapsed}",
-                file=sys.stderr,
-            )
-        return self
-
-    def update(self, stage: str, share: float) -> None:
-        """Say that `stage` is at work and `share` (0 to 1) of everything is done."""
-        if self._bar is not None:
-            self._bar.set_description_str(stage, refresh=False)
-            self._bar.n = min(100.0, round(100.0 * share, 1))
-            self._bar.refresh()
-
-    def __exit__(self, *unused: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import os
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,11 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         }
         mask_pixels = None if plan.mask is None else reader.start([plan.mask], size, rig_name)[0]
         hashes = reader.finish()
-    bands = {key: _band(key, band, stacks[key], ambients.get(key)) for key, band in plan.bands.items()}
+    shading = plan.rig.camera.shading
+    bands = {
+        key: replace(_band(key, band, stacks[key], ambients.get(key)), shading=shading)
+        for key, band in plan.bands.items()
+    }
     for band in bands.values():
         check_content(band, settings.content)
     hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}

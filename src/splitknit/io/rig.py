@@ -56,6 +56,8 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
         entry: dict[str, Any] = {place: plain_json(getattr(led, place)), "intensity": led.intensity, "band": led.band}
         if led.lobe_exponent:
             entry["lobe_exponent"] = led.lobe_exponent
+        if led.aim is not None:
+            entry["aim"] = plain_json(led.aim)
         leds.append(plain_json(entry))
     return {
         "format": RIG_FORMAT,
@@ -67,6 +69,7 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             "height_mm": float(camera.height_mm),
             "matrix": plain_json(camera.matrix),
             "distortion": plain_json(camera.distortion),
+            **({"shading": plain_json(camera.shading)} if camera.shading else {}),
         },
         "leds": leds,
         "provenance": plain_json(rig.provenance),
@@ -116,6 +119,7 @@ def _camera(fields: Fields) -> Camera:
         model=model,
         matrix=_matrix(fields) if perspective or fields.has("matrix") else None,
         distortion=distortion,
+        shading=fields.numbers("shading", (0, 1, 2, 3, 4)) if fields.has("shading") else (),
     )
 
 
@@ -148,6 +152,7 @@ def _led(fields: Fields) -> Led:
             direction=_direction(fields) if distant else None,
             intensity=fields.number("intensity", 1e-9, 1e9, 1.0),
             lobe_exponent=fields.number("lobe_exponent", 0.0, 1000.0, 0.0),
+            aim=_aim(fields) if fields.has("aim") else None,
         )
     except BadInput as error:
         if str(error).startswith(fields.name):
@@ -159,6 +164,11 @@ def _position(fields: Fields) -> tuple[float, float, float]:
     x, y, z = fields.numbers("position_mm", (3,))
     if not z >= 1e-3:
         fields.refuse("position_mm", "a place above the finger plane (the third number positive)")
+    return x, y, z
+
+
+def _aim(fields: Fields) -> tuple[float, float, float]:
+    x, y, z = fields.numbers("aim", (3,))
     return x, y, z
 
 

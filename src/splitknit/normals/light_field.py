@@ -77,7 +77,7 @@ def _perspective(camera: Camera) -> View:
 def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
     """Light vectors (L, 3, ...) at points in mm: direction towards the light times its relative irradiance.
 
-    Near LEDs follow the inverse square of the distance and the cosine lobe about their direction to the origin. LEDs
+    Near LEDs follow the inverse square of the distance and the cosine lobe about their axes. LEDs
     that share an exposure add. As in :meth:`splitknit.types.Rig.light_vectors`, the mean length at the origin is one.
     """
     origin = np.zeros(1, dtype=np.float32)
@@ -111,7 +111,7 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
     distance = np.sqrt(square)
     strength = np.float32(led.intensity) * _UNIT_MM2 / (square * distance)
     if led.lobe_exponent > 0:
-        axis_unit = position / np.float32(np.linalg.norm(position))
+        axis_unit = -led.axis.astype(np.float32)
         cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
         strength *= np.maximum(cosine, np.float32(0.0)) ** np.float32(led.lobe_exponent)
     result *= strength

@@ -142,7 +142,8 @@ def _towards(
     lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
     strength = (led.intensity * UNIT) * inverse * inverse
     if led.lobe_exponent > 0.0:
-        distance = float(np.sqrt(px * px + py * py + pz * pz))
-        axis = np.maximum((lx * px + ly * py + lz * pz) / distance, 0.0)
-        strength = strength * axis**led.lobe_exponent
+        ax, ay, az = (-px, -py, -pz) if led.aim is None else led.aim
+        length = float(np.sqrt(ax * ax + ay * ay + az * az))
+        along = np.maximum(-(lx * ax + ly * ay + lz * az) / length, 0.0)
+        strength = strength * along**led.lobe_exponent
     return lx, ly, lz, strength

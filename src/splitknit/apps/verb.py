@@ -1,0 +1,84 @@
+"""What all verbs of the command line share: their options, what they return, and the progress bar."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Outcome = tuple[dict[str, Any], list[str]]
+"""Facts for ``--json``, and the same in lines for people."""
+
+
+def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
+    """Add the verb `name`; `does` is its one line of help, without a full stop."""
+    verb: argparse.ArgumentParser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+    verb.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+    verb.add_argument("--traceback", action="store_true", help="show where an error came from")
+    verb.set_defaults(run=run)
+    return verb
+
+
+def add_settings(verb: argparse.ArgumentParser) -> None:
+    """Add ``--set`` and ``--settings``."""
+    verb.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="STAGE.FIELD=VALUE",
+        dest="assignments",
+        help="change one setting; may be repeated and wins over --settings",
+    )
+    verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
+
+
+def natural(text: str) -> int:
+    """Read a whole number that is not negative (a type for argparse)."""
+    value = int(text) if text.isascii() and text.isdigit() else -1
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 0 to 2^63 - 1")
+    return value
+
+
+def scale(text: str) -> float:
+    """Read the size of images relative to the full frame (a type for argparse)."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.05 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a number from 0.05 to 1")
+    return value
+
+
+class Progress:
+    """A bar on a terminal; silence in a pipe and with ``--json``."""
+
+    def __init__(self, options: argparse.Namespace) -> None:  # noqa: D107 - a context manager
+        self._bar: Any = None
+        self._wanted = sys.stderr.isatty() and not options.json
+
+    def __enter__(self) -> Progress:
+        if self._wanted:
+            from tqdm import tqdm  # noqa: PLC0415
+
+            self._bar = tqdm(
+                total=100,
+                leave=False,
+                bar_format="{desc:24.24s} |{bar}| {percentage:3.0f} % {elapsed}",
+                file=sys.stderr,
+            )
+        return self
+
+    def update(self, stage: str, share: float) -> None:
+        """Say that `stage` is at work and `share` (0 to 1) of everything is done."""
+        if self._bar is not None:
+            self._bar.set_description_str(stage, refresh=False)
+            self._bar.n = min(100.0, round(100.0 * share, 1))
+            self._bar.refresh()
+
+    def __exit__(self, *unused: object) -> None:
+        if self._bar is not None:
+            self._bar.close()

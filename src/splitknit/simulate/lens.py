@@ -1,0 +1,65 @@
+"""The twin's lens: which way every pixel looks, and where a point appears.
+
+Written apart from the code that undoes it (:mod:`splitknit.view`). The distortion is the usual one of five coefficients
+k1, k2, p1, p2, k3 on normalised coordinates (Brown 1966; OpenCV's order), rows running down.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import Camera
+
+Array = NDArray[np.float64]
+
+
+def slopes_of_pixels(camera: Camera, columns: Array, rows: Array) -> tuple[Array, Array]:
+    """Direction of a perspective camera's rays: (x, y) in mm that they move sideways per mm downwards.
+
+    x right, y up; `columns` and `rows` broadcast. The ray of a pixel starts at (0, 0, height_mm).
+    """
+    fx, fy, cx, cy, skew = _matrix(camera)
+    v = (np.asarray(rows, dtype=np.float64) - cy) / fy
+    u = (np.asarray(columns, dtype=np.float64) - cx - skew * v) / fx
+    u, v = np.broadcast_arrays(u, v)
+    x, y = u.copy(), v.copy()
+    for _ in range(60):  # a contraction wherever a lens is invertible
+        moved_x, moved_y = _distorted(camera, x, y)
+        step_x, step_y = u - moved_x, v - moved_y
+        x, y = x + step_x, y + step_y
+        if max(float(np.abs(step_x).max(initial=0.0)), float(np.abs(step_y).max(initial=0.0))) < 1e-12:
+            break
+    return x, -y
+
+
+def pixels_of_points(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """Column and row at which points (mm, the rig's frame) appear to any camera; arrays broadcast."""
+    height, width = camera.image_size
+    if camera.model == "orthographic":
+        column = x * camera.px_per_mm + (width - 1) / 2 + 0.0 * z
+        return np.asarray(column), np.asarray((height - 1) / 2 - y * camera.px_per_mm + 0.0 * z)
+    fx, fy, cx, cy, skew = _matrix(camera)
+    depth = camera.height_mm - z
+    u, v = _distorted(camera, np.asarray(x / depth), np.asarray(-y / depth))
+    return fx * u + skew * v + cx, fy * v + cy
+
+
+def _matrix(camera: Camera) -> tuple[float, float, float, float, float]:
+    require(camera.model == "perspective", "only a perspective camera's rays spread.")
+    assert camera.matrix is not None
+    m = np.asarray(camera.matrix, dtype=np.float64)
+    return float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2]), float(m[0, 1])
+
+
+def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    given = tuple(camera.distortion or ())
+    require(len(given) <= 5, "the twin's lens knows the five coefficients k1, k2, p1, p2, k3.")
+    k1, k2, p1, p2, k3 = (*given, *(0.0,) * (5 - len(given)))
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
