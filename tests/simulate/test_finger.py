@@ -262,9 +262,11 @@ def test_the_population_stays_in_its_ranges() -> None:
 
 
 def test_bad_input_is_refused(finger: Finger, master: MasterPrint) -> None:
-    perspective = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
-    with pytest.raises(BadInput, match="orthographic"):
-        finger_surface(finger, Pose(), perspective, master=master)
+    wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
+    with pytest.raises(BadInput, match="sees nothing"):
+        finger_surface(finger, Pose(), wild, master=master)
+    with pytest.raises(BadInput, match="raise camera.height_mm"):
+        finger_surface(finger, Pose(), replace(wild, height_mm=4.0), master=master)
     with pytest.raises(BadInput, match="sees nothing"):
         finger_surface(finger, Pose(x_mm=200.0), CAMERA, master=master)
     with pytest.raises(BadInput, match="insertion_mm"):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from splitknit.check import require
 from splitknit.simulate.finger_shape import FingerBody, FingerShape
 from splitknit.simulate.landmarks import find_landmarks
+from splitknit.simulate.lens import picture_on_plane
 from splitknit.simulate.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulate.raycast import Placement, cast_block, hits
+from splitknit.simulate.raycast import NOTHING_SEEN, Placement, above, cast_block, hits
 from splitknit.simulate.skin_map import Crease, SkinSettings, skin_map
 from splitknit.simulate.surface import Surface
 from splitknit.types import Camera
@@ -61,7 +62,7 @@ class Pose:
     x_mm: float = 0.0
     """Where the middle of the distal phalanx lies beside the image centre."""
     insertion_mm: float = 32.0
-    """From the lower image border to the tip, along the rows."""
+    """From the lower image border to the tip, along the rows, as measured on the finger plane."""
     height_mm: float = 0.0
     """z of the highest point of the pad (shape without ridges): at 0 the finger plane touches the pad."""
 
@@ -167,11 +168,13 @@ def draw_finger(seed: int, pattern: str | None = None, *, print_settings: Master
 def finger_surface(
     finger: Finger, pose: Pose, camera: Camera, *, master: MasterPrint | None = None, workers: int = 2
 ) -> Surface:
-    """Show one posed finger to an orthographic camera.
+    """Show one posed finger to a camera.
 
-    Every pixel's ray is intersected with the smooth body and then with the displaced skin (distance from the body
-    equal to the displacement at that point of the chart); normals are the gradient of that implicit skin, so they are
-    those of the heights, exact at steep slants too, not differences of neighbours. The finger's frame and the pose are
+    The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
+    through the pixels, lens distortion included. Every pixel's ray is intersected with the smooth body and then with
+    the displaced skin (distance from the body equal to the displacement at that point of the chart); normals are the
+    gradient of that implicit skin, so they are those of the heights, exact at steep slants too, not differences of
+    neighbours. The finger's frame and the pose are
     those of :class:`Pose` and :mod:`splitknit.simulate.finger_shape`; a print made of this finger is the mirror image
     of what the camera sees.
 
@@ -185,13 +188,18 @@ def finger_surface(
     Raises
     ------
     BadInput
-        If the camera is not orthographic or sees nothing of the finger.
+        If the camera sees nothing of the finger, or a perspective camera does not stand above it.
     """
-    require(camera.model == "orthographic", "the simulated finger needs an orthographic camera.")
     body = FingerBody(finger.shape)
     master = master or finger.master()
     skin = skin_map(master, finger.skin)
     placement = place(body, pose, camera)
+    top = above(body, placement)
+    require(
+        camera.model == "orthographic" or camera.height_mm > top + 5.0,
+        f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs {top + 5.0:.1f} mm; "
+        "raise camera.height_mm.",
+    )
     box = hits(body, placement, camera)
     rows, columns = camera.image_size
     empty = np.full((rows, columns), np.nan, dtype=np.float32)
@@ -201,7 +209,9 @@ def finger_surface(
     relief = np.zeros((rows, columns), dtype=np.float32)
     pigment = np.ones((rows, columns), dtype=np.float32)
     chart = np.full((rows, columns, 2), np.nan, dtype=np.float32)
-    targets = (height, shape_height, normals, shape_normals, relief, pigment, chart)
+    targets = [height, shape_height, normals, shape_normals, relief, pigment, chart]
+    places = [np.full((rows, columns), np.nan, dtype=np.float32) for _ in range(2 * (camera.model == "perspective"))]
+    targets += places
 
     tall = 4 * max(4, 6000 // (box[1].stop - box[1].start))  # about 24000 pixels fit the cache
 
@@ -213,9 +223,11 @@ def finger_surface(
     with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
         list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
     mask = np.isfinite(height)
+    require(bool(mask.any()), NOTHING_SEEN)
     return Surface(
         camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
         find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
+        *places,
     )  # fmt: skip
 
 
@@ -233,8 +245,7 @@ def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
     turned = np.einsum("ij,nj->ni", rotation, points)
     middle = np.einsum("ij,j->i", rotation, body.axis_point(0.5 * shape.length_mm))
     tip = float(turned[:, 1].max())
-    lower_border = -0.5 * camera.image_size[0] / camera.px_per_mm
-    shift = np.array(
-        [pose.x_mm - middle[0], lower_border + pose.insertion_mm - tip, pose.height_mm - float(turned[:, 2].max())]
-    )
+    centre, lower_border, _ = picture_on_plane(camera)
+    right, up = centre + pose.x_mm - middle[0], lower_border + pose.insertion_mm - tip
+    shift = np.array([right, up, pose.height_mm - float(turned[:, 2].max())])
     return Placement(rotation, shift)

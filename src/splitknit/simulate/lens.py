@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.types import Camera
+from splitknit.types import Camera, FloatArray
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.float64] | NDArray[np.intp]
 
 
-def slopes_of_pixels(camera: Camera, columns: Array, rows: Array) -> tuple[Array, Array]:
+def slopes_of_pixels(camera: Camera, columns: Numbers, rows: Numbers) -> tuple[Array, Array]:
     """Direction of a perspective camera's rays: (x, y) in mm that they move sideways per mm downwards.
 
     x right, y up; `columns` and `rows` broadcast. The ray of a pixel starts at (0, 0, height_mm).
@@ -25,13 +26,54 @@ def slopes_of_pixels(camera: Camera, columns: Array, rows: Array) -> tuple[Array
     u = (np.asarray(columns, dtype=np.float64) - cx - skew * v) / fx
     u, v = np.broadcast_arrays(u, v)
     x, y = u.copy(), v.copy()
-    for _ in range(60):  # a contraction wherever a lens is invertible
-        moved_x, moved_y = _distorted(camera, x, y)
-        step_x, step_y = u - moved_x, v - moved_y
-        x, y = x + step_x, y + step_y
-        if max(float(np.abs(step_x).max(initial=0.0)), float(np.abs(step_y).max(initial=0.0))) < 1e-12:
-            break
+    miss = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(60 if any(camera.distortion or ()) else 0):  # a contraction wherever a lens is invertible
+            moved_x, moved_y = _distorted(camera, x, y)
+            step_x, step_y = u - moved_x, v - moved_y
+            x, y = x + step_x, y + step_y
+            miss = max(float(np.abs(step_x).max(initial=0.0)), float(np.abs(step_y).max(initial=0.0)))
+            if not 1e-12 <= miss < 1e3:
+                break
+    require(
+        miss < 1e-8,
+        f"the lens distortion {list(camera.distortion or ())} folds the picture over itself; give coefficients that "
+        "can be undone all over the picture.",
+    )
     return x, -y
+
+
+def picture_on_plane(camera: Camera) -> tuple[float, float, float]:
+    """Where the picture lies on the finger plane: x of its middle, y of its lower and of its upper border, in mm."""
+    rows, columns = camera.image_size
+    if camera.model == "orthographic":
+        return 0.0, -0.5 * rows / camera.px_per_mm, 0.5 * rows / camera.px_per_mm
+    middle = np.full(3, 0.5 * (columns - 1))
+    x, y = slopes_of_pixels(camera, middle, np.array([0.5 * (rows - 1), rows - 0.5, -0.5]))
+    return tuple(float(slope * camera.height_mm) for slope in (x[0], y[1], y[2]))  # type: ignore[return-value]
+
+
+def px_per_mm_at(camera: Camera, z_mm: float) -> float:
+    """Pixels per millimetre of what lies at the height `z_mm`, in the middle of the picture."""
+    if camera.model == "orthographic":
+        return camera.px_per_mm
+    fx, fy, *_ = _matrix(camera)
+    return float(np.sqrt(fx * fy)) / (camera.height_mm - z_mm)
+
+
+def fall_off(camera: Camera) -> FloatArray:
+    """(H, W) share of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of `camera.shading`.
+
+    r is the distance from the picture's centre over half its diagonal.
+    """
+    rows, columns = camera.image_size
+    down = (np.arange(rows) - 0.5 * (rows - 1))[:, None]
+    right = (np.arange(columns) - 0.5 * (columns - 1))[None, :]
+    squared = (down * down + right * right) / (0.25 * (rows * rows + columns * columns))
+    share = np.zeros_like(squared)
+    for coefficient in reversed(camera.shading):
+        share = (share + coefficient) * squared
+    return np.asarray(1.0 + share, dtype=np.float32)
 
 
 def pixels_of_points(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.diffusion import fresnel
+from splitknit.simulate.lens import px_per_mm_at, slopes_of_pixels
 from splitknit.simulate.surface import Surface
 from splitknit.types import Camera, FloatArray, Led
 
@@ -23,13 +24,24 @@ class Patch:
     window: tuple[slice, slice]
     mask: NDArray[np.bool_]
     x: FloatArray
-    """(1, w) mm."""
+    """(1, w) mm; (h, w) for a perspective camera."""
     y: FloatArray
-    """(h, 1) mm."""
+    """(h, 1) mm; (h, w) for a perspective camera."""
     z: FloatArray
     nx: FloatArray
     ny: FloatArray
     nz: FloatArray
+    view: tuple[FloatArray, FloatArray, FloatArray] | None
+    """(h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)."""
+    nv: FloatArray
+    """Cosine between the normal and the direction to the camera."""
+    px_per_mm: float
+    """On the surface, at its mean distance."""
+
+    @property
+    def pitch_mm(self) -> float:
+        """Size of one pixel on the surface."""
+        return 1.0 / self.px_per_mm
 
 
 def finger_window(surface: Surface, margin: int = 8) -> tuple[slice, slice]:
@@ -47,30 +59,45 @@ def cut_out(surface: Surface) -> Patch:
     """Return the part of `surface` inside its window."""
     window = finger_window(surface)
     mask = np.ascontiguousarray(surface.mask[window])
+    z = np.where(mask, surface.height_mm[window], 0).astype(np.float32)
+    nx, ny, nz = (np.ascontiguousarray(surface.normals[window][..., axis]) for axis in range(3))
+    x, y = _places(surface, window)
+    if surface.camera.model == "orthographic":
+        return Patch(window, mask, x, y, z, nx, ny, nz, view=None, nv=nz, px_per_mm=surface.camera.px_per_mm)
+    up = surface.camera.height_mm - z
+    inverse = 1.0 / np.sqrt(x * x + y * y + up * up)
+    view = (-x * inverse, -y * inverse, up * inverse)
+    nv = nx * view[0] + ny * view[1] + nz * view[2]
+    px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
+    return Patch(window, mask, x, y, z, nx, ny, nz, view=view, nv=nv, px_per_mm=px_per_mm)
+
+
+def _places(surface: Surface, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+    """x and y (mm) of the points that the pixels of the window show, zero beside the finger of a perspective camera."""
+    if surface.x_mm is not None and surface.y_mm is not None:
+        inside = surface.mask[window]
+        x, y = (np.where(inside, place[window], 0).astype(np.float32) for place in (surface.x_mm, surface.y_mm))
+        return x, y
     height, width = surface.mask.shape
     pitch = surface.camera.pitch_mm
     columns = np.arange(window[1].start, window[1].stop, dtype=np.float64)
     rows = np.arange(window[0].start, window[0].stop, dtype=np.float64)
-    normals = surface.normals[window]
-    return Patch(
-        window=window,
-        mask=mask,
-        x=((columns - (width - 1) / 2) * pitch).astype(np.float32)[None, :],
-        y=(((height - 1) / 2 - rows) * pitch).astype(np.float32)[:, None],
-        z=np.where(mask, surface.height_mm[window], 0).astype(np.float32),
-        nx=np.ascontiguousarray(normals[..., 0]),
-        ny=np.ascontiguousarray(normals[..., 1]),
-        nz=np.ascontiguousarray(normals[..., 2]),
+    return (
+        ((columns - (width - 1) / 2) * pitch).astype(np.float32)[None, :],
+        (((height - 1) / 2 - rows) * pitch).astype(np.float32)[:, None],
     )
 
 
 def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> FloatArray:
-    """(H, W) radiance of a white Lambertian card at height `z_mm`, facing the camera, evaluated every `step` pixels."""
+    """(H, W) radiance of a white Lambertian card at height `z_mm`, facing upwards, evaluated every `step` pixels."""
     height, width = camera.image_size
     rows = np.linspace(0, height - 1, max(height // step, 2))
     columns = np.linspace(0, width - 1, max(width // step, 2))
-    x = ((columns - (width - 1) / 2) / camera.px_per_mm)[None, :]
-    y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
+    if camera.model == "perspective":
+        x, y = ((camera.height_mm - z_mm) * s for s in slopes_of_pixels(camera, columns[None, :], rows[:, None]))
+    else:
+        x = ((columns - (width - 1) / 2) / camera.px_per_mm)[None, :]
+        y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
     total = np.zeros((rows.size, columns.size))
     for one in (led, *led.also):
         _, _, lz, strength = _towards(one, x, y, np.full_like(total, z_mm))
@@ -109,13 +136,15 @@ def _ggx(
     cosine: NDArray[np.floating],
     alpha: float,
 ) -> NDArray[np.floating]:
-    """D G F / (4 n.v) for a viewer along z; zero in the attached shadow."""
+    """D G F / (4 n.v) towards the viewer; zero in the attached shadow."""
     lx, ly, lz = light
-    # half vector between the light and (0, 0, 1): |l + v| = sqrt(2 + 2 lz)
-    inverse = 1.0 / np.sqrt(2.0 + 2.0 * lz)
-    nh = np.clip((lx * patch.nx + ly * patch.ny + (lz + 1.0) * patch.nz) * inverse, 0.0, 1.0)
-    vh = (lz + 1.0) * inverse
-    nv = np.clip(patch.nz, 1e-3, 1.0)
+    # half vector between the light and the viewer: |l + v| = sqrt(2 + 2 l.v)
+    vx, vy, vz = (np.float32(0), np.float32(0), np.float32(1)) if patch.view is None else patch.view
+    lv = lz if patch.view is None else lx * vx + ly * vy + lz * vz
+    inverse = 1.0 / np.sqrt(2.0 + 2.0 * lv)
+    nh = np.clip(((lx + vx) * patch.nx + (ly + vy) * patch.ny + (lz + vz) * patch.nz) * inverse, 0.0, 1.0)
+    vh = (lv + 1.0) * inverse
+    nv = np.clip(patch.nv, 1e-3, 1.0)
     squared = alpha * alpha
     below = nh * nh * (squared - 1.0) + 1.0
     distribution = squared / (np.pi * below * below)

@@ -8,6 +8,7 @@ import numpy as np
 
 from splitknit.check import require
 from splitknit.simulate.finger import Pose
+from splitknit.simulate.lens import picture_on_plane
 from splitknit.types import Camera
 
 
@@ -43,11 +44,12 @@ class PoseRanges:
                 self.height_mm,
             )
         )
+        _, lower, upper = picture_on_plane(camera)
         return Pose(
             yaw_rad=float(np.deg2rad(yaw)),
             pitch_rad=float(np.deg2rad(pitch)),
             roll_rad=float(np.deg2rad(roll)),
             x_mm=x,
-            insertion_mm=min(insertion, camera.image_size[0] / camera.px_per_mm - 0.6),
+            insertion_mm=min(insertion, upper - lower - 0.6),
             height_mm=height,
         )

@@ -1,4 +1,4 @@
-"""Rays of an orthographic camera against the smooth finger and its displaced skin."""
+"""A camera's rays against the smooth finger and its displaced skin."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.finger_shape import FingerBody
+from splitknit.simulate.rays import Rays, rays_of
 from splitknit.simulate.rootfind import first_root, polish
 from splitknit.simulate.skin_map import SkinMap
 from splitknit.types import Camera
@@ -16,6 +17,9 @@ from splitknit.types import Camera
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Triple = tuple[Array, Array, Array]
+
+
+NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the image size."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,10 +52,10 @@ def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice,
     rows, columns = camera.image_size
     step = max(1, int(0.4 * camera.px_per_mm))
     some_rows, some_columns = np.arange(0, rows + step, step), np.arange(0, columns + step, step)
-    x, y = _pixel_grid(camera, some_rows, some_columns)
-    _, hit = _meet_body(body, placement, x.ravel(), y.ravel(), np.full(x.size, _above(body, placement)))
-    seen = hit.reshape(x.shape)
-    require(bool(seen.any()), "the camera sees nothing of the finger; change the pose or the image size.")
+    rays = rays_of(camera, some_rows, some_columns)
+    _, hit = _meet_body(body, placement, rays, np.full(rays.x.size, above(body, placement)))
+    seen = hit.reshape(some_rows.size, some_columns.size)
+    require(bool(seen.any()), NOTHING_SEEN)
     margin = 2 * step
     first_row, last_row = some_rows[seen.any(axis=1)][[0, -1]]
     first_column, last_column = some_columns[seen.any(axis=0)][[0, -1]]
@@ -64,28 +68,33 @@ def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice,
 def cast_block(
     body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, block: tuple[slice, slice]
 ) -> tuple[Array32, ...]:
-    """Height, shape height, normals, shape normals, relief (um), pigment and chart of a block of pixels."""
-    grid_x, grid_y = _pixel_grid(camera, _range(block[0]), _range(block[1]))
-    shape = grid_x.shape
-    z_shape, hit = _meet_body(
-        body, placement, grid_x.ravel(), grid_y.ravel(), _first_guess(body, placement, camera, block)
-    )
+    """Height, shape height, normals, shape normals, relief (um), pigment and chart of a block of pixels.
+
+    A perspective camera's block also has x and y of the skin (mm): the grid does not tell them.
+    """
+    shape = (block[0].stop - block[0].start, block[1].stop - block[1].start)
+    rays = rays_of(camera, _range(block[0]), _range(block[1]))
+    z_shape, hit = _meet_body(body, placement, rays, _first_guess(body, placement, camera, block))
     index = np.nonzero(hit)[0]
-    x, y, z_shape = grid_x.ravel()[index], grid_y.ravel()[index], z_shape[index]
-    _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(x, y, z_shape))
+    rays, z_shape = rays.some(index), z_shape[index]
+    _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(*rays.at(z_shape)))
     shape_normals = placement.normal_to_camera(gx, gy, gz)
-    z, valid = _meet_skin(body, skin, placement, (x, y, z_shape), shape_normals[:, 2])
-    index, x, y, z = index[valid], x[valid], y[valid], z[valid]
+    z, valid = _meet_skin(body, skin, placement, rays, z_shape, rays.along(shape_normals))
+    index, rays, z = index[valid], rays.some(valid), z[valid]
+    x, y, z = rays.at(z)
     normals, relief, u, v = _skin_normals(body, skin, placement, (x, y, z))
+    rays.turn_to_view(normals)  # a few rays that only touch a ridge: no visible skin faces away
 
     def spread(values: Array | Array32, empty: float) -> Array32:
         full = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=np.float32)
         full[index] = values
         return full.reshape(*shape, *values.shape[1:])
 
+    places = () if rays.slopes is None else (spread(x, np.nan), spread(y, np.nan))
     return (
         spread(z, np.nan), spread(z_shape[valid], np.nan), spread(normals, 0.0), spread(shape_normals[valid], 0.0),
         spread(1e3 * relief, 0.0), spread(skin.pigment_at(u, v), 1.0), spread(np.stack([u, v], -1), np.nan),
+        *places,
     )  # fmt: skip
 
 
@@ -93,14 +102,7 @@ def _range(part: slice) -> NDArray[np.intp]:
     return np.arange(part.start, part.stop)
 
 
-def _pixel_grid(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> tuple[Array, Array]:
-    x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
-    y = ((camera.image_size[0] - 1) / 2 - rows) / camera.px_per_mm
-    grid_x, grid_y = np.meshgrid(x, y)
-    return grid_x, grid_y
-
-
-def _above(body: FingerBody, placement: Placement) -> float:
+def above(body: FingerBody, placement: Placement) -> float:
     """A height over every point of the finger."""
     return float(placement.shift[2]) + 0.62 * body.shape.thickness_mm + 2.0
 
@@ -111,10 +113,10 @@ def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: 
     rows, columns = _range(block[0]), _range(block[1])
     some_rows = np.arange(rows[0], rows[-1] + step + 1, step)
     some_columns = np.arange(columns[0], columns[-1] + step + 1, step)
-    x, y = _pixel_grid(camera, some_rows, some_columns)
-    high = _above(body, placement)
-    z, hit = _meet_body(body, placement, x.ravel(), y.ravel(), np.full(x.size, high))
-    z = np.where(hit, z, np.nan).reshape(x.shape)
+    rays = rays_of(camera, some_rows, some_columns)
+    high = above(body, placement)
+    z, hit = _meet_body(body, placement, rays, np.full(rays.x.size, high))
+    z = np.where(hit, z, np.nan).reshape(some_rows.size, some_columns.size)
     i, fi = np.divmod(rows - rows[0], step)
     j, fj = np.divmod(columns - columns[0], step)
     down, right = (fi / step)[:, None], (fj / step)[None, :]
@@ -126,17 +128,15 @@ def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: 
     return np.asarray(guess.ravel(), dtype=np.float64)
 
 
-def _meet_body(
-    body: FingerBody, placement: Placement, x: Array, y: Array, start: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Newton from above: the front intersection with a body that is convex along every ray."""
-    ray = placement.rotation[2]
+def _meet_body(body: FingerBody, placement: Placement, rays: Rays, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Newton from above: heights of the front intersection with a body that is convex along every ray."""
     z = start.copy()
-    settled = np.zeros(x.shape, dtype=np.bool_)
-    active = np.arange(x.size)
+    settled = np.zeros(z.shape, dtype=np.bool_)
+    active = np.arange(z.size)
     for _ in range(24):
-        value, gx, gy, gz = body.value_and_gradient(*placement.to_finger(x[active], y[active], z[active]))
-        slope = gx * ray[0] + gy * ray[1] + gz * ray[2]
+        here = rays.some(active)
+        value, *gradient = body.value_and_gradient(*placement.to_finger(*here.at(z[active])))
+        slope = here.rise(placement.rotation, gradient[0], gradient[1], gradient[2])
         step = value / np.maximum(slope, 1e-12)
         ahead = slope > 1e-4
         z[active] -= np.where(ahead, step, 0.0)
@@ -148,24 +148,26 @@ def _meet_body(
     return z, settled
 
 
-def _meet_skin(
-    body: FingerBody, skin: SkinMap, placement: Placement, start: Triple, facing: Array
+def _meet_skin(  # noqa: PLR0917
+    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, z0: Array, facing: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met it.
 
     The search for the first intersection runs on a quadratic model of distance and chart along the ray; a last
     iteration uses the exact ones. Where the skin is steep, the first steps are too short to pass an intersection.
+    `z0` are the heights of the smooth skin; `facing` tells how fast the distance from it grows per mm of height.
     """
-    x, y, z0 = start
-    model = _ray_model(body, placement, start, facing)
-    bound = np.where(facing < 0.75, facing + 0.9 * np.sqrt(1.0 - np.minimum(facing, 1.0) ** 2), facing)
+    model = _ray_model(body, placement, rays, z0, facing)
+    length = rays.length()
+    cosine = np.minimum(facing / length, 1.0)
+    bound = np.where(cosine < 0.75, facing + 0.9 * length * np.sqrt(1.0 - cosine**2), facing)
 
     def along_model(which: NDArray[np.intp], depth: Array) -> Array:
         d, u, v = (c[0][which] + depth * (c[1][which] + depth * c[2][which]) for c in model)
         return d - skin.displacement(u, v)
 
     def exact(which: NDArray[np.intp], depth: Array) -> Array:
-        d, u, v = body.distance_and_chart(*placement.to_finger(x[which], y[which], z0[which] - depth))
+        d, u, v = body.distance_and_chart(*placement.to_finger(*rays.some(which).at(z0[which] - depth)))
         return d - skin.displacement(u, v)
 
     clearance = -0.008 / np.maximum(facing, 0.02)
@@ -179,12 +181,11 @@ def _meet_skin(
 
 
 def _ray_model(
-    body: FingerBody, placement: Placement, start: Triple, facing: Array
+    body: FingerBody, placement: Placement, rays: Rays, z0: Array, facing: Array
 ) -> list[tuple[Array, Array, Array]]:
     """Quadratics in the depth under the smooth skin for distance, u and v along every ray."""
-    x, y, z0 = start
     step = 0.05 / np.maximum(facing, 0.2)
-    samples = [body.distance_and_chart(*placement.to_finger(x, y, z0 - k * step)) for k in range(3)]
+    samples = [body.distance_and_chart(*placement.to_finger(*rays.at(z0 - k * step))) for k in range(3)]
     model = []
     for first, second, third in zip(*samples, strict=True):
         curve = (0.5 * (third - 2.0 * second + first)) / (step * step)
@@ -206,7 +207,4 @@ def _skin_normals(
         there, there_u, there_v = body.distance_and_chart(x + dx, y + dy, z + dz)
         gradient.append(((there - distance) - along_u * (there_u - u) - along_v * (there_v - v)) / step)
     normals = placement.normal_to_camera(gradient[0], gradient[1], gradient[2])
-    grazing = normals[:, 2] < 1e-3  # a few rays that only touch a ridge: no visible skin faces away
-    normals[grazing, 2] = 1e-3
-    normals[grazing] /= np.sqrt((normals[grazing] ** 2).sum(axis=1, keepdims=True))
     return normals, relief, u, v

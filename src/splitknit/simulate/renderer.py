@@ -100,7 +100,7 @@ def render_band(
     """
     settings = settings or RenderSettings()
     patch = cut_out(surface)
-    pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
+    pitch_mm, reach_mm = patch.pitch_mm, settings.reach_mm
     blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness, rim=settings.rim_exponent)
     gains = list(relief_gains(surface, patch, optics, settings))
     shape = patch.mask.shape
@@ -133,7 +133,7 @@ def render_ambient(
     """
     settings = settings or RenderSettings()
     patch = cut_out(surface)
-    pitch_mm, reach_mm = surface.camera.pitch_mm, settings.reach_mm
+    pitch_mm, reach_mm = patch.pitch_mm, settings.reach_mm
     blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness, rim=settings.rim_exponent)
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + patch.nz), 0)
     gains = relief_gains(surface, patch, optics, settings)
@@ -171,7 +171,7 @@ class Diffusion:
             scipy.fft.next_fast_len(mask.shape[1] + self.before[1] + self.after[1] + reach, True),
         )
         self.transfers = [p.transfer_grid(self.fft_shape, pitch_mm) for p in profiles]
-        emergence = np.sqrt(patch.nz**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nz**2))
+        emergence = np.sqrt(patch.nv**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nv**2))
         out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
         covered = list(self.spread(self.pad(mask.astype(np.float32))))
         self.out = []
@@ -205,7 +205,7 @@ def relief_gains(
     surface: Surface, patch: Patch, optics: Sequence[ChannelOptics], settings: RenderSettings
 ) -> Iterator[FloatArray]:
     """(h, w) for each channel: pigment times 1 + k h, h the band-passed relief in um."""
-    px_per_mm = surface.camera.px_per_mm
+    px_per_mm = patch.px_per_mm
     inside = patch.mask.astype(np.float32)
     relief = np.where(patch.mask, surface.relief_um[patch.window], 0).astype(np.float32)
 

@@ -10,11 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.types import FloatArray, PixelArray
+from splitknit.types import Camera, FloatArray, PixelArray
 
 RESPONSE: Mapping[str, tuple[float, float, float]] = {"white": (0.90, 1.00, 0.47), "nir": (1.00, 0.98, 0.97)}
 """Signal of the red, green and blue pixels, relative: a white card under a white LED of 5000 K (CIE LED-B3 through the
 IMX219's quantum efficiency), and under 850 nm, where the colour filters are transparent."""
+FULL_SIZE = (2200, 3200)
+"""Rows and columns of the full frame."""
+FULL_PX_PER_MM = 75.7
+"""Of the thesis's rig, full frame."""
 ROWS_AT_A_TIME = 64
 
 
@@ -46,6 +50,22 @@ class SensorSettings:
         require(8 <= self.raw_bits <= 16, f"sensor.raw_bits must be 8 to 16, but it is {self.raw_bits}.")
         require(self.bits in (8, 16), f"sensor.bits must be 8 or 16, but it is {self.bits}.")
         require(self.encoding in ("linear", "srgb"), f"sensor.encoding '{self.encoding}' is not known.")
+
+
+def binning_scale(camera: Camera) -> float:
+    """Side of the sensor's pixels over side of a picture's pixels: 1 = full resolution, 0.5 = 2 x 2 binned.
+
+    A picture of the full frame's form (2200 x 3200) is the whole frame: its columns tell, whatever the lens and the
+    distance. Any other picture is a cut-out, and its px_per_mm tells, as though the lens were the thesis's; a camera
+    that shows more detail than that is not binned.
+    """
+    rows, columns = camera.image_size
+    by_pitch = camera.px_per_mm / FULL_PX_PER_MM
+    by_size = columns / FULL_SIZE[1]
+    whole = abs(rows - FULL_SIZE[0] * by_size) <= 1.0
+    if whole and abs(by_pitch - by_size) * FULL_SIZE[1] > 1.0:  # else the two are the same but for whole pixels
+        return min(by_size, 1.0)
+    return min(by_pitch, 1.0)
 
 
 def record(

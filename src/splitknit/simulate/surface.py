@@ -6,12 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from splitknit.check import require
 from splitknit.types import BoolArray, Camera, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """One posed finger on the camera's pixel grid (orthographic view along -z)."""
+    """One posed finger on the camera's pixel grid: each pixel's values belong to the first point that its ray meets.
+
+    Heights are z in the rig's frame and normals are vectors of that frame, whatever the camera.
+    """
 
     camera: Camera
     height_mm: FloatArray
@@ -30,3 +34,13 @@ class Surface:
     """(H, W) multiplier of the diffuse reflectance (creases and pores are darker), one on plain skin."""
     landmarks: Mapping[str, Any] = field(default_factory=dict)
     """What the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in pixels."""
+    x_mm: FloatArray | None = None
+    """(H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera, whose grid tells."""
+    y_mm: FloatArray | None = None
+    """(H, W) y of the same points."""
+
+    def __post_init__(self) -> None:
+        require(
+            (self.x_mm is None) == (self.y_mm is None) == (self.camera.model == "orthographic"),
+            "a surface needs x_mm and y_mm where its camera is perspective, and neither where it is orthographic.",
+        )

@@ -14,7 +14,7 @@ from splitknit.simulate.surface import Surface
 
 
 def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
-    """Heights, normals, mask, relief and landmarks."""
+    """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and y, and its lens."""
     truth: dict[str, NDArray[Any]] = {
         "height_mm": surface.height_mm,
         "shape_mm": surface.shape_mm,
@@ -23,6 +23,8 @@ def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
         "relief_um": surface.relief_um,
         "pitch_mm": np.array(surface.camera.pitch_mm),
     }
+    if surface.x_mm is not None and surface.y_mm is not None:
+        truth |= {"x_mm": surface.x_mm, "y_mm": surface.y_mm} | _flat("camera", asdict(surface.camera))
     return truth | _flat("landmark", surface.landmarks)
 
 

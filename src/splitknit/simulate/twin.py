@@ -15,17 +15,16 @@ from splitknit.simulate.background import BackgroundSettings, background_albedo,
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.diffusion import WalkTable, load_walks
 from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulate.lens import fall_off, px_per_mm_at
 from splitknit.simulate.lighting import finger_window, white_card
 from splitknit.simulate.pose_ranges import PoseRanges
 from splitknit.simulate.renderer import BandLight, RenderSettings, render_ambient, render_band
 from splitknit.simulate.rig import default_rig
-from splitknit.simulate.sensor import SensorSettings, record
+from splitknit.simulate.sensor import SensorSettings, binning_scale, record
 from splitknit.simulate.skin import BAND_CHANNELS, SkinRanges, SkinSettings
 from splitknit.simulate.surface import Surface
 from splitknit.simulate.truth import optics_truth, surface_truth
 from splitknit.types import Band, Capture, FloatArray, Led, PixelArray, Rig
-
-FULL_PX_PER_MM = 75.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +32,13 @@ class TwinSettings:
     """One simulated capture."""
 
     scale: float = 0.5
-    """Size of the images relative to the full frame of 2200 x 3200 pixels."""
+    """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is given."""
+    rig: Rig | None = None
+    """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
+    `scale`, `rig_seed` and `intensity_spread`."""
+    sensor_scale: float | None = None
+    """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
+    binned. None: as :func:`splitknit.simulate.sensor.binning_scale` tells it of the camera."""
     rig_seed: int | None = 0
     """Seed of the LEDs' individual intensities; None makes them equal."""
     intensity_spread: float = 0.1
@@ -45,6 +50,12 @@ class TwinSettings:
     render: RenderSettings = field(default_factory=RenderSettings)
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
     sensor: SensorSettings = field(default_factory=SensorSettings)
+
+    def __post_init__(self) -> None:
+        require(
+            self.sensor_scale is None or 0.0 < self.sensor_scale <= 1.0,
+            f"twin.sensor_scale must lie in (0, 1] or be None, but it is {self.sensor_scale}.",
+        )
 
 
 def simulate_capture(
@@ -76,7 +87,7 @@ def simulate_capture(
     """
     settings = settings or TwinSettings()
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
-    rig = default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
+    rig = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
     finger = finger or draw_finger(seed, pattern)
     person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
@@ -108,7 +119,7 @@ def photograph(
     rig : LEDs of the bands ``white`` and ``nir``; each lights one image
     skin : optics of the finger
     seed : of background and noise
-    settings : only `render`, `background` and `sensor` are used here
+    settings : only `render`, `background`, `sensor` and `sensor_scale` are used here
     walks : table of random walks; None loads the shipped one
 
     Returns
@@ -160,11 +171,15 @@ class _Scene:
         self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
         self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
         self.shade = hand_shadow(rig.camera, settings.background)
-        self.scale = rig.camera.px_per_mm / FULL_PX_PER_MM
+        self.scale = settings.sensor_scale or binning_scale(rig.camera)
+        self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
         self.blur = self._blur()
 
     def photograph(self, name: str, seed: np.random.SeedSequence) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
-        """Images of one band, the glare (L, H, W) in the images' units, and the exposure (one number)."""
+        """Images of one band, the glare (L, H, W) in the images' units, and the exposure (one number).
+
+        Glare and exposure are those of the middle of the lens: what the images are divided by its fall-off.
+        """
         members = [k for k, led in enumerate(self.rig.leds) if led.band == name]
         leds = [self.rig.leds[k] for k in members]
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
@@ -172,7 +187,8 @@ class _Scene:
         light = render_band(
             self.surface, leds, optics, roughness=skin.roughness, glare=skin.glare, walks=self.walks, settings=render
         )
-        exposure = np.float32(self.settings.sensor.exposure / _brightest(light.diffuse))
+        fallen = None if self.fall_off is None else self.fall_off[light.window]
+        exposure = np.float32(self.settings.sensor.exposure / _brightest(light.diffuse, fallen))
         ambient = self._ambient(name, leds)
         seeds = seed.spawn(len(leds) + 1)
         height, width = self.rig.camera.image_size
@@ -195,6 +211,7 @@ class _Scene:
             exposure=np.ones(len(leds)),
             black_level=np.zeros(len(leds)),
             ambient=dark,
+            shading=self.rig.camera.shading,
         )
         return band, glare, np.array(float(exposure))
 
@@ -241,11 +258,13 @@ class _Scene:
         near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
         z = np.where(self.surface.mask, z, near)
         focus = top - render.focus_depth_mm
-        return blur_sigma_px(z, focus, camera.height_mm, render.aperture_mm, camera.px_per_mm)
+        return blur_sigma_px(z, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
 
     def _record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
         if self.blur is not None:
             frame = defocus(frame, self.blur)
+        if self.fall_off is not None:
+            frame = frame * self.fall_off[..., None]
         return record(frame, name, seed, self.settings.sensor, self.scale)
 
 
@@ -254,8 +273,10 @@ def _stack(images: list[PixelArray]) -> PixelArray:
     return stacked
 
 
-def _brightest(diffuse: FloatArray) -> float:
-    """The 99.9th percentile of the diffuse light over all lights, in the channel where it is highest."""
+def _brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
+    """99.9th percentile of the diffuse light behind the lens over all lights, in the channel where it is highest."""
     sample = diffuse[:, :, ::4, ::4]
+    if fall_off is not None:
+        sample = sample * fall_off[::4, ::4]
     values = [np.percentile(sample[:, c][sample[:, c] > 0], 99.9) for c in range(sample.shape[1])]
     return float(max(values))
