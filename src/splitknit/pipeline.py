@@ -13,9 +13,11 @@ from typing import Any
 from splitknit.check import BadInput, require
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PRESETS, PipelineSettings
+from splitknit.recipe.rays import as_modelled
 from splitknit.recipe.result import assemble
+from splitknit.recipe.skin import metric_skin
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.recipe.surfaces import metric_opaque, metric_skin, thesis
+from splitknit.recipe.surfaces import metric_opaque, thesis
 from splitknit.settings import override
 from splitknit.types import Capture, Reconstruction
 
@@ -68,6 +70,7 @@ def reconstruct(
     """
     chosen = settings if isinstance(settings, PipelineSettings) else override(preset_settings(preset), settings or {})
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    capture = as_modelled(capture, chosen)
     watch = Stopwatch(progress)
     finger = find_finger(capture, chosen, watch)
     if chosen.method == "thesis":
@@ -77,7 +80,7 @@ def reconstruct(
     else:
         surface = metric_opaque(capture, finger, chosen, watch)
     with watch("result"):
-        result = assemble(capture, finger, surface)
+        result = assemble(capture, finger, surface, chosen)
     return replace(
         result,
         preset=preset,

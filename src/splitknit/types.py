@@ -235,6 +235,11 @@ class Reconstruction:
     upright_size: tuple[int, int]
     """Rows, columns of the upright frame."""
     preset: str
+    x_mm: FloatArray | None = None
+    """(H, W) x of the surface point that each pixel sees, NaN outside the mask; None where the camera's rays are
+    parallel and the pixels lie at their pitch."""
+    y_mm: FloatArray | None = None
+    """(H, W) y, likewise."""
     uncertainty_um: FloatArray | None = None
     """(H, W) standard deviation of the relief where the skin's blur was inverted, NaN outside the mask."""
     settings: Mapping[str, Any] = field(default_factory=dict)

@@ -1,22 +1,159 @@
-"""Where every pixel of a calibrated camera looks.
+"""Where every pixel of a calibrated camera looks, and surfaces along its rays.
 
 A camera stands at (0, 0, height) of the rig's frame and looks down. An orthographic camera's rays are parallel; a
 perspective camera's pass through its centre, lens distortion taken off, and meet the finger plane (z = 0) where this
 module says.
+
+Surfaces *along the rays*: with D the camera's height and r the distance of a surface point from the camera's centre,
+h = D log(D / r) plays the part that the height plays under parallel rays. In the frame that is turned so that the
+pixel's ray is its z axis, the slopes of the surface are the derivatives of h by the angle times D. So everything that
+is known about slopes and light under parallel rays holds, each pixel in its own frame.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 
 from splitknit.check import require
-from splitknit.types import Camera
+from splitknit.types import Camera, FloatArray
 
 Points = NDArray[np.float64]
+Axis = NDArray[np.float64]
+
+LATTICE_PX = 16
+"""Distortion is computed at every so many pixels and interpolated by cubic splines."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Where on the finger plane (z = 0) every pixel looks, and how its ray runs."""
+
+    x_mm: Axis
+    """(W,) or (H, W)."""
+    y_mm: Axis
+    """(H,) or (H, W)."""
+    apex_mm: float | None = None
+    """Height of the camera's centre, through which all rays pass; None for parallel rays."""
+    along_rays: bool = False
+    """Whether heights are those along the rays (see above) and vectors are turned into each pixel's frame; otherwise
+    heights are z and vectors are those of the rig's frame."""
+
+    def on_plane(self, chunk: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """x and y on the finger plane of the pixels of some rows, to be broadcast to (h, W)."""
+        x = (self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]).astype(np.float32)
+        y = (self.y_mm[chunk, None] if self.y_mm.ndim == 1 else self.y_mm[chunk]).astype(np.float32)
+        return x, y
+
+    def points(self, height_mm: FloatArray, chunk: slice = slice(None)) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y and z (h, W) of the surface points that the pixels of some rows see."""
+        x, y = self.on_plane(chunk)
+        if self.apex_mm is None:
+            return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape), height_mm
+        apex = np.float32(self.apex_mm)
+        if not self.along_rays:
+            nearer = np.float32(1.0) - height_mm / apex
+            return x * nearer, y * nearer, height_mm
+        # r over the distance at which the ray meets the plane
+        nearer = np.exp(-height_mm / apex) / np.sqrt(np.float32(1.0) + (x * x + y * y) / (apex * apex))
+        return x * nearer, y * nearer, apex * (np.float32(1.0) - nearer)
+
+    def turned(self, vectors: FloatArray, chunk: slice = slice(None), where: Any = None) -> FloatArray:
+        """Vectors (L, 3, h, W), or (L, 3, n) at the pixels `where` (h, W) of some rows, in the pixels' own frames."""
+        if not self._spread:
+            return vectors
+        a, b, c = self._towards(chunk, vectors.shape[2:] if where is None else where.shape, where)
+        vx, vy, vz = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+        sideways = a * vx + b * vy
+        common = sideways / (np.float32(1.0) + c) + vz
+        return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
+
+    def in_rig(self, vectors: FloatArray) -> FloatArray:
+        """Vectors (H, W, 3) of the pixels' own frames in the rig's frame: the inverse of :meth:`turned`."""
+        if not self._spread:
+            return vectors
+        a, b, c = self._towards(slice(None), vectors.shape[:2], None)
+        rx, ry, rz = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+        sideways = a * rx + b * ry
+        common = rz - sideways / (np.float32(1.0) + c)
+        return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
+
+    def stretch(self, pitch_mm: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """How far one pixel moves sideways in the pixel's frame, over `pitch_mm`, on an image of `shape`.
+
+        Returns
+        -------
+        x_x, x_y, y_x, y_y : (H, W)
+            Movement along the frame's x by a step to the right (``x_x``) and by a step up (``x_y``), and along its y.
+            Under parallel rays on a regular grid: 1, 0, 0, 1.
+        """
+        x, y = (np.broadcast_to(v, shape) for v in self.on_plane())
+        x_right, x_up = np.gradient(x, axis=1) / pitch_mm, -np.gradient(x, axis=0) / pitch_mm
+        y_right, y_up = np.gradient(y, axis=1) / pitch_mm, -np.gradient(y, axis=0) / pitch_mm
+        if not self._spread:
+            return _f32(x_right), _f32(x_up), _f32(y_right), _f32(y_up)
+        a, b, c = self._towards(slice(None), shape, None)
+        k = np.float32(1.0) / (np.float32(1.0) + c)
+        xx, xy, yy = c * (1 - a * a * k), -c * a * b * k, c * (1 - b * b * k)
+        return (
+            _f32(xx * x_right + xy * y_right),
+            _f32(xx * x_up + xy * y_up),
+            _f32(xy * x_right + yy * y_right),
+            _f32(xy * x_up + yy * y_up),
+        )
+
+    @property
+    def _spread(self) -> bool:
+        return self.along_rays and self.apex_mm is not None
+
+    def _towards(self, chunk: slice, shape: Any, where: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Unit vectors from the plane towards the camera."""
+        assert self.apex_mm is not None
+        x, y = (np.broadcast_to(v, shape) for v in self.on_plane(chunk))
+        if where is not None:
+            x, y = x[where], y[where]
+        apex = np.float32(self.apex_mm)
+        far = np.sqrt(x * x + y * y + apex * apex)
+        return _f32(-x / far), _f32(-y / far), _f32(apex / far)
+
+
+def view_of(
+    camera: Camera,
+    rows: slice | None = None,
+    columns: slice | None = None,
+    *,
+    binning: int = 1,
+    along_rays: bool = False,
+) -> View:
+    """View of a window of the camera's image, of blocks of `binning` pixels a side (what fills no block is dropped)."""
+    starts = [(part or slice(None)).indices(n) for part, n in zip((rows, columns), camera.image_size, strict=True)]
+    (top, bottom, _), (left, right, _) = starts
+    middle = 0.5 * (binning - 1)
+    row = np.asarray(top + np.arange((bottom - top) // binning) * binning + middle, dtype=np.float64)
+    column = np.asarray(left + np.arange((right - left) // binning) * binning + middle, dtype=np.float64)
+    if camera.model == "orthographic":
+        height, width = camera.image_size
+        return View((column - (width - 1) / 2) * camera.pitch_mm, ((height - 1) / 2 - row) * camera.pitch_mm)
+    some_rows, some_columns = (_lattice(axis) for axis in (row, column))
+    grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
+    points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
+    x, y = (RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column) for axis in range(2))
+    return View(np.asarray(x), np.asarray(y), camera.height_mm, along_rays)
+
+
+def _lattice(axis: Axis) -> Axis:
+    first, last = float(axis[0]), float(axis[-1])
+    count = max(int(np.ceil((last - first) / LATTICE_PX)) + 1, 4)
+    return np.linspace(first, max(last, first + 3.0), count)
+
+
+def _f32(values: Any) -> FloatArray:
+    return np.asarray(values, dtype=np.float32)
 
 
 def plane_points(camera: Camera, pixels: Any) -> Points:

@@ -11,7 +11,7 @@ from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene, ring, shape_
 from splitknit.check import BadInput
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.coarse import BandImages, CoarsePrior, compare, integrate, lighting, start_shape, unit
-from splitknit.metric.grid import Grid, coarsen
+from splitknit.metric.grid import coarsen
 from splitknit.radiance import bin_mean
 from splitknit.separate import SkinSettings, diffusion
 
@@ -100,15 +100,27 @@ def test_trust_ends_where_light_grazes_and_outside(matt):
     assert (light.trust <= 1.001).all()
 
 
-def test_perspective_moves_points_towards_the_axis(matt):
-    rig = matt.white.rig
-    matrix = np.array([[3500.0, 0, 150], [0, 3500.0, 150], [0, 0, 1]])
-    looking = replace(rig, camera=replace(rig.camera, model="perspective", matrix=matrix))
-    height = np.full(matt.grid.shape, 14.0, dtype=np.float32)  # a tenth of the way to the camera
-    normals = normals_of(matt.height, matt.grid)
-    shrunk = Grid(matt.grid.mask, 0.9 * matt.grid.x_mm, 0.9 * matt.grid.y_mm, matt.grid.pitch_mm, matt.grid.cut)
-    found = lighting(looking, matt.grid, height, normals)
-    np.testing.assert_allclose(found.vectors, lighting(rig, shrunk, height, normals).vectors, rtol=1e-4, atol=1e-5)
+def test_along_rays_lights_stand_in_the_pixels_own_frames(matt):
+    rig, grid = matt.white.rig, matt.grid
+    apex = 140.0
+    looking = replace(grid, apex_mm=apex)
+    normals = normals_of(matt.height, grid)
+    height = np.full(grid.shape, 14.0, dtype=np.float32)
+    found = lighting(rig, looking, height, normals)
+    row, column = 10, 4  # off the axis
+    x, y = float(grid.x_mm[column]), float(grid.y_mm[row])
+    far = apex * np.exp(-14.0 / apex)  # distance from the camera's centre at which h = D log(D / r) is 14 mm
+    ray = np.array([x, y, -apex]) / np.linalg.norm([x, y, apex])
+    point = np.array([0, 0, apex]) + far * ray
+    scale = np.mean(
+        [np.linalg.norm(led.intensity * 1e4 / np.dot(led.position_mm, led.position_mm)) for led in rig.leds]
+    )
+    for k, led in enumerate(rig.leds):
+        towards = np.asarray(led.position_mm) - point
+        expected = led.intensity * 1e4 * towards / np.linalg.norm(towards) ** 3 / scale
+        seen = found.vectors[k, :, row, column]
+        np.testing.assert_allclose(np.linalg.norm(seen), np.linalg.norm(expected), rtol=1e-4)
+        np.testing.assert_allclose(seen[2], -np.dot(ray, expected), rtol=1e-4)  # z is towards the camera
 
 
 def test_unit_normals():

@@ -21,6 +21,7 @@ from splitknit.recipe import surfaces
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.result import assemble
+from splitknit.recipe.skin import metric_skin
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.direct import direct_of_enhanced
 from splitknit.settings import override
@@ -216,10 +217,10 @@ class Bench:
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
-    way = surfaces.metric_skin if undoes_blur(capture, settings) else surfaces.metric_opaque
+    way = metric_skin if undoes_blur(capture, settings) else surfaces.metric_opaque
     if settings.method == "thesis":
         way = surfaces.thesis
-    return assemble(capture, finger, way(capture, finger, settings, Stopwatch()))
+    return assemble(capture, finger, way(capture, finger, settings, Stopwatch()), settings)
 
 
 def _on_pixels(fields: FloatArray, finger: Finger, shape: tuple[int, int]) -> FloatArray:

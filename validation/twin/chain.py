@@ -70,9 +70,9 @@ def load(way: str) -> Any:
         return None
     try:
         from splitknit.recipe.presets import PRESETS  # noqa: PLC0415
-        from splitknit.recipe.surfaces import _networks  # noqa: PLC0415
+        from splitknit.recipe.skin import shipped_networks  # noqa: PLC0415
 
-        return _networks(PRESETS["metric"])
+        return shipped_networks(PRESETS["metric"])
     except (ImportError, ValueError, FileNotFoundError) as error:
         print("no networks:", error)
         return None

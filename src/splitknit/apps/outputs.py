@@ -127,6 +127,9 @@ def _write_arrays(path: Path, result: Reconstruction, origin: _Origin) -> None:
         "input_from_upright": result.input_from_upright,
         "upright_size": np.asarray(result.upright_size, dtype=np.int64),
     }
+    for name in ("x_mm", "y_mm"):
+        if getattr(result, name) is not None:
+            arrays[name] = getattr(result, name)
     if result.uncertainty_um is not None:
         arrays["uncertainty_um"] = result.uncertainty_um
     arrays["provenance"] = np.array(canonical_json(origin))
@@ -143,8 +146,11 @@ def upright_mesh(
     rows, columns = _box(result)
     height, width = result.mask.shape
     turn = upright_turn(result)
-    x = ((np.arange(width)[columns] - (width - 1) / 2) * result.pitch_mm)[None, :]
-    y = (((height - 1) / 2 - np.arange(height)[rows]) * result.pitch_mm)[:, None]
+    if result.x_mm is not None and result.y_mm is not None:
+        x, y = result.x_mm[rows, columns], result.y_mm[rows, columns]
+    else:
+        x = ((np.arange(width)[columns] - (width - 1) / 2) * result.pitch_mm)[None, :]
+        y = (((height - 1) / 2 - np.arange(height)[rows]) * result.pitch_mm)[:, None]
     vertices, faces, index = surface_mesh(
         (turn[0, 0] * x + turn[0, 1] * y).astype(np.float32),
         (turn[1, 0] * x + turn[1, 1] * y).astype(np.float32),

@@ -27,8 +27,8 @@ from splitknit.pipeline import preset_settings
 from splitknit.radiance import Window, bin_mean
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.skin import skin_images
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.recipe.surfaces import skin_images
 from splitknit.types import BoolArray, Capture, FloatArray, Rig
 
 MOST_RELIEF = np.float32(10.0)

@@ -87,13 +87,7 @@ class CoarseStep:
 
 def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
     """Light vectors, Fresnel transmission and trust of every light at the surface."""
-    x = np.broadcast_to(grid.x_mm.astype(np.float32), grid.shape)
-    y = np.broadcast_to(grid.y_mm.astype(np.float32)[:, None], grid.shape)
-    camera = rig.camera
-    if camera.model == "perspective":
-        nearer = 1 - height_mm / np.float32(camera.height_mm)
-        x, y = x * nearer, y * nearer
-    vectors = light_vectors_at(rig, x, y, height_mm)
+    vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(height_mm)))
     length = np.sqrt((vectors * vectors).sum(axis=1))
     cosine = np.einsum("lihw,hwi->lhw", vectors, normals) / np.maximum(length, np.float32(1e-12))
     trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
@@ -124,7 +118,7 @@ def start_shape(band: BandImages, grid: Grid, plane_mm: float, rounds: int = 2) 
     height = np.zeros(grid.shape, dtype=np.float32)
     stack = band.stack.sum(axis=0)
     for _ in range(rounds):
-        g = pseudo_normals(stack, band.rig, height + np.float32(plane_mm), grid.mask, x_mm=grid.x_mm, y_mm=grid.y_mm)
+        g = pseudo_normals(stack, band.rig, height + np.float32(plane_mm), grid.mask, view=grid.view)
         normals = unit(g)
         nz = np.maximum(normals[..., 2], np.float32(0.15))
         height = integrate(np.asarray(-normals[..., 0] / nz), np.asarray(-normals[..., 1] / nz), grid, nz)
@@ -198,7 +192,7 @@ def compare(  # noqa: PLR0917
             brightness[name] *= correction
             expected[c] *= np.float32(correction)
         both = np.concatenate([seen, expected]).astype(np.float32)
-        found = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, grid.x_mm, grid.y_mm)
+        found = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, view=grid.view)
         start = len(names)
         for c, name in enumerate(band.channels):
             residuals.append(lacking_coarse(found[c], found[c + len(band.channels)], grid))

@@ -51,7 +51,7 @@ def features(band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLi
     """
     weights = light.trust * light.entering * light.entering
     stack = band.stack / light.entering
-    g = pseudo_normals(stack, band.rig, surface_mm, grid.mask, weights, grid.x_mm, grid.y_mm)
+    g = pseudo_normals(stack, band.rig, surface_mm, grid.mask, weights, view=grid.view)
     slope_x, slope_y = (grid.smooth(s, grid.mask, RIDGE_BAND_MM) for s in height_gradients(surface_mm, grid.pitch_mm))
     normals = normals_from_gradients(slope_x, slope_y)
     nz = normals[..., 2]

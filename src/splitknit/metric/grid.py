@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.types import BoolArray, FloatArray
+from splitknit.view import View
 
 WORKERS = 2
 
@@ -24,12 +25,19 @@ class Grid:
     mask: BoolArray
     """(h, w)."""
     x_mm: NDArray[np.float64]
-    """(w,) on the finger plane."""
+    """(w,) or (h, w) on the finger plane."""
     y_mm: NDArray[np.float64]
-    """(h,)."""
+    """(h,) or (h, w)."""
     pitch_mm: float
     cut: tuple[bool, bool, bool, bool]
     """Whether the finger goes on beyond the top, bottom, left and right side."""
+    apex_mm: float | None = None
+    """Height of a perspective camera: heights are then those along its rays, see :mod:`splitknit.view`."""
+
+    @property
+    def view(self) -> View:
+        """How the pixels look at the surface."""
+        return View(self.x_mm, self.y_mm, self.apex_mm, self.apex_mm is not None)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -116,9 +124,15 @@ def coarsen(grid: Grid, factor: int) -> Grid:
     labels, count = ndimage.label(mask)
     if count > 1:
         mask = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
-    x = grid.x_mm[: columns * factor].reshape(columns, factor).mean(axis=1)
-    y = grid.y_mm[: rows * factor].reshape(rows, factor).mean(axis=1)
-    return Grid(np.asarray(mask, dtype=np.bool_), x, y, grid.pitch_mm * factor, grid.cut)
+    if grid.x_mm.ndim == 1:
+        x = grid.x_mm[: columns * factor].reshape(columns, factor).mean(axis=1)
+        y = grid.y_mm[: rows * factor].reshape(rows, factor).mean(axis=1)
+    else:
+        x, y = (
+            axis[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor).mean(axis=(1, 3))
+            for axis in (grid.x_mm, grid.y_mm)
+        )
+    return Grid(np.asarray(mask, dtype=np.bool_), x, y, grid.pitch_mm * factor, grid.cut, grid.apex_mm)
 
 
 def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:

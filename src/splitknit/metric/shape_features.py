@@ -66,7 +66,7 @@ def shape_features(
             brightness[name] = float(np.median(ratio))
             expected *= np.float32(brightness[name])
             both = np.stack([band.stack[c], expected]).astype(np.float32)
-            seen, predicted = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, grid.x_mm, grid.y_mm)
+            seen, predicted = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, view=grid.view)
             x, y = lacking_coarse(seen, predicted, grid)
             level = np.maximum(predicted[..., 2], np.float32(0.05 * brightness[name]))
             fields[f"{name} x"], fields[f"{name} y"] = 4 * x, 4 * y

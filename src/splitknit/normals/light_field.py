@@ -3,45 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.geometry import pixel_axes_mm
 from splitknit.normals.chunks import row_chunks
 from splitknit.types import Camera, FloatArray, Led, Rig
+from splitknit.view import View, view_of
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """Where on the finger plane (z = 0) every pixel looks, and how its ray runs."""
-
-    x_mm: NDArray[np.float64]
-    """(W,) or (H, W)."""
-    y_mm: NDArray[np.float64]
-    """(H,) or (H, W)."""
-    apex_mm: float | None
-    """Height of the camera's centre, through which all rays pass; None for parallel rays."""
-
-    def points(self, chunk: slice, height_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x and y (h, W) of the surface points above the pixels of some rows."""
-        x = (self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]).astype(np.float32)
-        y = (self.y_mm[chunk, None] if self.y_mm.ndim == 1 else self.y_mm[chunk]).astype(np.float32)
-        if self.apex_mm is None:
-            return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape)
-        nearer = np.float32(1.0) - height_mm / np.float32(self.apex_mm)
-        return x * nearer, y * nearer
-
-
-def view_of(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any) -> View:
-    """View of an image of `shape`: by the axes given, else by the camera."""
+def seen_from(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any, view: View | None = None) -> View:
+    """View of an image of `shape`: as given, by the axes given, else by the camera."""
+    if view is not None:
+        pixels = np.broadcast_shapes(*(axis.shape for axis in view.on_plane()))
+        require(pixels == shape, f"the view is of {pixels} pixels, but the images have {shape}.")
+        return view
     apex = camera.height_mm if camera.model == "perspective" else None
     require((x_mm is None) == (y_mm is None), "x_mm and y_mm must be given together.")
     if x_mm is not None:
@@ -57,21 +37,7 @@ def view_of(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any) -> Vie
         f"the rig's camera takes images of {tuple(camera.image_size)} pixels, but the stack's have {shape}; "
         "give x_mm and y_mm for a part of the image.",
     )
-    if camera.model == "perspective":
-        return _perspective(camera)
-    return View(*pixel_axes_mm(camera), apex)
-
-
-def _perspective(camera: Camera) -> View:
-    """Rays through the pixels, lens distortion removed, cut with the finger plane."""
-    rows, columns = camera.image_size
-    row, column = np.mgrid[0:rows, 0:columns].astype(np.float64)
-    pixels = np.stack([column.ravel(), row.ravel()], axis=1)[:, None]
-    distortion = np.asarray(camera.distortion if camera.distortion is not None else (0.0, 0.0, 0.0, 0.0, 0.0))
-    assert camera.matrix is not None
-    rays = cv2.undistortPoints(pixels, np.asarray(camera.matrix, dtype=np.float64), distortion)[:, 0]
-    on_plane = np.asarray(rays * camera.height_mm, dtype=np.float64)
-    return View(on_plane[:, 0].reshape(rows, columns), -on_plane[:, 1].reshape(rows, columns), camera.height_mm)
+    return view_of(camera)
 
 
 def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
@@ -135,10 +101,10 @@ def light_field(
     """
     size = image_shape(rig, surface_mm, shape, x_mm, y_mm)
     surface = surface_array(surface_mm, size)
-    view = view_of(rig.camera, size, x_mm, y_mm)
+    view = seen_from(rig.camera, size, x_mm, y_mm)
     for chunk in row_chunks(*size, len(rig.leds)):
         z = np.nan_to_num(surface[chunk], nan=0.0).astype(np.float32)
-        yield chunk, light_vectors_at(rig, *view.points(chunk, z), z)
+        yield chunk, light_vectors_at(rig, *view.points(z, chunk))
 
 
 def image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:

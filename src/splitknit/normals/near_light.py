@@ -10,9 +10,10 @@ import numpy as np
 from splitknit.check import check_lights, check_mask, check_stack, require
 from splitknit.normals.chunks import for_each_chunk, gather
 from splitknit.normals.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
-from splitknit.normals.light_field import View, light_vectors_at, surface_array, view_of
+from splitknit.normals.light_field import light_vectors_at, seen_from, surface_array
 from splitknit.normals.weights import RobustSettings, robust_fit
 from splitknit.types import BoolArray, FloatArray, Rig
+from splitknit.view import View
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +39,8 @@ class _Scene:
         """Mask (h, W) of some rows, and the light vectors (L, 3, n) and images (C, L, n) of its n pixels."""
         here = self.mask[chunk]
         z = np.where(here, self.surface[chunk], np.float32(0.0))
-        x, y = self.view.points(chunk, z)
-        lights = light_vectors_at(self.rig, x[here], y[here], z[here])
+        x, y, z = self.view.points(z, chunk)
+        lights = self.view.turned(light_vectors_at(self.rig, x[here], y[here], z[here]), chunk, here)
         return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])
 
 
@@ -52,6 +53,7 @@ def near_light(  # noqa: PLR0917
     settings: NearLightSettings | None = None,
     x_mm: Any = None,
     y_mm: Any = None,
+    view: View | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo with a light vector of its own for every pixel, from LED positions and the current surface.
 
@@ -74,6 +76,9 @@ def near_light(  # noqa: PLR0917
     y_mm : (H,), optional
         y of the rows, likewise. A perspective camera's rays pass through these points; without axes its rays follow
         from its matrix and distortion.
+    view : View, optional
+        Instead of `x_mm` and `y_mm`. If it is one along the rays, `surface_mm` is the height along them and the normals
+        are those of the pixels' own frames (:mod:`splitknit.view`).
 
     Returns
     -------
@@ -94,7 +99,7 @@ def near_light(  # noqa: PLR0917
     calibration and numerical solution", JMIV 60 (2018), eq. 2.5 and 3.1.
     """
     chosen = settings if settings is not None else NearLightSettings()
-    scene = _scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm)
+    scene = _scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
     _, count, rows, columns = scene.images.shape
     given = None if weights is None else _check_weights(weights, (count, rows, columns))
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
@@ -124,6 +129,7 @@ def pseudo_normals(  # noqa: PLR0917
     weights: Any = None,
     x_mm: Any = None,
     y_mm: Any = None,
+    view: View | None = None,
 ) -> FloatArray:
     """Albedo times normal, (H, W, 3), zero outside the mask: linear in the images for given weights.
 
@@ -136,7 +142,7 @@ def pseudo_normals(  # noqa: PLR0917
     colours = array.shape[0] if channels else 1
     count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
     grouped = images.reshape(colours, count, rows, columns)
-    scene = _scene(grouped, rig, surface_mm, mask, x_mm, y_mm)
+    scene = _scene(grouped, rig, surface_mm, mask, x_mm, y_mm, view)
     given = None if weights is None else _check_weights(weights, (count, rows, columns))
     result = np.zeros((colours, rows, columns, 3), dtype=np.float32)
 
@@ -160,13 +166,14 @@ def near_light_weights(  # noqa: PLR0917
     settings: RobustSettings | None = None,
     x_mm: Any = None,
     y_mm: Any = None,
+    view: View | None = None,
 ) -> FloatArray:
     """Weights (L, H, W) in [0, 1] for shadowed and glossy lights under near LEDs; zero outside the mask.
 
     Parameters and errors as for :func:`near_light`.
     """
     chosen = settings if settings is not None else RobustSettings()
-    scene = _scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm)
+    scene = _scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
     _, count, rows, columns = scene.images.shape
     result = np.zeros((count, rows, columns), dtype=np.float32)
 
@@ -182,7 +189,7 @@ def near_light_weights(  # noqa: PLR0917
 
 
 def _scene(  # noqa: PLR0917
-    images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, x_mm: Any, y_mm: Any
+    images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, x_mm: Any, y_mm: Any, given: View | None
 ) -> _Scene:
     count, shape = images.shape[1], (images.shape[2], images.shape[3])
     check_lights(rig.light_vectors(), count, name="the rig's lights")
@@ -194,7 +201,7 @@ def _scene(  # noqa: PLR0917
         bool(finite[inside].all()),
         "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels out of the mask.",
     )
-    view = view_of(rig.camera, shape, x_mm, y_mm)
+    view = seen_from(rig.camera, shape, x_mm, y_mm, given)
     heights = [led.position_mm[2] for led in rig.leds if led.position_mm is not None]
     require(
         float(surface.max(where=inside, initial=-np.inf)) < min(heights, default=np.inf),

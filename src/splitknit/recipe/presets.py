@@ -101,6 +101,8 @@ class PipelineSettings:
 
     method: str = "metric"
     """``metric``, or ``thesis``: distant lights, and integration as the thesis has it."""
+    camera: str = "calibrated"
+    """``calibrated``: rays run as the rig file's camera model says; ``orthographic``: parallel, whatever it says."""
     mask: MaskSettings = field(default_factory=MaskSettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     crease: CreaseSettings = field(default_factory=CreaseSettings)
@@ -121,12 +123,17 @@ class PipelineSettings:
 
     def __post_init__(self) -> None:
         require(self.method in ("metric", "thesis"), f"method must be metric or thesis, not '{self.method}'.")
+        require(
+            self.camera in ("calibrated", "orthographic"),
+            f"camera must be calibrated or orthographic, not '{self.camera}'.",
+        )
 
 
 def _thesis(split: bool, knit: str) -> PipelineSettings:
     """`split`: with contrast enhancement and direct light."""
     return PipelineSettings(
         method="thesis",
+        camera="orthographic",
         enhance=EnhanceSettings(clahe=split),
         direct=DirectSettings(method="network" if split else "none"),
         normals=NormalsSettings(method="lambertian"),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.recipe.finger import Finger
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.rays import place
 from splitknit.recipe.surfaces import SurfaceParts
 from splitknit.types import Capture, FloatArray, Reconstruction
 
 
-def assemble(capture: Capture, finger: Finger, surface: SurfaceParts) -> Reconstruction:
+def assemble(capture: Capture, finger: Finger, surface: SurfaceParts, settings: PipelineSettings) -> Reconstruction:
     """Place the window's surface in the full image, cut to the mask, with the normals of the knitted height."""
     mask = finger.mask
     window = finger.window
@@ -22,17 +23,21 @@ def assemble(capture: Capture, finger: Finger, surface: SurfaceParts) -> Reconst
         whole[window] = np.where(inside, part, np.float32(np.nan))
         return whole
 
-    height = np.where(inside, surface.height_mm, np.float32(np.nan)).astype(np.float32)
+    plane_mm = settings.metric.plane_mm
+    done = place(surface.height_mm, surface.shape_mm, inside, capture.rig.camera, window, plane_mm)
+    flat = done.x_mm is None or done.y_mm is None
     normals = np.zeros((*mask.shape, 3), dtype=np.float32)
-    normals[window] = normals_from_gradients(*height_gradients(height, pitch)) * inside[..., None]
+    normals[window] = done.normals
     return Reconstruction(
-        height_mm=placed(surface.height_mm),
-        ridge_mm=placed(surface.ridge_mm),
-        shape_mm=placed(surface.shape_mm),
+        height_mm=placed(done.height_mm),
+        ridge_mm=placed(surface.ridge_mm if flat else done.height_mm - done.shape_mm),
+        shape_mm=placed(done.shape_mm),
         mask=mask,
         normals=normals,
         albedo=placed(surface.albedo),
         pitch_mm=pitch,
+        x_mm=None if done.x_mm is None else placed(done.x_mm),
+        y_mm=None if done.y_mm is None else placed(done.y_mm),
         input_from_upright=finger.upright.input_from_upright,
         upright_size=finger.upright.size,
         preset="",

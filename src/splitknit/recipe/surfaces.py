@@ -1,20 +1,16 @@
-"""The three ways from images to a surface: the thesis's, ours for opaque things, and ours for skin."""
+"""From images to a surface: the thesis's way, and ours for opaque things (for skin: :mod:`splitknit.recipe.skin`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 
-from splitknit.geometry import gradients_from_normals, pixel_axes_mm
+from splitknit.geometry import gradients_from_normals
 from splitknit.integrate import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
 from splitknit.knit import add, crossover
-from splitknit.metric import Networks, can_learn, reconstruct_skin
-from splitknit.metric.coarse import BandImages
-from splitknit.metric.grid import Grid
 from splitknit.normals import NearLightSettings, lambertian, near_light, robust
 from splitknit.preprocess import clahe
 from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
@@ -22,22 +18,10 @@ from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.direct import direct_light, direct_of_enhanced
-from splitknit.separate.unet import load_network, run_network
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.view import view_of
 
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
-NO_NETWORK = (
-    "the network of the relief needs six white lights all around the finger and 25 to 60 pixels a millimetre (or a "
-    "multiple); relief and glare are told apart by their colours alone."
-)
-HOW = {
-    "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
-    "colour": "glare by colour, scattering by its transfer function (modelled)",
-}
-ORTHOGRAPHIC = (
-    "the camera is calibrated as a perspective one: lights are placed along its rays, but the surface is integrated "
-    "as if seen straight from above."
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +46,7 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
     """
     mask = finger.wider[finger.window]
     pitch = np.float32(capture.rig.camera.pitch_mm)
-    white, nir, warnings = _bands(capture, settings)
+    white, nir, warnings = ridge_and_shape_bands(capture, settings)
     with watch("light"):
         visible = _grey(capture, white, finger.window)
         if settings.enhance.clahe:
@@ -71,7 +55,7 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
             visible = _direct(capture, white, finger.window, visible * mask, settings)
     with watch("normals"):
         normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
-        gradients = gradients_from_normals(normals, mask, settings.normals.max_slope)
+        gradients = _slopes(normals, finger, capture, settings)
     with watch("surface"):
         ridge = shapelets(*gradients, mask, _bank(settings, capture)) * pitch
         if settings.knit.method == "none":
@@ -80,17 +64,17 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
         else:
             invisible = _grey(capture, nir, finger.window)
             below, _ = _distant_normals(invisible, capture.rig.select(nir.leds), mask, settings)
-            slopes = gradients_from_normals(below, mask, settings.normals.max_slope)
+            slopes = _slopes(below, finger, capture, settings)
             shape = _integrate(slopes, mask, settings) * pitch
             height, ridge = _knitted(ridge, shape, gradients, mask, settings, capture)
-    return SurfaceParts(height, ridge, shape, albedo, None, _facts(capture, settings, white, nir), warnings)
+    return SurfaceParts(height, ridge, shape, albedo, None, facts_of(capture, settings, white, nir), warnings)
 
 
 def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
     """Near lights, robust weights, masked integration, crossover: for things that do not scatter light inside."""
     mask = finger.wider[finger.window]
     pitch = np.float32(capture.rig.camera.pitch_mm)
-    white, nir, warnings = _bands(capture, settings)
+    white, nir, warnings = ridge_and_shape_bands(capture, settings)
     gradients, albedo = _iterated(capture, white, finger, settings, watch)
     with watch("surface"):
         visible = _integrate(gradients, mask, settings) * pitch
@@ -101,69 +85,11 @@ def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, 
         with watch("surface"):
             below = _integrate(slopes, mask, settings) * pitch
             height = crossover(visible, below, _response(settings, capture), mask)
-    warnings = (*warnings, ORTHOGRAPHIC) if capture.rig.camera.model == "perspective" else warnings
-    facts = {**_facts(capture, settings, white, nir), "separation": "none (opaque material)"}
+    facts = {**facts_of(capture, settings, white, nir), "separation": "none (opaque material)"}
     return SurfaceParts(height, ridge, height - ridge, albedo, None, facts, warnings)
 
 
-def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
-    """Near lights, glare told by its colour, the skin's blur undone: see :mod:`splitknit.metric`."""
-    camera = capture.rig.camera
-    white, nir, warnings = _bands(capture, settings)
-    with watch("light"):
-        grid, bands, binning = skin_images(capture, finger, settings)
-    able = can_learn(bands[0], grid.pitch_mm)
-    networks = _networks(settings) if able else None
-    with watch("surface"):
-        skin = reconstruct_skin(
-            bands, grid, settings.skin, settings.metric, lambda share: watch.report("surface", share), networks
-        )
-    if not has_colour(white):
-        warnings = (*warnings, "the white images are grey: glare cannot be told from skin by its colour.")
-    elif not able and settings.metric.relief == "network":
-        warnings = (*warnings, NO_NETWORK)
-    warnings = (*warnings, ORTHOGRAPHIC) if camera.model == "perspective" else warnings
-    size = finger.wider[finger.window].shape
-    shape, ridge, albedo, deviation = (
-        _enlarged(part, (size[0], size[1]), binning)
-        for part in (skin.shape_mm, skin.relief_mm, skin.albedo, skin.deviation_mm)
-    )
-    facts = {
-        **_facts(capture, settings, white, nir),
-        "separation": HOW[skin.facts["relief_by"]],
-        "optics": skin.facts,
-    }
-    return SurfaceParts(shape + ridge, ridge, shape, albedo, deviation * np.float32(1000.0), facts, warnings)
-
-
-def skin_images(
-    capture: Capture, finger: Finger, settings: PipelineSettings
-) -> tuple[Grid, tuple[BandImages, ...], int]:
-    """Fine grid, linear images on it (the white band first), and how many pixels a side make one of its blocks."""
-    white, nir, _ = _bands(capture, settings)
-    binning = max(1, round(settings.metric.working_pitch_mm / capture.rig.camera.pitch_mm))
-    names = ("red", "green", "blue") if has_colour(white) else ("green",)
-    bands = [_images(capture, white, names, finger.window, binning)]
-    if nir is not white:
-        grey = linear_channels(nir, capture.encoding, ("grey",), finger.window, binning)
-        bands.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
-    return _grid(capture, finger, binning), tuple(bands), binning
-
-
-def _networks(settings: PipelineSettings) -> Networks | None:
-    """The networks of relief and shape, or None where the settings do without."""
-    metric = settings.metric
-    if metric.relief != "network":
-        return None
-
-    def runner(name: str) -> Callable[[FloatArray], FloatArray]:
-        network = load_network(name)
-        return lambda fields: run_network(network, fields[None], tile=metric.tile_px)[0]
-
-    return Networks(runner(metric.network), runner(metric.shape_network) if metric.shape_network else None)
-
-
-def _bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
+def ridge_and_shape_bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
     """The band of the ridges and that of the shape."""
     white = capture.bands["white"]
     if settings.shape.source == "white":
@@ -191,7 +117,8 @@ def _draws_direct(capture: Capture, settings: PipelineSettings) -> bool:
     return settings.direct.method == "network" and capture.material == "skin"
 
 
-def _facts(capture: Capture, settings: PipelineSettings, white: Band, nir: Band) -> dict[str, Any]:
+def facts_of(capture: Capture, settings: PipelineSettings, white: Band, nir: Band) -> dict[str, Any]:
+    """Where the shape came from and how light was separated."""
     separation = "none"
     if settings.direct.method == "network":
         separation = "none (opaque material: all light is direct)"
@@ -218,6 +145,15 @@ def _distant_normals(
     if settings.normals.method == "robust":
         return robust(stack, lights, mask, settings.normals.robust)
     return lambertian(stack, lights, mask)
+
+
+def _slopes(
+    normals: FloatArray, finger: Finger, capture: Capture, settings: PipelineSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Slopes of normals of the rig's frame, in the frames of the pixels' rays."""
+    view = view_of(capture.rig.camera, *finger.window, along_rays=True)
+    own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
+    return gradients_from_normals(own, finger.wider[finger.window], settings.normals.max_slope)
 
 
 def _integrate(gradients: tuple[FloatArray, FloatArray], mask: BoolArray, settings: PipelineSettings) -> FloatArray:
@@ -271,55 +207,19 @@ def _iterated(
     if settings.normals.method != "near_light":
         with watch("normals"):
             normals, albedo = _distant_normals(stack, rig, mask, settings)
-        return gradients_from_normals(normals, mask, settings.normals.max_slope), albedo
+        return _slopes(normals, finger, capture, settings), albedo
     pitch = np.float32(capture.rig.camera.pitch_mm)
-    x, y = (axis[part] for axis, part in zip(pixel_axes_mm(capture.rig.camera), finger.window[::-1], strict=True))
+    view = view_of(capture.rig.camera, *finger.window, along_rays=True)
     near = NearLightSettings(robust=settings.normals.robust)
     surface: FloatArray | float = settings.metric.plane_mm
     distant = all(led.position_mm is None for led in rig.leds)
     rounds = 1 if distant else settings.normals.rounds
     for turn in range(rounds):
         with watch("normals"):
-            normals, albedo = near_light(stack, rig, surface, mask, settings=near, x_mm=x, y_mm=y)
+            normals, albedo = near_light(stack, rig, surface, mask, settings=near, view=view)
             gradients = gradients_from_normals(normals, mask, settings.normals.max_slope)
         if turn < rounds - 1:
             with watch("surface"):
                 height = _integrate(gradients, mask, settings) * pitch
                 surface = (height + np.float32(settings.metric.plane_mm)).astype(np.float32)
     return gradients, albedo
-
-
-def _grid(capture: Capture, finger: Finger, binning: int) -> Grid:
-    """The working grid: blocks of pixels that all belong to the finger."""
-    rows, columns = finger.window
-    mask = finger.wider[rows, columns]
-    height, width = (n // binning for n in mask.shape)
-    blocks = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
-    x, y = pixel_axes_mm(capture.rig.camera)
-    x = x[columns][: width * binning].reshape(width, binning).mean(axis=1)
-    y = y[rows][: height * binning].reshape(height, binning).mean(axis=1)
-    inside: BoolArray = np.asarray(blocks.all(axis=(1, 3)), dtype=np.bool_)
-    full = capture.shape
-    cut = (
-        rows.start == 0 and bool(inside[0].any()),
-        rows.stop >= full[0] and bool(inside[-1].any()),
-        columns.start == 0 and bool(inside[:, 0].any()),
-        columns.stop >= full[1] and bool(inside[:, -1].any()),
-    )
-    return Grid(inside, x, y, capture.rig.camera.pitch_mm * binning, cut)
-
-
-def _images(capture: Capture, band: Band, names: tuple[str, ...], window: Window, binning: int) -> BandImages:
-    wanted = names if len(names) == 3 else ("grey",)
-    return BandImages(
-        names, linear_channels(band, capture.encoding, wanted, window, binning), capture.rig.select(band.leds)
-    )
-
-
-def _enlarged(field: FloatArray, shape: tuple[int, int], factor: int) -> FloatArray:
-    """A field of blocks on the window's pixels."""
-    if factor > 1:
-        size = (field.shape[1] * factor, field.shape[0] * factor)
-        field = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
-    missing = ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1]))
-    return np.pad(field, missing, mode="edge")

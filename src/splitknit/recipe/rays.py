@@ -1,0 +1,127 @@
+"""From heights along a perspective camera's rays to points in the rig's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.integrate import poisson
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.types import BoolArray, Camera, Capture, FloatArray
+from splitknit.view import View, view_of
+
+COARSE_MM = 0.2
+"""Pitch at which the grid's unevenness, which is smooth, is accounted for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A surface in the rig's frame, on the window's pixels."""
+
+    height_mm: FloatArray
+    """(h, w) z."""
+    shape_mm: FloatArray
+    """(h, w) z of the shape alone, on the same rays."""
+    normals: FloatArray
+    """(h, w, 3)."""
+    x_mm: FloatArray | None = None
+    """(h, w) of the surface points, where they are not those of the pixels on the finger plane."""
+    y_mm: FloatArray | None = None
+
+
+def as_modelled(capture: Capture, settings: PipelineSettings) -> Capture:
+    """The capture with the camera that the settings believe in."""
+    camera = capture.rig.camera
+    if settings.camera == "calibrated" or camera.model == "orthographic":
+        return capture
+    plain = replace(camera, model="orthographic", matrix=None, distortion=None)
+    return replace(capture, rig=replace(capture.rig, camera=plain))
+
+
+def place(  # noqa: PLR0917
+    height_mm: FloatArray,
+    shape_mm: FloatArray,
+    mask: BoolArray,
+    camera: Camera,
+    window: tuple[slice, slice],
+    plane_mm: float,
+) -> Placed:
+    """Turn heights along the rays into z, and find the points and normals.
+
+    Parameters
+    ----------
+    height_mm, shape_mm : (h, w) along the rays (:mod:`splitknit.view`), as if the pixels lay on a regular grid; finite
+        inside the mask
+    mask : (h, w)
+    camera : that saw them
+    window : rows and columns of `mask` in its image
+    plane_mm : mean height of the surface above the finger plane
+    """
+    if camera.model == "orthographic":
+        seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
+        normals = normals_from_gradients(*height_gradients(seen, camera.pitch_mm))
+        return Placed(height_mm, shape_mm, normals * mask[..., None])
+    view = view_of(camera, *window, along_rays=True)
+    shape = shape_mm - np.float32(shape_mm[mask].mean(dtype=np.float64) - plane_mm)
+    shape = shape + unevenness(shape, mask, camera, window)
+    whole = shape + (height_mm - shape_mm)
+    x, y, z = view.points(whole)
+    _, _, below = view.points(shape)
+    return Placed(z, below, _normals(whole, mask, view, camera.pitch_mm), x, y)
+
+
+def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tuple[slice, slice]) -> FloatArray:
+    """What is missing in a surface (h, w) along the rays that was integrated as if the pixels lay on a regular grid.
+
+    A step of one pixel turns the ray by a little less towards the image's corners, and by what the lens distorts.
+    """
+    binning = max(1, round(COARSE_MM / camera.pitch_mm))
+    rows, columns = (n // binning for n in mask.shape)
+    if min(rows, columns) < 4:
+        return np.zeros_like(shape_mm)
+
+    def small(field: FloatArray) -> FloatArray:
+        cut = np.ascontiguousarray(field[: rows * binning, : columns * binning], dtype=np.float32)
+        return np.asarray(cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+    inside = small(mask.astype(np.float32)) > 0.999
+    if not inside.any():
+        return np.zeros_like(shape_mm)
+    pitch = camera.pitch_mm * binning
+    view = view_of(camera, *window, binning=binning, along_rays=True)
+    coarse = np.where(inside, small(np.where(mask, shape_mm, 0)), np.float32(np.nan)).astype(np.float32)
+    right, up = height_gradients(coarse, pitch)
+    x_x, x_y, y_x, y_y = view.stretch(pitch, (rows, columns))
+    lacking_x, lacking_y = (x_x - 1) * right + y_x * up, x_y * right + (y_y - 1) * up
+    lacking = poisson(
+        np.where(inside, lacking_x, 0).astype(np.float32), np.where(inside, lacking_y, 0).astype(np.float32), inside
+    ) * np.float32(pitch)
+    lacking = np.nan_to_num(lacking, nan=0.0).astype(np.float32)
+    return _enlarged(lacking, inside, binning, mask.shape)
+
+
+def _enlarged(field: FloatArray, known: BoolArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
+    """A smooth coarse field on the fine grid, continued beyond `known` by the nearest values."""
+    away = (~known).astype(np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    values = np.zeros(int(labels.max()) + 1, dtype=np.float32)
+    values[labels[known]] = field[known]
+    filled = values[labels]
+    large = cv2.resize(filled, (field.shape[1] * factor, field.shape[0] * factor), interpolation=cv2.INTER_LINEAR)
+    missing = ((0, shape[0] - large.shape[0]), (0, shape[1] - large.shape[1]))
+    return np.pad(np.asarray(large, dtype=np.float32), missing, mode="edge")
+
+
+def _normals(height_mm: FloatArray, mask: BoolArray, view: View, pitch_mm: float) -> FloatArray:
+    """Unit normals (h, w, 3) in the rig's frame, zero outside the mask, of a surface along the rays."""
+    seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
+    right, up = height_gradients(seen, pitch_mm)
+    x_x, x_y, y_x, y_y = view.stretch(pitch_mm, (mask.shape[0], mask.shape[1]))
+    scale = 1 / (x_x * y_y - x_y * y_x)
+    slope_x = (y_y * right - y_x * up) * scale
+    slope_y = (x_x * up - x_y * right) * scale
+    own = normals_from_gradients(np.asarray(slope_x, dtype=np.float32), np.asarray(slope_y, dtype=np.float32))
+    return np.asarray(view.in_rig(own) * mask[..., None], dtype=np.float32)
