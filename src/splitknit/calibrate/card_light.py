@@ -1,0 +1,96 @@
+"""What a calibrated rig lets a white Lambertian card show: the flat field as a model, at any height.
+
+Pixel p of the image under LED k sees, on a card that lies parallel to the finger plane at the height z,
+
+    I_k(p) = c S(p) E_k(x) / pi,    E_k(x) = 10^4 i_k cos(theta) cos(beta)^n / d^2,
+
+with the fall-off S of the lens, the card's brightness c, and, from LED k to the point x that the pixel sees, the
+distance d, the angle theta to the card's normal and the angle beta to the LED's axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import Camera, Led
+from splitknit.view import plane_points
+
+Array = NDArray[np.float64]
+
+UNIT_MM2 = 1e4
+"""An LED of intensity one gives the irradiance one at 100 mm."""
+
+
+def points_on_card(camera: Camera, pixels: Any, z_mm: float = 0.0) -> Array:
+    """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on a plane at the height `z_mm`.
+
+    Raises
+    ------
+    BadInput
+        If the plane does not lie below the camera.
+    """
+    require(z_mm < camera.height_mm, f"the card's height, {z_mm:g} mm, must be below the camera.")
+    on_plane = plane_points(camera, pixels)
+    if camera.model == "perspective":
+        on_plane = on_plane * ((camera.height_mm - z_mm) / camera.height_mm)
+    return np.column_stack([on_plane, np.full(len(on_plane), float(z_mm))])
+
+
+def squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
+    """(N,) squared distance of `pixels` from the image's centre over half its diagonal: r^2 of ``Camera.shading``."""
+    places = np.asarray(pixels, dtype=np.float64)
+    rows, columns = int(image_size[0]), int(image_size[1])
+    x, y = places[:, 0] - 0.5 * (columns - 1), places[:, 1] - 0.5 * (rows - 1)
+    return np.asarray((x * x + y * y) / (0.25 * (rows**2 + columns**2)))
+
+
+def lens_fall_off(camera: Camera, pixels: Any) -> Array:
+    """(N,) brightness of the lens at `pixels` relative to the image's centre."""
+    squared = squared_radius(camera.image_size, pixels)
+    return np.asarray(1.0 + sum(a * squared ** (k + 1) for k, a in enumerate(camera.shading)) + 0.0 * squared)
+
+
+def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
+    """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm.
+
+    Raises
+    ------
+    BadInput
+        If the LED is distant: it has no place, and so no flat field of its own.
+    """
+    require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
+    away = np.asarray(led.position_mm, dtype=np.float64) - np.asarray(points_mm, dtype=np.float64)
+    distance = np.linalg.norm(away, axis=1)
+    return away / distance[:, None], distance
+
+
+def facing_light(led: Led, points_mm: Any) -> Array:
+    """(N,) irradiance of a surface at points (N, 3) that faces the LED."""
+    towards, distance = rays_to_led(led, points_mm)
+    along = np.maximum(-(towards @ led.axis), 1e-12)
+    return np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
+
+
+def card_light(camera: Camera, led: Led, pixels: Any, z_mm: float = 0.0) -> Array:
+    """(N,) brightness at `pixels` of an ideal white card at the height `z_mm`, lens included: the flat field.
+
+    Parameters
+    ----------
+    camera : Camera
+    led : Led
+        Near.
+    pixels : (N, 2) columns and rows
+    z_mm : height of the card above the finger plane
+
+    Returns
+    -------
+    (N,) in the units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi
+    """
+    points = points_on_card(camera, pixels, z_mm)
+    towards, _ = rays_to_led(led, points)
+    return np.asarray(facing_light(led, points) * towards[:, 2] * lens_fall_off(camera, pixels) / np.pi)

@@ -1,0 +1,182 @@
+"""The model of a white card under every LED as one least-squares problem: parameters in, residuals and slopes out.
+
+In logarithms the model of :mod:`splitknit.calibrate.card_light` is a sum,
+
+    ln I_k = ln c_k + [place of LED k, known] + n_k ln cos(beta_k) + ln(1 + a r^2 + b r^4),
+
+so that it is linear in the logarithms of the brightnesses c_k and in the exponents n_k. The axis of LED k is its
+direction to the origin, moved by u and v along two vectors across it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.calibrate.card_light import UNIT_MM2, points_on_card, rays_to_led, squared_radius
+from splitknit.types import Camera, Led
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """Which parameters are free."""
+
+    name: str
+    lens: int = 0
+    """Coefficients of the lens's fall-off."""
+    beam: str = "none"
+    """Exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``."""
+    aims: bool = False
+    """Whether every LED has an axis of its own; all point to the origin otherwise."""
+
+
+LADDER = (
+    Order("brightness of every LED"),
+    Order("and the lens's fall-off", lens=2),
+    Order("and one beam for the LEDs of a band", lens=2, beam="band"),
+    Order("and an aim for every LED", lens=2, beam="band", aims=True),
+    Order("and a beam of its own for every LED", lens=2, beam="led", aims=True),
+)
+"""From the simplest to the richest; each contains the one before."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """Parameters of the model, written out for every LED."""
+
+    brightness: Array
+    """(L,)."""
+    exponent: Array
+    """(L,)."""
+    tilt: Array
+    """(L, 2): u and v."""
+    lens: Array
+    """(2,)."""
+
+
+class CardModel:
+    """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while fitting."""
+
+    def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, z_mm: float) -> None:  # noqa: D107
+        points = points_on_card(camera, pixels, z_mm)
+        self.count = len(leds)
+        self.squared = squared_radius(camera.image_size, pixels)
+        names = sorted({led.band for led in leds})
+        self.band = np.array([names.index(led.band) for led in leds])
+        self.frames = np.stack([_frame(led) for led in leds])  # (L, 3, 3): axis, across, across
+        self.known = np.empty((self.count, len(pixels)))
+        self.seen = np.empty((self.count, 3, len(pixels)))  # direction from the LED to the point, in its frame
+        for k, led in enumerate(leds):
+            towards, distance = rays_to_led(led, points)
+            self.known[k] = np.log(UNIT_MM2 / np.pi * towards[:, 2] / distance**2)
+            self.seen[k] = -self.frames[k] @ towards.T
+
+    def size(self, order: Order) -> int:
+        """Number of parameters of `order`."""
+        return sum(len(part) for part in self._places(order))
+
+    def _places(self, order: Order) -> tuple[range, range, range, range]:
+        """Where brightness, lens, exponents and tilts stand in the vector of parameters."""
+        beams = {"none": 0, "band": int(self.band.max()) + 1, "led": self.count}[order.beam]
+        ends = np.cumsum([0, self.count, order.lens, beams, 2 * self.count if order.aims else 0])
+        return tuple(range(int(a), int(b)) for a, b in itertools.pairwise(ends))  # type: ignore[return-value]
+
+    def vector(self, answer: Answer, order: Order) -> Array:
+        """Parameters of `order` that come closest to `answer`."""
+        parts = [np.log(answer.brightness), answer.lens[: order.lens]]
+        if order.beam == "band":
+            parts.append(np.array([answer.exponent[self.band == b].mean() for b in range(self.band.max() + 1)]))
+        elif order.beam == "led":
+            parts.append(answer.exponent)
+        if order.aims:
+            parts.append(answer.tilt.ravel())
+        return np.concatenate(parts)
+
+    def answer(self, vector: Array, order: Order) -> Answer:
+        """Parameters written out for every LED."""
+        light, lens, beams, tilts = (vector[list(part)] for part in self._places(order))
+        exponent = {"none": np.zeros(self.count), "led": beams}.get(order.beam)
+        return Answer(
+            brightness=np.exp(light),
+            exponent=beams[self.band] if exponent is None else exponent,
+            tilt=tilts.reshape(-1, 2) if order.aims else np.zeros((self.count, 2)),
+            lens=np.concatenate([lens, np.zeros(2 - len(lens))]),
+        )
+
+    def bounds(self, order: Order) -> tuple[Array, Array]:
+        """Least and greatest values: a lens that keeps some light, beams from flat to narrow, aims within 35 deg."""
+        _, lens, beams, tilts = self._places(order)
+        low, high = np.full(self.size(order), -np.inf), np.full(self.size(order), np.inf)
+        low[list(lens)], high[list(lens)] = -0.95, 0.95
+        low[list(beams)], high[list(beams)] = 0.0, 200.0
+        low[list(tilts)], high[list(tilts)] = -0.7, 0.7
+        return low, high
+
+    def logarithm(self, answer: Answer) -> Array:
+        """Model (L, N): ln of the brightness."""
+        return np.asarray(
+            np.log(answer.brightness)[:, None]
+            + self.known
+            + answer.exponent[:, None] * self._log_cosine(answer)
+            + np.log(self._fall_off(answer.lens))
+        )
+
+    def slopes(self, answer: Answer, order: Order, k: int) -> tuple[NDArray[np.intp], Array]:
+        """Parameters that image k depends on: their places (m,), and the derivatives (m, N) of :meth:`logarithm`."""
+        light, lens, beams, tilts = self._places(order)
+        places, rows = [light[k]], [np.ones_like(self.squared)]
+        fall_off = self._fall_off(answer.lens)
+        for power, place in enumerate(lens):
+            places.append(place)
+            rows.append(self.squared ** (power + 1) / fall_off)
+        if order.beam != "none":
+            places.append(beams[int(self.band[k]) if order.beam == "band" else k])
+            rows.append(self._log_cosine(answer)[k])
+        if order.aims:
+            u, v = answer.tilt[k]
+            along = np.maximum(self.seen[k, 0] + u * self.seen[k, 1] + v * self.seen[k, 2], 1e-6)
+            for axis, value in ((0, u), (1, v)):
+                places.append(tilts[2 * k + axis])
+                rows.append(answer.exponent[k] * (self.seen[k, 1 + axis] / along - value / (1 + u * u + v * v)))
+        return np.array(places, dtype=np.intp), np.stack(rows)
+
+    def exponents(self, values: Array, order: Order) -> Array:
+        """(L,) what a vector of parameters (or of their errors) says about each LED's exponent; NaN where nothing."""
+        own = values[list(self._places(order)[2])]
+        return np.full(self.count, np.nan) if order.beam == "none" else own[self.band] if order.beam == "band" else own
+
+    def prior(self, order: Order) -> tuple[Array, Array]:
+        """Middle and inverse width of the prior of every parameter: exponents 1 +- 5, aims within 10 deg."""
+        middle, inverse = np.zeros(self.size(order)), np.zeros(self.size(order))
+        _, _, beams, tilts = self._places(order)
+        middle[list(beams)], inverse[list(beams)] = 1.0, 1 / 5.0
+        inverse[list(tilts)] = 1 / np.deg2rad(10.0)
+        return middle, inverse
+
+    def aim(self, answer: Answer, k: int) -> Array:
+        """(3,) axis of LED k in the rig's frame, from the LED outwards, of unit length."""
+        axis = np.array([1.0, *answer.tilt[k]]) @ self.frames[k]
+        return np.asarray(axis / np.linalg.norm(axis))
+
+    def _log_cosine(self, answer: Answer) -> Array:
+        u, v = answer.tilt[:, :1], answer.tilt[:, 1:]
+        along = self.seen[:, 0] + u * self.seen[:, 1] + v * self.seen[:, 2]
+        return np.asarray(np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + u * u + v * v))
+
+    def _fall_off(self, lens: Array) -> Array:
+        return np.asarray(np.maximum(1 + lens[0] * self.squared + lens[1] * self.squared**2, 0.02))
+
+
+def _frame(led: Led) -> Array:
+    """Rows: direction from the LED to the origin, and two unit vectors across it."""
+    axis = -np.asarray(led.position_mm, dtype=np.float64)
+    axis /= np.linalg.norm(axis)
+    first = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first)
+    return np.stack([axis, first, np.cross(axis, first)])
