@@ -110,6 +110,15 @@ def _wave(u: Array, period: float, lit: float, width: float) -> Array:
     return np.asarray(np.clip((0.5 * lit - middle) * (2.0 / width), -1.0, 1.0))
 
 
+def check_camera(surface: Surface) -> None:
+    """Refuse a camera under which patterns are not modelled."""
+    require(
+        surface.camera.model == "orthographic",
+        "projected patterns are modelled under an orthographic camera only, but this one is perspective; take an "
+        "orthographic one.",
+    )
+
+
 def projected(patch: Patch, led: Led) -> tuple[Array, Array]:
     """(h, w) x and y in mm where the projector's ray to each surface point meets the finger plane.
 
@@ -136,7 +145,13 @@ def pattern_states(surface: Surface, led: Led, pattern: Checkerboard) -> FloatAr
     """(N, H, W) the projector's light on every camera pixel in each shift, in [dark, 1]; zero beside the surface.
 
     The camera is orthographic: a pixel's state is that of the surface point it sees.
+
+    Raises
+    ------
+    BadInput
+        If the camera is not orthographic.
     """
+    check_camera(surface)
     patch = cut_out(surface)
     x, y = projected(patch, led)
     shifts = pattern.shifts_mm()

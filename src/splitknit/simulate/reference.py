@@ -125,6 +125,7 @@ def reference_scene(
     surface: Surface, window: tuple[slice, slice], leds: Sequence[Led], settings: ReferenceSettings
 ) -> ReferenceScene:
     """Build triangles and lights once, for several channels; arguments as for :func:`render_crop`."""
+    require(surface.camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")
     engine = _load(settings.threads)
     return build(engine, surface, window, leds, binning=settings.binning, margin_mm=settings.margin_mm)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from splitknit.check import require
 from splitknit.simulate.diffusion import WalkTable, load_walks
 from splitknit.simulate.lighting import cut_out, light_on
-from splitknit.simulate.projector import Checkerboard, projected, square_wave
+from splitknit.simulate.projector import Checkerboard, check_camera, projected, square_wave
 from splitknit.simulate.renderer import Diffusion, RenderSettings, relief_gains
 from splitknit.simulate.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
 from splitknit.simulate.surface import Surface
@@ -128,6 +128,7 @@ def checkerboard_stack(
 
 
 def _check_size(check_mm: float, surface: Surface) -> None:
+    check_camera(surface)
     least = 2.0 * surface.camera.pitch_mm
     require(
         bool(np.isfinite(check_mm)) and check_mm >= least,

@@ -1,0 +1,150 @@
+"""A finger in front of the camera: its pictures under every LED, as the sensor stores them."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.simulate.background import background_albedo, hand_shadow
+from splitknit.simulate.defocus import blur_sigma_px, defocus
+from splitknit.simulate.diffusion import WalkTable
+from splitknit.simulate.lens import fall_off, px_per_mm_at
+from splitknit.simulate.lighting import finger_window, white_card
+from splitknit.simulate.renderer import BandLight, render_ambient, render_band
+from splitknit.simulate.sensor import binning_scale, record
+from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulate.surface import Surface
+from splitknit.types import Band, FloatArray, Led, PixelArray, Rig
+
+if TYPE_CHECKING:
+    from splitknit.simulate.twin import TwinSettings
+
+
+class Scene:
+    """One finger in front of the camera."""
+
+    def __init__(
+        self,
+        subject: tuple[Surface, Rig, SkinSettings],
+        settings: TwinSettings,
+        rng: np.random.Generator,
+        walks: WalkTable,
+    ) -> None:
+        """Lay the background, whose dust `rng` draws, and find how far each pixel is out of focus."""
+        surface, rig, skin = subject
+        self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
+        self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
+        self.shade = hand_shadow(rig.camera, settings.background)
+        self.scale = settings.sensor_scale or binning_scale(rig.camera)
+        self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
+        self.blur = self._blur()
+
+    def photograph(self, name: str, seed: np.random.SeedSequence) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
+        """Images of one band, the glare (L, H, W) in the images' units, and the exposure (one number).
+
+        Glare and exposure are those of the middle of the lens: what the images are divided by its fall-off.
+        """
+        members = [k for k, led in enumerate(self.rig.leds) if led.band == name]
+        leds = [self.rig.leds[k] for k in members]
+        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+        skin, render = self.skin, self.settings.render
+        light = render_band(
+            self.surface, leds, optics, roughness=skin.roughness, glare=skin.glare, walks=self.walks, settings=render
+        )
+        fallen = None if self.fall_off is None else self.fall_off[light.window]
+        exposure = np.float32(self.settings.sensor.exposure / _brightest(light.diffuse, fallen))
+        ambient = self._ambient(name, leds)
+        seeds = seed.spawn(len(leds) + 1)
+        height, width = self.rig.camera.image_size
+        glare = np.zeros((len(leds), height, width), dtype=np.float16)
+
+        def shoot(k: int) -> PixelArray:
+            frame = ambient + self._frame(
+                light, k, white_card(self.rig.camera, leds[k], -self.settings.background.depth_mm)
+            )
+            glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
+            return self._record(frame * exposure, name, seeds[k])
+
+        with ThreadPoolExecutor(render.workers) as pool:
+            images = list(pool.map(shoot, range(len(leds))))
+        dark = self._record(np.broadcast_to(ambient, (height, width, 3)) * exposure, name, seeds[-1])
+        band = Band(
+            name=name,
+            pixels=_stack(images),
+            leds=tuple((k,) for k in members),
+            exposure=np.ones(len(leds)),
+            black_level=np.zeros(len(leds)),
+            ambient=dark,
+            shading=self.rig.camera.shading,
+        )
+        return band, glare, np.array(float(exposure))
+
+    def _frame(self, light: BandLight, k: int, card: FloatArray) -> FloatArray:
+        """(H, W, 3) radiance of the whole frame under light k."""
+        frame = np.repeat((card * self.albedo)[..., None], 3, axis=2)
+        window = frame[light.window]
+        for c in range(3):
+            diffuse = light.diffuse[k, min(c, light.diffuse.shape[1] - 1)]
+            window[..., c] += diffuse + light.glare[k]
+        frame *= self.shade[..., None]
+        return frame
+
+    def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
+        """(H, W, 3) radiance of the frame with all LEDs off."""
+        settings = self.settings.background
+        level = settings.ambient * float(np.mean([white_card(self.rig.camera, led, step=10**6).mean() for led in leds]))
+        frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
+        if level > 0.0:
+            optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+            skin = render_ambient(
+                self.surface,
+                level,
+                optics,
+                roughness=self.skin.roughness,
+                walks=self.walks,
+                settings=self.settings.render,
+            )
+            light = BandLight(finger_window(self.surface), skin[None], np.zeros_like(skin[:1]))
+            for c in range(3):
+                frame[light.window][..., c] += light.diffuse[0, min(c, skin.shape[0] - 1)]
+        return frame
+
+    def _blur(self) -> FloatArray | None:
+        """(H, W) defocus in pixels, or None where it is switched off."""
+        render, camera = self.settings.render, self.rig.camera
+        if render.aperture_mm == 0.0:
+            return None
+        z = np.where(self.surface.mask, self.surface.shape_mm, 0).astype(np.float32)
+        top = float(z[self.surface.mask].max())
+        # beyond the outline the blur of the outline itself goes on: the dark background shows no blur of its own
+        weight = self.surface.mask.astype(np.float32)
+        size = 0.5 * camera.px_per_mm
+        near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
+        z = np.where(self.surface.mask, z, near)
+        focus = top - render.focus_depth_mm
+        return blur_sigma_px(z, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
+
+    def _record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
+        if self.blur is not None:
+            frame = defocus(frame, self.blur)
+        if self.fall_off is not None:
+            frame = frame * self.fall_off[..., None]
+        return record(frame, name, seed, self.settings.sensor, self.scale)
+
+
+def _stack(images: list[PixelArray]) -> PixelArray:
+    stacked: PixelArray = np.stack(images)  # type: ignore[assignment]
+    return stacked
+
+
+def _brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
+    """99.9th percentile of the diffuse light behind the lens over all lights, in the channel where it is highest."""
+    sample = diffuse[:, :, ::4, ::4]
+    if fall_off is not None:
+        sample = sample * fall_off[::4, ::4]
+    values = [np.percentile(sample[:, c][sample[:, c] > 0], 99.9) for c in range(sample.shape[1])]
+    return float(max(values))
