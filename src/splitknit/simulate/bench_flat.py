@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.bench_scene import GroundScene
-from splitknit.simulate.bench_sight import Array, Footprint, Plane, base_plane, plane_of, seen_at, soft_step
+from splitknit.simulate.bench_sight import Array, Plane, Steps, base_plane, inside, plane_of, seen_at, steps
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,7 +36,7 @@ class CardScene(GroundScene):
         """Where the card lies."""
         return base_plane(self.tilt_deg, self.height_mm)
 
-    def albedo(self, u: Array, v: Array, pixel: Footprint) -> Array:
+    def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w): everywhere the same."""
         return np.full(u.shape, self.reflectance)
 
@@ -110,18 +110,15 @@ class BoardScene(GroundScene):
         """(rows * columns, 2) column and row of the inner corners, in the order of :meth:`Board.corners_mm`."""
         return seen_at(self.camera, self.plane.points(*self.board.corners_mm().T))
 
-    def albedo(self, u: Array, v: Array, pixel: Footprint) -> Array:
+    def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w): ink, paper, and cloth around them."""
-        board = self.board
-        blur_u = np.sqrt(pixel.spread_u**2 + board.print_blur_mm**2)
-        blur_v = np.sqrt(pixel.spread_v**2 + board.print_blur_mm**2)
+        board, across, up = self.board, _Axis(u, steps(u)), _Axis(-v, steps(v))
         width, height = board.size_mm
-        across = _wave(u, blur_u, board.square_mm, board.columns)
-        up = _wave(-v, blur_v, board.square_mm, board.rows)
-        squares = _window(u, blur_u, width) * _window(v, blur_v, height)
-        black = squares * 0.5 * (1.0 + across * up)  # the square at the top left is black
-        margin = 2.0 * board.margin_mm
-        paper = _window(u, pixel.spread_u, width + margin) * _window(v, pixel.spread_v, height + margin)
+        blur = board.print_blur_mm
+        waves = across.wave(board.square_mm, board.columns, blur) * up.wave(board.square_mm, board.rows, blur)
+        squares = across.band(width, blur) * up.band(height, blur)
+        black = squares * 0.5 * (1.0 + waves)  # the square at the top left is black
+        paper = across.band(width + 2.0 * board.margin_mm) * up.band(height + 2.0 * board.margin_mm)
         return np.asarray(self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper)))
 
 
@@ -175,27 +172,32 @@ class DiscScene(GroundScene):
         """(N, 2) column and row of the dots' centres, in the picture or outside it, in the order of :meth:`dots_mm`."""
         return seen_at(self.camera, self.plane.points(*self.dots_mm().T))
 
-    def albedo(self, u: Array, v: Array, pixel: Footprint) -> Array:
+    def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w): black dots on white; cloth beside the disc."""
-        blur = np.sqrt(0.5 * (pixel.spread_u**2 + pixel.spread_v**2))
         near_u, near_v = (a - self.spacing_mm * np.round(a / self.spacing_mm) for a in (u, v))
         whole = np.hypot(u - near_u, v - near_v) + self.dot_mm / 2 < self.radius_mm
-        dot = soft_step(0.5 * self.dot_mm - np.hypot(near_u, near_v), blur) * whole
-        disc = soft_step(self.radius_mm - np.hypot(u, v), blur)
+        dot = inside(0.5 * self.dot_mm - np.hypot(near_u, near_v)) * whole
+        disc = inside(self.radius_mm - np.hypot(u, v))
         return np.asarray(disc * (self.white + dot * (self.black - self.white)))
 
 
-def _wave(along: Array, blur: Array, square_mm: float, lines: int) -> Array:
-    """A wave between +1 in the first square and -1 in the next, with soft flanks; `lines` inner lines about zero."""
-    place = along / square_mm + (lines + 1) / 2  # 0 at the outer edge of the first square
-    line = np.clip(np.round(place), 1, lines)
-    flank = 2.0 * soft_step((place - line) * square_mm, blur) - 1.0
-    return np.asarray(np.where(line % 2 == 1, -flank, flank))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axis:
+    """One of a board's two axes: where the pixels are along it, and their size."""
 
+    along: Array
+    step: Steps
 
-def _window(along: Array, blur: Array, width_mm: float) -> Array:
-    """One inside a band of `width_mm` about zero, zero outside."""
-    return soft_step(0.5 * width_mm - np.abs(along), blur)
+    def wave(self, square_mm: float, lines: int, blur: float) -> Array:
+        """A wave between +1 in the first square and -1 in the next; `lines` inner lines about zero."""
+        place = self.along / square_mm + (lines + 1) / 2  # 0 at the outer edge of the first square
+        line = np.clip(np.round(place), 1, lines)
+        flank = 2.0 * inside((place - line) * square_mm, self.step, blur) - 1.0
+        return np.asarray(np.where(line % 2 == 1, -flank, flank))
+
+    def band(self, width_mm: float, blur: float = 0.0) -> Array:
+        """One inside a band of `width_mm` about zero, zero outside."""
+        return inside(0.5 * width_mm - np.abs(self.along), self.step, blur)
 
 
 def _check_share(value: float, name: str) -> None:

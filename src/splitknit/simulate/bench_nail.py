@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.bench_scene import GroundScene, disc_points, irradiance, positions_of
-from splitknit.simulate.bench_sight import Array, Footprint, Plane, base_plane, seen_at, soft_step
+from splitknit.simulate.bench_sight import Array, Plane, base_plane, inside, seen_at
 from splitknit.types import Led
 
 Window = tuple[slice, slice]
@@ -77,7 +77,7 @@ class NailScene(GroundScene):
         """(L, 2) column and row of :meth:`shadow_tips_mm`, in the picture or outside it."""
         return seen_at(self.camera, self.shadow_tips_mm())
 
-    def albedo(self, u: Array, v: Array, pixel: Footprint) -> Array:
+    def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w) of the base."""
         return np.full(u.shape, self.ground)
 
@@ -117,8 +117,8 @@ class NailScene(GroundScene):
         outline = self._outline()
         window = self._window([outline])
         if window is not None:
-            inside = self._inside(window, outline) > 0.5
-            depth[window] = np.where(inside, self._surface(window)[0][..., 2], depth[window])
+            on_nail = self._inside(window, outline) > 0.5
+            depth[window] = np.where(on_nail, self._surface(window)[0][..., 2], depth[window])
         return depth
 
     def _cast(self, place: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -141,9 +141,9 @@ class NailScene(GroundScene):
         widest = max(self.base_radius_mm, *(radius for _, radius in casts)) + 6.0 / self.camera.px_per_mm
         low, high = ends.min(axis=0) - widest, ends.max(axis=0) + widest
         u, v, _ = self._hit
-        inside = (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
-        rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-        if rows.size == 0:
+        near = (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
+        rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        if rows.size < 2 or columns.size < 2:
             return None
         return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
@@ -153,12 +153,8 @@ class NailScene(GroundScene):
         The shadow of a cone on the plane on which it stands is that hull, and the shadow of its flat tip a circle.
         """
         u, v = self._hit[0][window], self._hit[1][window]
-        pixel = self._footprint
-        spread = np.sqrt(0.5 * (pixel.spread_u[window] ** 2 + pixel.spread_v[window] ** 2))
         foot = np.asarray(self.position_mm, dtype=np.float64)
-        return soft_step(
-            -_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]), spread
-        )
+        return inside(-_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]))
 
     def _surface(self, window: Window) -> tuple[Array, Array]:
         """Points (h, w, 3) and unit normals of the cone where the pixels of the window see it, in the rig's frame."""

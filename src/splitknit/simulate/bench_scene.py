@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.simulate.bench_sight import Array, Footprint, Plane, Sight, fall_off, footprint, sight
+from splitknit.simulate.bench_sight import Array, Plane, Sight, fall_off, sight
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.lighting import _towards
 from splitknit.types import Camera, FloatArray, Led
@@ -59,7 +59,7 @@ class GroundScene:
         """Where the ground lies."""
         raise NotImplementedError
 
-    def albedo(self, u: Array, v: Array, pixel: Footprint) -> Array:
+    def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w) at u and v (mm on the plane), averaged over a pixel."""
         raise NotImplementedError
 
@@ -119,12 +119,8 @@ class GroundScene:
         return x.astype(np.float32), y.astype(np.float32), z.astype(np.float32)
 
     @cached_property
-    def _footprint(self) -> Footprint:
-        return footprint(self._hit[0], self._hit[1])
-
-    @cached_property
     def _albedo(self) -> Array:
-        return self.albedo(self._hit[0], self._hit[1], self._footprint)
+        return self.albedo(self._hit[0], self._hit[1])
 
     @cached_property
     def _fall_off(self) -> FloatArray:

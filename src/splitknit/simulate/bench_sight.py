@@ -95,35 +95,47 @@ def base_plane(tilt_deg: tuple[float, float], height_mm: float = 0.0) -> Plane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Footprint:
-    """How far u and v move from pixel to pixel, (h, w) each."""
+class Steps:
+    """How far a length on the ground moves from one pixel to the next, (h, w) each."""
 
-    u_column: Array
-    u_row: Array
-    v_column: Array
-    v_row: Array
-
-    @property
-    def spread_u(self) -> Array:
-        """Standard deviation (h, w) of u inside one pixel."""
-        return np.sqrt((self.u_column**2 + self.u_row**2) / 12.0)
-
-    @property
-    def spread_v(self) -> Array:
-        """Standard deviation (h, w) of v inside one pixel."""
-        return np.sqrt((self.v_column**2 + self.v_row**2) / 12.0)
+    column: Array
+    row: Array
 
 
-def footprint(u: Array, v: Array) -> Footprint:
-    """Return the footprint of the pixels that see `u` and `v`."""
-    u_row, u_column = np.gradient(u)
-    v_row, v_column = np.gradient(v)
-    return Footprint(u_column, u_row, v_column, v_row)
+def steps(length: Array) -> Steps:
+    """Return the steps of `length` (h, w)."""
+    row, column = np.gradient(length)
+    return Steps(np.abs(column), np.abs(row))
 
 
-def soft_step(distance: Array, spread: Array | float) -> Array:
-    """Share of a pixel that lies beyond an edge `distance` behind its middle, its light spread over `spread`."""
-    return np.asarray(ndtr(distance / spread))
+def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
+    """Share of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
+
+    Parameters
+    ----------
+    distance : (h, w), positive inside
+    step : of `distance`; by default it is measured
+    blur : standard deviation of the edge itself, in the unit of `distance`
+
+    Returns
+    -------
+    (h, w) in [0, 1]: the edge averaged over the square pixel. The longer of the pixel's two steps is averaged exactly
+    and the shorter one as a Gaussian of the same variance, so that edges along rows or columns are exact.
+    """
+    step = step or steps(distance)
+    half = np.maximum(np.maximum(step.column, step.row), 1e-9) / 2.0
+    spread = np.sqrt(np.minimum(step.column, step.row) ** 2 / 12.0 + blur * blur + (1e-4 * half) ** 2)
+    share = np.asarray(distance > 0.0, dtype=np.float64)
+    near = np.abs(distance) < half + 6.0 * spread
+    distance, half, spread = distance[near], half[near], spread[near]
+    share[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (2.0 * half)
+    return share
+
+
+def _ramp(distance: Array, spread: Array) -> Array:
+    """Integral of the normal distribution function."""
+    along = distance / spread
+    return np.asarray(distance * ndtr(along) + spread * np.exp(-0.5 * along * along) / np.sqrt(2.0 * np.pi))
 
 
 def fall_off(camera: Camera) -> FloatArray:
