@@ -1,0 +1,237 @@
+"""Checkerboards in photographs: where their inner corners lie, and which board it is."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import FloatArray
+
+Points = NDArray[np.float64]
+_WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A printed checkerboard."""
+
+    columns: int
+    """Inner corners along one side: one less than squares."""
+    rows: int
+    """Inner corners along the other side."""
+    square_mm: float
+    """Side of a square, as measured on the print."""
+
+    def __post_init__(self) -> None:
+        require(
+            3 <= self.columns <= 200 and 3 <= self.rows <= 200,
+            f"a checkerboard must have 3 to 200 inner corners each way, but it is {self.columns} x {self.rows}; "
+            "count the corners at which four squares meet.",
+        )
+        require(
+            0.01 <= self.square_mm <= 10_000,
+            f"the side of a square must be from 0.01 to 10000 mm, but it is {self.square_mm:g}.",
+        )
+
+    @classmethod
+    def named(cls, text: str, square_mm: float) -> Board:
+        """Read a size such as ``9x6``.
+
+        Examples
+        --------
+        >>> Board.named("9x6", 25.0).rows
+        6
+        """
+        found = _WORDS.fullmatch(text)
+        require(
+            found is not None,
+            f"'{text}' is not the size of a checkerboard; write the inner corners each way, such as 9x6.",
+        )
+        assert found is not None
+        return cls(int(found.group(1)), int(found.group(2)), square_mm)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns, rows of inner corners."""
+        return self.columns, self.rows
+
+    @property
+    def points_mm(self) -> Points:
+        """(columns * rows, 2) places of the corners on the board, x first, in the order of :func:`find_board`."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        return np.stack([x.ravel(), y.ravel()], axis=1) * float(self.square_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSettings:
+    """How corners are sought."""
+
+    search_px: int = 1200
+    """Longer side of the image in which the board is sought; corners are then refined in the full image."""
+    window: float = 0.3
+    """Half the window in which a corner is refined, as a part of the shortest side of a square in the image."""
+    window_px: tuple[int, int] = (3, 40)
+    """Smallest and largest half window."""
+    contrast: float = 0.4
+    """Contrast, relative to the board's corners, from which a place one square further is a corner of the board too."""
+
+    def __post_init__(self) -> None:
+        require(self.search_px >= 100, "BoardSettings: search_px must be at least 100.")
+        require(0 < self.window < 0.5, "BoardSettings: window must lie between 0 and 0.5.")
+        require(1 <= self.window_px[0] <= self.window_px[1], "BoardSettings: window_px must be rising and positive.")
+        require(0 < self.contrast < 1, "BoardSettings: contrast must lie between 0 and 1.")
+
+
+DEFAULTS = BoardSettings()
+
+
+def grey(pixels: Any) -> FloatArray:
+    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off.
+
+    Raises
+    ------
+    BadInput
+        If the image has another shape, is not finite, or shows nothing.
+    """
+    array = np.asarray(pixels)
+    require(array.ndim in (2, 3) and array.size > 0, f"an image must be (H, W) or (H, W, C), but it is {array.shape}.")
+    image = array.astype(np.float32) if array.ndim == 2 else array.mean(axis=2, dtype=np.float32)
+    require(bool(np.isfinite(image).all()), "an image contains NaN or infinite values.")
+    low, high = np.percentile(image[:: max(1, len(image) // 1000)], (0.5, 99.5))
+    require(high > low, "an image is of one brightness all over; nothing can be found in it.")
+    return np.asarray(np.clip((image - low) * (255.0 / (high - low)), 0, 255), dtype=np.float32)
+
+
+def find_board(pixels: Any, board: Board, settings: BoardSettings = DEFAULTS) -> Points | None:
+    """Find the inner corners of a checkerboard.
+
+    Parameters
+    ----------
+    pixels : (H, W) or (H, W, C) image, any scale of brightness
+    board : Board
+    settings : BoardSettings
+
+    Returns
+    -------
+    (columns * rows, 2) column and row of each corner in the order of `board.points_mm`, or None where no board of just
+    this size is in full view. (c x r and r x c are the same board.)
+
+    References
+    ----------
+    A. Duda, U. Frese, "Accurate detection and localization of checkerboard corners for calibration", BMVC 2018
+    (``findChessboardCornersSB``); W. Foerstner, E. Guelch, "A fast operator for detection and precise location of
+    distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
+    """
+    image = grey(pixels)
+    for small, factor in _reduced(image, settings):
+        for search in (_by_sector, _by_quads):
+            grid = search(small, board)
+            if grid is None:
+                continue
+            refined = _refined(image, (grid + 0.5) / factor - 0.5, settings)
+            if _is_board(image, refined) and _grown(image, refined, settings, steps=1).shape == refined.shape:
+                return np.asarray(refined.reshape(-1, 2), dtype=np.float64)
+    return None
+
+
+def size_in_view(pixels: Any, settings: BoardSettings = DEFAULTS) -> tuple[int, int] | None:
+    """Inner corners (more, fewer) of the checkerboard in an image, whatever its size, or None where there is none."""
+    image = grey(pixels)
+    for small, factor in _reduced(image, settings):
+        seeds = [_sector_of_any_size(small)]
+        for columns, rows in ((6, 5), (5, 4), (4, 3)):
+            seeds += [_by_quads(small, Board(columns, rows, 1.0))]
+        for seed in seeds:
+            if seed is None:
+                continue
+            grid = _refined(image, (seed + 0.5) / factor - 0.5, settings)
+            if _is_board(image, grid):
+                rows, columns = _grown(image, grid, settings, steps=200).shape[:2]
+                return max(rows, columns), min(rows, columns)
+    return None
+
+
+def _reduced(image: FloatArray, settings: BoardSettings) -> list[tuple[NDArray[np.uint8], float]]:
+    """8-bit images to search in, and their sizes relative to the full one: a small one first."""
+    factor = min(1.0, settings.search_px / max(image.shape))
+    sizes = [factor] if factor > 0.5 else [factor, min(1.0, 2 * factor)]
+    results = []
+    for part in sizes:
+        small = image if part == 1.0 else cv2.resize(image, None, fx=part, fy=part, interpolation=cv2.INTER_AREA)
+        results.append((np.asarray(np.round(small), dtype=np.uint8), part))
+    return results
+
+
+def _by_sector(image: NDArray[np.uint8], board: Board) -> Points | None:
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    found, corners = cv2.findChessboardCornersSB(image, board.size, flags=flags)
+    return _grid(corners, board.rows, board.columns) if found else None
+
+
+def _by_quads(image: NDArray[np.uint8], board: Board) -> Points | None:
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+    found, corners = cv2.findChessboardCorners(image, board.size, flags=flags)
+    return _grid(corners, board.rows, board.columns) if found else None
+
+
+def _sector_of_any_size(image: NDArray[np.uint8]) -> Points | None:
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
+    found, corners, size = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags=flags)
+    return _grid(corners, *size.shape) if found else None
+
+
+def _grid(corners: Any, rows: int, columns: int) -> Points:
+    return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
+
+
+def _refined(image: FloatArray, grid: Points, settings: BoardSettings) -> Points:
+    """Corners (rows, columns, 2) to a small part of a pixel, with windows that stay within the four squares around."""
+    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
+    half = int(np.clip(round(settings.window * min(sides)), *settings.window_px))
+    corners = np.ascontiguousarray(grid.reshape(-1, 1, 2), dtype=np.float32)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
+    refined = cv2.cornerSubPix(image, corners, (half, half), (-1, -1), criteria)
+    return np.asarray(refined, dtype=np.float64).reshape(grid.shape)
+
+
+def _is_board(image: FloatArray, grid: Points) -> bool:
+    """Whether four squares of changing brightness meet at every place."""
+    contrast = _contrast(image, grid)
+    return bool(contrast.min() > 0.2 * np.median(contrast) > 0)
+
+
+def _grown(image: FloatArray, grid: Points, settings: BoardSettings, steps: int) -> Points:
+    """The grid with all rows and columns that lie beyond it and are corners too, `steps` at most on each side."""
+    least = settings.contrast * float(np.median(_contrast(image, grid)))
+    for turn in range(4):
+        grid = np.rot90(grid, axes=(0, 1))
+        for _ in range(steps):
+            line = (2 * grid[-1] - grid[-2])[None]
+            further = np.concatenate([grid[-1:], line])
+            inside = np.all((line >= 2) & (line <= np.array(image.shape[::-1]) - 3))
+            if not inside or np.median(_contrast(image, further)[1]) < least:
+                break
+            grid = np.concatenate([grid, _refined(image, further, settings)[1:]])
+        del turn
+    return grid
+
+
+def _contrast(image: FloatArray, grid: Points) -> NDArray[np.float64]:
+    """(rows, columns) contrast of the four squares that meet at each place: the smallest of four steps around it."""
+    along = np.gradient(grid, axis=1) * 0.25
+    across = np.gradient(grid, axis=0) * 0.25
+    around = [grid + along + across, grid - along + across, grid - along - across, grid + along - across]
+    places = np.stack(around).astype(np.float32)  # (4, rows, columns, 2)
+    flat = places.reshape(4, -1, 2)
+    light = cv2.remap(
+        image, flat[..., 0].copy(), flat[..., 1].copy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    values = np.asarray(light, dtype=np.float64).reshape(places.shape[:3])
+    steps = np.abs(values - np.roll(values, 1, axis=0))
+    return np.asarray(steps.min(axis=0))
