@@ -17,6 +17,7 @@ from splitknit.simulate.bench_flat import Board, BoardScene, CardScene, DiscScen
 from splitknit.simulate.bench_nail import NailScene
 from splitknit.simulate.bench_poses import BoardPose, HandRanges, board_poses
 from splitknit.simulate.bench_scene import BenchSettings, switched_on
+from splitknit.simulate.bench_sphere import SphereScene
 from splitknit.simulate.sensor import RESPONSE, SensorSettings, record
 from splitknit.types import Camera, FloatArray, Led, PixelArray
 
@@ -31,6 +32,7 @@ __all__ = [
     "HandRanges",
     "NailScene",
     "Scene",
+    "SphereScene",
     "board_poses",
     "photograph_bench",
     "well_exposed",

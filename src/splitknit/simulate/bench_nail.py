@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.simulate.bench_scene import GroundScene, disc_points, irradiance, positions_of
+from splitknit.simulate.bench_scene import GroundScene, Window, disc_points, irradiance, positions_of
 from splitknit.simulate.bench_sight import Array, Plane, base_plane, inside, seen_at
 from splitknit.types import Led
-
-Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,9 +102,8 @@ class NailScene(GroundScene):
         share = self._inside(window, outline)
         points, normal = self._surface(window)
         received = np.zeros(share.shape)
-        x, y, z = (points[..., k].astype(np.float32) for k in range(3))
         for led in leds:
-            received += irradiance(led, (x, y, z), [normal[..., k] for k in range(3)])
+            received += irradiance(led, np.moveaxis(points, -1, 0), np.moveaxis(normal, -1, 0))
         cone = self.reflectance * (received / np.pi + self.room_light)
         grey[window] += share * (cone - grey[window])
         return grey
@@ -138,14 +135,8 @@ class NailScene(GroundScene):
     def _window(self, casts: list[tuple[NDArray[np.float64], float]]) -> Window | None:
         """Pixels that some of the shadows may reach, or None if all lie outside the picture."""
         ends = np.array([middle for middle, _ in casts] + [self.position_mm])
-        widest = max(self.base_radius_mm, *(radius for _, radius in casts)) + 6.0 / self.camera.px_per_mm
-        low, high = ends.min(axis=0) - widest, ends.max(axis=0) + widest
-        u, v, _ = self._hit
-        near = (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
-        rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
-        if rows.size < 2 or columns.size < 2:
-            return None
-        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+        widest = max(self.base_radius_mm, *(radius for _, radius in casts))
+        return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[NDArray[np.float64], float]) -> Array:
         """Share of each pixel of the window inside the hull of the nail's foot and of its tip's shadow.

@@ -15,6 +15,9 @@ from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.lighting import _towards
 from splitknit.types import Camera, FloatArray, Led
 
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
 
 @dataclass(frozen=True, slots=True)
 class BenchSettings:
@@ -101,7 +104,17 @@ class GroundScene:
     @property
     def room_light(self) -> float:
         """Radiance of a white surface with all LEDs off."""
-        return room_light(self.leds, self.bench)
+        return self.bench.ambient * float(np.mean([card_radiance(led) for led in self.leds]))
+
+    def pixels_between(self, low: Array, high: Array) -> Window | None:
+        """Rows and columns that see the ground between two (u, v), with six pixels to spare; None if none do."""
+        spare = 6.0 / self.camera.px_per_mm
+        u, v, _ = self._hit
+        near = (u > low[0] - spare) & (u < high[0] + spare) & (v > low[1] - spare) & (v < high[1] + spare)
+        rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        if rows.size < 2 or columns.size < 2:
+            return None
+        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
     @cached_property
     def _sight(self) -> Sight:
@@ -149,18 +162,18 @@ def switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
         yield from leds[index].also
 
 
-def irradiance(led: Led, points: tuple[FloatArray, FloatArray, FloatArray], normal: Sequence[Array] | Array) -> Array:
-    """Irradiance (h, w) of a surface at `points` (mm) with the unit normal (or normals: x, y, z), unshadowed."""
-    lx, ly, lz, strength = _towards(led, *points)
+def irradiance(led: Led, points: Sequence[Array | FloatArray] | Array, normal: Sequence[Array] | Array) -> Array:
+    """Irradiance (h, w) of a surface at x, y, z (h, w) in mm with the unit normal (or normals: x, y, z), unshadowed."""
+    x, y, z = (np.asarray(axis, dtype=np.float32) for axis in points)
+    lx, ly, lz, strength = _towards(led, x, y, z)
     cosine = lx * normal[0] + ly * normal[1] + lz * normal[2]
     return np.asarray(strength * np.maximum(cosine, 0.0), dtype=np.float64)
 
 
-def room_light(leds: Sequence[Led], bench: BenchSettings) -> float:
-    """Radiance of a white surface with all LEDs off."""
+def card_radiance(led: Led) -> float:
+    """Radiance of a white card at the origin that faces the camera."""
     origin = (np.zeros(1, np.float32),) * 3
-    cards = [float(irradiance(led, origin, np.array([0.0, 0.0, 1.0]))[0]) / np.pi for led in leds]
-    return bench.ambient * float(np.mean(cards))
+    return float(irradiance(led, origin, np.array([0.0, 0.0, 1.0]))[0]) / np.pi
 
 
 def positions_of(leds: Sequence[Led], what: str) -> NDArray[np.float64]:

@@ -105,7 +105,7 @@ class Steps:
 def steps(length: Array) -> Steps:
     """Return the steps of `length` (h, w)."""
     row, column = np.gradient(length)
-    return Steps(np.abs(column), np.abs(row))
+    return Steps(np.asarray(column), np.asarray(row))
 
 
 def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
@@ -123,8 +123,9 @@ def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Arr
     and the shorter one as a Gaussian of the same variance, so that edges along rows or columns are exact.
     """
     step = step or steps(distance)
-    half = np.maximum(np.maximum(step.column, step.row), 1e-9) / 2.0
-    spread = np.sqrt(np.minimum(step.column, step.row) ** 2 / 12.0 + blur * blur + (1e-4 * half) ** 2)
+    column, row = np.abs(step.column), np.abs(step.row)
+    half = np.maximum(np.maximum(column, row), 1e-9) / 2.0
+    spread = np.sqrt(np.minimum(column, row) ** 2 / 12.0 + blur * blur + (1e-4 * half) ** 2)
     share = np.asarray(distance > 0.0, dtype=np.float64)
     near = np.abs(distance) < half + 6.0 * spread
     distance, half, spread = distance[near], half[near], spread[near]
