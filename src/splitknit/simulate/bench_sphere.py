@@ -110,7 +110,7 @@ class SphereScene(GroundScene):
         return self.pixels_between(np.min(low, axis=0), np.max(high, axis=0))
 
     def _rim(self, towards: Array, near: bool, count: int = 360) -> Array:
-        """(count, 3) points where lines from the point `towards` (3,) of its middle (or parallel to it) touch the ball."""
+        """(count, 3) points where lines from its middle plus `towards` (3,), or parallel to that, touch the ball."""
         distance = float(np.linalg.norm(towards))
         view = towards / distance
         nearer = self.radius_mm / distance if near else 0.0
