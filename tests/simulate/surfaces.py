@@ -58,3 +58,33 @@ def _unit(gx: np.ndarray, gy: np.ndarray, mask: np.ndarray) -> np.ndarray:
     normals = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.where(mask[..., None], normals, 0.0).astype(np.float32)
+
+
+def perspective_camera(
+    size: tuple[int, int],
+    px_per_mm: float,
+    height_mm: float,
+    *,
+    off: tuple[float, float] = (0.0, 0.0),
+    distortion: tuple[float, ...] | None = None,
+    shading: tuple[float, ...] = (),
+) -> Camera:
+    """A camera whose axis meets the sensor `off` pixels (columns, rows) beside the middle."""
+    focal = px_per_mm * height_mm
+    column, row = (size[1] - 1) / 2 + off[0], (size[0] - 1) / 2 + off[1]
+    matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
+    return Camera(px_per_mm, size, height_mm, "perspective", matrix, distortion, shading)
+
+
+def perspective_plane(camera: Camera, z_mm: float) -> Surface:
+    """A flat sheet at the height `z_mm` that fills the picture of a camera without distortion."""
+    rows, columns = np.indices(camera.image_size)
+    assert camera.matrix is not None
+    depth = camera.height_mm - z_mm
+    x = ((columns - camera.matrix[0, 2]) / camera.matrix[0, 0] * depth).astype(np.float32)
+    y = ((camera.matrix[1, 2] - rows) / camera.matrix[1, 1] * depth).astype(np.float32)
+    up = np.zeros((*camera.image_size, 3), dtype=np.float32)
+    up[..., 2] = 1.0
+    z = np.full(camera.image_size, z_mm, dtype=np.float32)
+    one = np.ones(camera.image_size, dtype=np.float32)
+    return Surface(camera, z, z, up, up, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y)

@@ -41,8 +41,8 @@ def light(surface: Surface, leds: tuple[Led, ...], skin: SkinSettings) -> Array3
     return result
 
 
-def compare(finger: Finger, scale: float = SCALE) -> tuple[NDArray[np.float64], Array32, NDArray[np.bool_]]:
-    """Ratio (L, C, N) of perspective to orthographic light at points of the skin, their slants (N,), and what counts."""
+def compare(finger: Finger, scale: float = SCALE) -> tuple[Array32, Array32, NDArray[np.bool_]]:
+    """Ratio (L, C, N) of perspective to orthographic light at points of the skin, slants (N,), and which count."""
     rig = default_rig(scale)
     rows, columns = rig.camera.image_size
     focal_px = rig.camera.px_per_mm * rig.camera.height_mm
@@ -63,7 +63,7 @@ def compare(finger: Finger, scale: float = SCALE) -> tuple[NDArray[np.float64], 
             there[k, c] = cv2.remap(reference[k, c], *place, cv2.INTER_CUBIC)[both]
     bright = there > 0.1 * there.max(axis=(0, 2), keepdims=True)
     slant = np.rad2deg(np.arccos(np.clip(spread.shape_normals[both][:, 2], -1.0, 1.0)))
-    return found.astype(np.float64) / np.maximum(there, 1e-9), slant, bright
+    return found / np.maximum(there, 1e-9), slant, bright
 
 
 def main() -> None:
