@@ -1,0 +1,1 @@
+"""Planning and building a rig: its dimensions, its parts, its circuit."""

@@ -1,0 +1,158 @@
+"""How many electrons a lit finger makes in a pixel, and how long the shutter must be open for it.
+
+Radiometry: an LED of the electrical power P emits the flux efficiency * P in a lobe cos^m, so its intensity on the axis
+is flux (m + 1) / (2 pi); irradiance falls with the squared distance; a lens of the f-number N that images with the
+magnification M gives the sensor pi L T / (4 N^2 (1 + M)^2) of a surface of radiance L; photons times the quantum
+efficiency are electrons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splitknit.check import require
+
+PLANCK_LIGHT = 1.98645e-25
+"""Planck's constant times the speed of light, J m."""
+
+
+@dataclass(frozen=True, slots=True)
+class LampSettings:
+    """One band's LED and how well the sensor sees it."""
+
+    efficiency: float
+    """Radiant flux over electrical power."""
+    wavelength_nm: float
+    """Mean, for the energy of a photon."""
+    quantum_efficiency: float
+    """Electrons of a green pixel per photon of this light, colour filter included."""
+
+    def __post_init__(self) -> None:
+        require(0 < self.efficiency <= 1, f"lamp.efficiency must lie in (0, 1], but it is {self.efficiency}.")
+        require(300 <= self.wavelength_nm <= 1100, "lamp.wavelength_nm must lie between 300 and 1100.")
+        require(0 < self.quantum_efficiency <= 1, "lamp.quantum_efficiency must lie in (0, 1].")
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonSettings:
+    """Lamps, lens, pixel and shutter."""
+
+    white: LampSettings = field(default_factory=lambda: LampSettings(0.31, 560.0, 0.22))
+    """100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a phosphor LED of
+    5000 K; green filters pass a third of its photons to silicon of 65 %."""
+    nir: LampSettings = field(default_factory=lambda: LampSettings(0.40, 850.0, 0.20))
+    """Data sheets of 850 nm emitters; the camera without infrared filter."""
+    f_number: float = 4.0
+    transmission: float = 0.9
+    """Of the lens."""
+    pixel_um: float = 1.12
+    """Of the IMX219 at full resolution; smaller pictures bin its pixels."""
+    full_px_per_mm: float = 75.7
+    """At full resolution on the finger plane; with `pixel_um` it fixes the magnification."""
+    full_well_e: float = 4700.0
+    read_noise_e: float = 2.5
+    target: float = 0.7
+    """Share of full scale that the brightest skin shall reach."""
+    least_level: float = 0.1
+    """Below this share a picture is too dark to be used."""
+    shortest_s: float = 1.0 / 4000.0
+    longest_s: float = 0.2
+    """14 pictures in 7 s leave half a second each for light, settling and reading out."""
+    largest_gain: float = 8.0
+    tremor_um: float = 30.0
+    """Amplitude of a resting finger's tremor (Growdon et al. 2000: about 30 um)."""
+    tremor_hz: float = 9.0
+
+    def __post_init__(self) -> None:
+        for name in (
+            "f_number",
+            "transmission",
+            "pixel_um",
+            "full_px_per_mm",
+            "full_well_e",
+            "shortest_s",
+            "longest_s",
+        ):
+            value = getattr(self, name)
+            require(bool(np.isfinite(value)) and value > 0, f"photons.{name} must be positive, but it is {value}.")
+        require(self.shortest_s <= self.longest_s, "photons.shortest_s must not exceed photons.longest_s.")
+        require(0.05 <= self.target < 1.0, f"photons.target must lie in [0.05, 1), but it is {self.target}.")
+        require(0 < self.least_level < self.target, "photons.least_level must lie between 0 and photons.target.")
+        require(1.0 <= self.largest_gain <= 40.0, f"photons.largest_gain must be 1 to 40, not {self.largest_gain}.")
+
+    @property
+    def lamps(self) -> Mapping[str, LampSettings]:
+        """By band."""
+        return {"white": self.white, "nir": self.nir}
+
+    @property
+    def magnification(self) -> float:
+        """Size on the sensor over size on the finger."""
+        return self.pixel_um * 1e-3 * self.full_px_per_mm
+
+    def focal_mm(self, height_mm: float) -> float:
+        """Focal length that images from `height_mm` with this magnification (thin lens)."""
+        return height_mm * self.magnification / (1.0 + self.magnification)
+
+    def depth_of_field_mm(self, blur_mm: float) -> float:
+        """Depth within which a point's image stays below `blur_mm` on the finger; the height drops out of it."""
+        return 2.0 * self.f_number * blur_mm * (1.0 + self.magnification) / self.magnification
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """How one band is exposed."""
+
+    time_s: float
+    gain: float
+    level: float
+    """Share of full scale of the brightest skin: the target where the shutter and the gain allow it."""
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the brightest skin is beyond full scale."""
+        return self.level > 1.0
+
+
+def intensity_w_sr(power_w: float, lamp: LampSettings, lobe_exponent: float) -> float:
+    """Radiant intensity of an LED on its axis."""
+    return power_w * lamp.efficiency * (lobe_exponent + 1.0) / (2.0 * np.pi)
+
+
+def electrons_per_s(radiance: float, lamp: LampSettings, settings: PhotonSettings) -> float:
+    """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2 sr)."""
+    on_sensor = (
+        np.pi * radiance * settings.transmission / (4.0 * (settings.f_number * (1 + settings.magnification)) ** 2)
+    )
+    photons = on_sensor * (settings.pixel_um * 1e-6) ** 2 * lamp.wavelength_nm * 1e-9 / PLANCK_LIGHT
+    return float(photons * lamp.quantum_efficiency)
+
+
+def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> Exposure:
+    """Shutter first, then gain, then darkness.
+
+    Parameters
+    ----------
+    rate_e_s : electrons a second where the finger is brightest
+
+    Returns
+    -------
+    Exposure whose level is the target where the ranges of shutter and gain allow it, else what they give.
+    """
+    require(rate_e_s > 0, "no light falls on the finger; turn the LEDs towards it.")
+    wanted = settings.target * settings.full_well_e / rate_e_s
+    time = float(np.clip(wanted, settings.shortest_s, settings.longest_s))
+    gain = float(np.clip(wanted / time, 1.0, settings.largest_gain))
+    return Exposure(time, gain, rate_e_s * time * gain / settings.full_well_e)
+
+
+def tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
+    """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
+
+    A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
+    """
+    share = 1.0 - float(np.sinc(settings.tremor_hz * time_s)) ** 2
+    return settings.tremor_um * 1e-3 * float(np.sqrt(0.5 * share))
