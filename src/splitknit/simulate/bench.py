@@ -18,7 +18,7 @@ from splitknit.simulate.bench_nail import NailScene
 from splitknit.simulate.bench_poses import BoardPose, HandRanges, board_poses
 from splitknit.simulate.bench_scene import BenchSettings, switched_on
 from splitknit.simulate.bench_sphere import SphereScene
-from splitknit.simulate.sensor import RESPONSE, SensorSettings, record
+from splitknit.simulate.sensor import RESPONSE, SensorSettings, binning_scale, record
 from splitknit.types import Camera, FloatArray, Led, PixelArray
 
 __all__ = [
@@ -37,9 +37,6 @@ __all__ = [
     "photograph_bench",
     "well_exposed",
 ]
-
-FULL_ROWS = 2200
-"""Of the full frame, in which the sensor's pixels are not binned."""
 
 
 class Scene(Protocol):
@@ -118,5 +115,4 @@ def photograph_bench(
     require(band in RESPONSE, f"band must be one of {', '.join(RESPONSE)}, but it is '{band}'.")
     seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence([seed, 0xB2])
     light = scene.light(lit) * np.float32(exposure)
-    scale = min(scene.camera.image_size[0] / FULL_ROWS, 1.0)
-    return record(light, band, seeds, sensor, scale)
+    return record(light, band, seeds, sensor, binning_scale(scene.camera))

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.simulate.bench_sight import Array, Plane, Sight, fall_off, sight
+from splitknit.simulate.bench_sight import Array, Plane, Sight, sight
 from splitknit.simulate.defocus import blur_sigma_px, defocus
+from splitknit.simulate.lens import fall_off, px_per_mm_at
 from splitknit.simulate.lighting import _towards
 from splitknit.types import Camera, FloatArray, Led
 
@@ -142,9 +143,8 @@ class GroundScene:
     @cached_property
     def _blur(self) -> FloatArray:
         camera, bench = self.camera, self.bench
-        return blur_sigma_px(
-            self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, camera.px_per_mm
-        )
+        pitch = px_per_mm_at(camera, bench.focus_mm)
+        return blur_sigma_px(self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
 
     @property
     def _depth(self) -> Array:

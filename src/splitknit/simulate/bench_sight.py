@@ -1,4 +1,4 @@
-"""What the twin's camera sees of a bench: lines of sight of its pixels, flat ground under them, the lens's fall-off."""
+"""What the twin's camera sees of a bench: lines of sight of its pixels, flat ground under them, edges in them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from splitknit.check import require
 from splitknit.simulate import lens
-from splitknit.types import Camera, FloatArray
+from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 
@@ -137,20 +137,6 @@ def _ramp(distance: Array, spread: Array) -> Array:
     """Integral of the normal distribution function."""
     along = distance / spread
     return np.asarray(distance * ndtr(along) + spread * np.exp(-0.5 * along * along) / np.sqrt(2.0 * np.pi))
-
-
-def fall_off(camera: Camera) -> FloatArray:
-    """(H, W) brightness of the lens: 1 + a r^2 + b r^4 + ..., r from the image's centre over half its diagonal."""
-    height, width = camera.image_size
-    row = np.arange(height, dtype=np.float64)[:, None] - (height - 1) / 2
-    column = np.arange(width, dtype=np.float64)[None, :] - (width - 1) / 2
-    r2 = 4.0 * (row**2 + column**2) / (height**2 + width**2)
-    brightness = np.ones((height, width))
-    power = np.ones_like(r2)
-    for coefficient in camera.shading:
-        power = power * r2
-        brightness += coefficient * power
-    return brightness.astype(np.float32)
 
 
 def seen_at(camera: Camera, points: Array) -> Array:
