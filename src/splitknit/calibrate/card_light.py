@@ -1,6 +1,6 @@
 """What a calibrated rig lets a white Lambertian card show: the flat field as a model, at any height.
 
-Pixel p of the image under LED k sees, on a card that lies parallel to the finger plane at the height z,
+Pixel p of the image under LED k sees, on a card that lies near the finger plane,
 
     I_k(p) = c S(p) E_k(x) / pi,    E_k(x) = 10^4 i_k cos(theta) cos(beta)^n / d^2,
 
@@ -11,6 +11,7 @@ distance d, the angle theta to the card's normal and the angle beta to the LED's
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,19 +27,44 @@ UNIT_MM2 = 1e4
 """An LED of intensity one gives the irradiance one at 100 mm."""
 
 
-def points_on_card(camera: Camera, pixels: Any, z_mm: float = 0.0) -> Array:
-    """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on a plane at the height `z_mm`.
+@dataclass(frozen=True, slots=True)
+class CardPlane:
+    """Where a card lies."""
 
-    Raises
-    ------
-    BadInput
-        If the plane does not lie below the camera.
-    """
-    require(z_mm < camera.height_mm, f"the card's height, {z_mm:g} mm, must be below the camera.")
-    on_plane = plane_points(camera, pixels)
-    if camera.model == "perspective":
-        on_plane = on_plane * ((camera.height_mm - z_mm) / camera.height_mm)
-    return np.column_stack([on_plane, np.full(len(on_plane), float(z_mm))])
+    height_mm: float = 0.0
+    """z of its surface on the camera's axis: its thickness, if it lies on the finger plane."""
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    """Parts along x and y of its turn against the finger plane, right-handed."""
+
+    def __post_init__(self) -> None:
+        require(abs(self.height_mm) <= 1000, f"the card's height must be in mm, but it is {self.height_mm:g}.")
+        require(max(abs(t) for t in self.tilt_deg) <= 10, f"the card's tilt is {self.tilt_deg} deg, more than 10.")
+
+    @property
+    def normal(self) -> Array:
+        """(3,) unit vector out of the card."""
+        a, b = np.deg2rad(self.tilt_deg)
+        angle = float(np.hypot(a, b))
+        share = float(np.sinc(angle / np.pi))
+        return np.array([share * b, -share * a, np.cos(angle)])
+
+    def points(self, camera: Camera, pixels: Any) -> Array:
+        """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card.
+
+        Raises
+        ------
+        BadInput
+            If the card does not lie below the camera.
+        """
+        require(
+            self.height_mm < camera.height_mm, f"the card's height, {self.height_mm:g} mm, is not below the camera."
+        )
+        places = plane_points(camera, pixels)
+        x, y, z = self.normal
+        if camera.model == "perspective":
+            share = z * (camera.height_mm - self.height_mm) / (z * camera.height_mm - places @ (x, y))
+            return np.column_stack([places * share[:, None], camera.height_mm * (1 - share)])
+        return np.column_stack([places, self.height_mm - places @ (x, y) / z])
 
 
 def squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
@@ -76,8 +102,8 @@ def facing_light(led: Led, points_mm: Any) -> Array:
     return np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
 
 
-def card_light(camera: Camera, led: Led, pixels: Any, z_mm: float = 0.0) -> Array:
-    """(N,) brightness at `pixels` of an ideal white card at the height `z_mm`, lens included: the flat field.
+def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = None) -> Array:
+    """(N,) brightness at `pixels` of an ideal white card, lens included: the flat field.
 
     Parameters
     ----------
@@ -85,12 +111,13 @@ def card_light(camera: Camera, led: Led, pixels: Any, z_mm: float = 0.0) -> Arra
     led : Led
         Near.
     pixels : (N, 2) columns and rows
-    z_mm : height of the card above the finger plane
+    card : where the card lies; on the finger plane by default
 
     Returns
     -------
     (N,) in the units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi
     """
-    points = points_on_card(camera, pixels, z_mm)
+    plane = card or CardPlane()
+    points = plane.points(camera, pixels)
     towards, _ = rays_to_led(led, points)
-    return np.asarray(facing_light(led, points) * towards[:, 2] * lens_fall_off(camera, pixels) / np.pi)
+    return np.asarray(facing_light(led, points) * (towards @ plane.normal) * lens_fall_off(camera, pixels) / np.pi)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibrate.card_light import UNIT_MM2, points_on_card, rays_to_led, squared_radius
+from splitknit.calibrate.card_light import UNIT_MM2, CardPlane, rays_to_led, squared_radius
 from splitknit.types import Camera, Led
 
 Array = NDArray[np.float64]
@@ -63,8 +63,8 @@ class Answer:
 class CardModel:
     """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while fitting."""
 
-    def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, z_mm: float) -> None:  # noqa: D107
-        points = points_on_card(camera, pixels, z_mm)
+    def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, card: CardPlane) -> None:  # noqa: D107
+        points = card.points(camera, pixels)
         self.count = len(leds)
         self.squared = squared_radius(camera.image_size, pixels)
         names = sorted({led.band for led in leds})
@@ -74,7 +74,7 @@ class CardModel:
         self.seen = np.empty((self.count, 3, len(pixels)))  # direction from the LED to the point, in its frame
         for k, led in enumerate(leds):
             towards, distance = rays_to_led(led, points)
-            self.known[k] = np.log(UNIT_MM2 / np.pi * towards[:, 2] / distance**2)
+            self.known[k] = np.log(UNIT_MM2 / np.pi * (towards @ card.normal) / distance**2)
             self.seen[k] = -self.frames[k] @ towards.T
 
     def size(self, order: Order) -> int:
