@@ -1,0 +1,193 @@
+"""The table of nail and shadow tips that the lights are calibrated from.
+
+One row a photograph: which LED was lit (`band`, and `led`, 0 to 6 within it), which place the nail stood at (`nail`,
+any whole number), the nail's pixel and that of its shadow's tip (x along the columns, y down the rows, as image
+viewers show them).
+
+References
+----------
+The thesis, section 4.3.2 and figure 5.1.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+
+BANDS = ("white", "nir")
+LEDS_PER_BAND = 7
+COLUMNS = ("band", "led", "nail", "nail_x_px", "nail_y_px", "tip_x_px", "tip_y_px")
+_BEYOND = 0.02
+"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tip:
+    """One row: what one LED's photograph of one nail position shows."""
+
+    band: str
+    led: int
+    nail: int
+    nail_px: tuple[float, float]
+    """Column and row of the nail."""
+    tip_px: tuple[float, float]
+    """Column and row of its shadow's tip."""
+
+    @property
+    def name(self) -> str:
+        """Such as ``white 3, nail 2``, for messages."""
+        return f"{led_name(self.band, self.led)}, nail {self.nail}"
+
+
+def led_name(band: str, led: int) -> str:
+    """Such as ``white 3`` or ``NIR 0``."""
+    return f"{'NIR' if band == 'nir' else band} {led}"
+
+
+def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
+    """Read the rows of a table in CSV; lines that are empty or begin with ``#`` are skipped, other columns ignored.
+
+    Parameters
+    ----------
+    text : the table, its first line the names of the columns
+    name : of the file, for messages
+
+    Returns
+    -------
+    Rows in the order white before NIR, LED, nail.
+
+    Raises
+    ------
+    BadInput
+        Naming the line: a column is missing, something is no number, a band or LED is not known, or the same band,
+        LED and nail come twice.
+    """
+    lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
+    lines = [(k, line) for k, line in lines if line.strip(" \t,") and not line.lstrip().startswith("#")]
+    require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
+    header = [cell.strip().lower() for cell in next(csv.reader([lines[0][1]]))]
+    missing = [column for column in COLUMNS if column not in header]
+    require(
+        not missing,
+        f"{name} lacks the column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; its first line must be "
+        f"{','.join(COLUMNS)}.",
+    )
+    require(len(set(header)) == len(header), f"{name} names a column twice in its first line.")
+    tips: dict[tuple[str, int, int], tuple[int, Tip]] = {}
+    for number, line in lines[1:]:
+        tip = _tip(line, header, f"{name}, line {number}")
+        key = (tip.band, tip.led, tip.nail)
+        if key in tips:
+            raise BadInput(
+                f"{name}, lines {tips[key][0]} and {number} are both for {tip.name}; keep one of them, or correct its "
+                f"numbers."
+            )
+        tips[key] = (number, tip)
+    require(bool(tips), f"{name} has no rows below its first line; add one for every LED and nail position.")
+    return tuple(sorted((tip for _, tip in tips.values()), key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail)))
+
+
+def write_tips(tips: Sequence[Tip]) -> str:
+    """Return the table as text that :func:`read_tips` reads, pixels to two digits."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for tip in tips:
+        pixels = [f"{value:.2f}" for value in (*tip.nail_px, *tip.tip_px)]
+        writer.writerow([tip.band, tip.led, tip.nail, *pixels])
+    return stream.getvalue()
+
+
+def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
+    """Check that the table is complete and that its pixels lie in the image.
+
+    Of every band that occurs all seven LEDs must be there, each at two nail positions at least (one, where the nail
+    stood in one place only).
+
+    Parameters
+    ----------
+    tips : rows of the table
+    image_size : rows, columns
+    name : of the table, for messages
+
+    Raises
+    ------
+    BadInput
+        Naming the LED and the nail.
+    """
+    rows, columns = image_size
+    for tip in tips:
+        for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
+            inside = -_BEYOND * columns <= x <= (1 + _BEYOND) * columns and -_BEYOND * rows <= y <= (1 + _BEYOND) * rows
+            require(
+                inside,
+                f"{name}: {tip.name}: the {what} at x = {x:g}, y = {y:g} lies outside the image of {columns} columns "
+                f"and {rows} rows; correct the row, or the image size (rows, columns).",
+            )
+    nails = sorted({tip.nail for tip in tips})
+    for band in [band for band in BANDS if any(tip.band == band for tip in tips)]:
+        present = {(tip.led, tip.nail) for tip in tips if tip.band == band}
+        absent = [led for led in range(LEDS_PER_BAND) if not any(led == one for one, _ in present)]
+        require(
+            not absent,
+            f"{name} has no row for {' and '.join(led_name(band, led) for led in absent)}; every LED from 0 to "
+            f"{LEDS_PER_BAND - 1} of a band that occurs needs its rows.",
+        )
+        for led in range(LEDS_PER_BAND):
+            seen = [nail for nail in nails if (led, nail) in present]
+            lost = [str(nail) for nail in nails if nail not in seen]
+            require(
+                len(seen) >= min(2, len(nails)),
+                f"{name} has {led_name(band, led)} at nail {seen[0]} only, and not at nail {' and '.join(lost)}; add "
+                f"the row, because one position cannot be checked.",
+            )
+
+
+def pixels(tips: Sequence[Tip]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns and rows (N, 2) of the nails and of the shadows' tips."""
+    nails = np.array([tip.nail_px for tip in tips], dtype=np.float64).reshape(-1, 2)
+    ends = np.array([tip.tip_px for tip in tips], dtype=np.float64).reshape(-1, 2)
+    return nails, ends
+
+
+def _tip(line: str, header: Sequence[str], where: str) -> Tip:
+    cells = [cell.strip() for cell in next(csv.reader([line]))]
+    require(
+        len(cells) == len(header),
+        f"{where} has {len(cells)} fields, but the first line names {len(header)}; correct the line.",
+    )
+    row = dict(zip(header, cells, strict=True))
+    band = row["band"].lower()
+    require(band in BANDS, f"{where}: the band must be white or nir, but it is '{row['band']}'.")
+    led = _whole(row["led"], where, "led")
+    require(
+        led < LEDS_PER_BAND,
+        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led']}.",
+    )
+    numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
+    return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
+
+
+def _whole(text: str, where: str, column: str) -> int:
+    sound = text.isascii() and text.isdigit() and len(text) <= 9
+    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is '{text}'.")
+    return int(text)
+
+
+def _number(text: str, where: str, column: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    require(
+        math.isfinite(value) and abs(value) < 1e6, f"{where}: {column} must be a number of pixels, but it is '{text}'."
+    )
+    return value
