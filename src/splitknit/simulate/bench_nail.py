@@ -160,8 +160,8 @@ class NailScene(GroundScene):
         b = du * up[..., 0] + dv * up[..., 1] + g * self.base_radius_mm
         c = du * du + dv * dv - self.base_radius_mm**2
         root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-        # the higher of the two crossings is the one that the camera sees; written so that a near zero does no harm
-        w = np.clip(-c / np.where(np.abs(b - root) > 1e-12, b - root, 1e-12), 0.0, self.nail_mm)
+        # of a w^2 + 2 b w + c = 0 the solution (root - b) / a, where the line leaves the cone upwards; a may vanish
+        w = np.clip(-c / np.where(np.abs(b + root) > 1e-12, b + root, 1e-12), 0.0, self.nail_mm)
         u, v = du + w * up[..., 0], dv + w * up[..., 1]
         top_u, top_v = du + self.nail_mm * up[..., 0], dv + self.nail_mm * up[..., 1]
         on_top = top_u**2 + top_v**2 <= self.tip_radius_mm**2
