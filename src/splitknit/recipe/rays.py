@@ -16,6 +16,9 @@ from splitknit.view import View, view_of
 COARSE_MM = 0.2
 """Pitch at which the grid's unevenness, which is smooth, is accounted for."""
 
+TOP_SHARE = 0.998
+"""Quantile of the heights that is taken for the highest point."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
@@ -47,7 +50,7 @@ def place(  # noqa: PLR0917
     mask: BoolArray,
     camera: Camera,
     window: tuple[slice, slice],
-    plane_mm: float,
+    top_mm: float,
 ) -> Placed:
     """Turn heights along the rays into z, and find the points and normals.
 
@@ -58,15 +61,17 @@ def place(  # noqa: PLR0917
     mask : (h, w)
     camera : that saw them
     window : rows and columns of `mask` in its image
-    plane_mm : mean height of the surface above the finger plane
+    top_mm : assumed height of the highest point above the finger plane; one camera does not see how far away it is
     """
     if camera.model == "orthographic":
         seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
         normals = normals_from_gradients(*height_gradients(seen, camera.pitch_mm))
         return Placed(height_mm, shape_mm, normals * mask[..., None])
     view = view_of(camera, *window, along_rays=True)
-    shape = shape_mm - np.float32(shape_mm[mask].mean(dtype=np.float64) - plane_mm)
-    shape = shape + unevenness(shape, mask, camera, window)
+    shape = shape_mm + unevenness(shape_mm, mask, camera, window)
+    for _ in range(4):  # lifting moves points along their rays
+        top = np.quantile(view.points(shape)[2][mask], TOP_SHARE)
+        shape = shape + np.float32(top_mm - top)
     whole = shape + (height_mm - shape_mm)
     x, y, z = view.points(whole)
     _, _, below = view.points(shape)

@@ -23,8 +23,8 @@ def assemble(capture: Capture, finger: Finger, surface: SurfaceParts, settings: 
         whole[window] = np.where(inside, part, np.float32(np.nan))
         return whole
 
-    plane_mm = settings.metric.plane_mm
-    done = place(surface.height_mm, surface.shape_mm, inside, capture.rig.camera, window, plane_mm)
+    camera, top_mm = capture.rig.camera, settings.top_mm
+    done = place(surface.height_mm, surface.shape_mm, inside, camera, window, top_mm)
     flat = done.x_mm is None or done.y_mm is None
     normals = np.zeros((*mask.shape, 3), dtype=np.float32)
     normals[window] = done.normals
