@@ -138,8 +138,11 @@ def _add_train(verbs: Any) -> None:
 
 
 def _add_calibrate(verbs: Any) -> None:
-    _group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
+    from splitknit.apps.calibrate_radiometry_verb import add_radiometry  # noqa: PLC0415
+
+    kinds = _group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
     # one line a kind: from splitknit.apps.calibrate_KIND_verb import add_KIND; add_KIND(kinds)
+    add_radiometry(kinds)
 
 
 def _add_rig(verbs: Any) -> None:
