@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from splitknit.check import BadInput, require
 from splitknit.simulate.bench_flat import Board
 from splitknit.simulate.bench_sight import plane_of, seen_at
+from splitknit.simulate.lens import px_per_mm_at
 from splitknit.types import Camera
 
-TRIES = 2000
+TRIES = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,8 @@ def board_poses(
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
     poses: list[BoardPose] = []
     for _ in range(TRIES * count):
-        pose = _draw(rng, camera, ranges)
-        if _in_view(pose, camera, board, ranges.edge):
+        pose = _draw(rng, camera, board, ranges)
+        if pose is not None:
             poses.append(pose)
             if len(poses) == count:
                 return poses
@@ -83,40 +84,36 @@ def board_poses(
     )
 
 
-def _draw(rng: np.random.Generator, camera: Camera, ranges: HandRanges) -> BoardPose:
+def _draw(rng: np.random.Generator, camera: Camera, board: Board, ranges: HandRanges) -> BoardPose | None:
+    """One pose, or None where so turned a board does not fit."""
     tilt, turn, height = (
         low + (high - low) * rng.random() for low, high in (ranges.tilt_deg, ranges.turn_deg, ranges.height_mm)
     )
     axis = 2.0 * np.pi * rng.random()
-    beside = rng.random(2) - 0.5
+    beside = rng.random(2)
     lean = cv2.Rodrigues(np.deg2rad(tilt) * np.array([np.cos(axis), np.sin(axis), 0.0]))[0]
     spin = cv2.Rodrigues(np.array([0.0, 0.0, np.deg2rad(turn)]))[0]
     rotation = cv2.Rodrigues(lean @ spin)[0].ravel()
-    # a person looks at the picture and moves the board about its middle
     rows, columns = camera.image_size
-    middle = _middle_of_view(camera)
-    x = middle[0] + 0.4 * beside[0] * columns / camera.px_per_mm
-    y = middle[1] + 0.4 * beside[1] * rows / camera.px_per_mm
-    return BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (float(x), float(y), float(height)))
+    free = ranges.edge * rows
+    # held under the camera's axis, how far could it be moved until it leaves the picture?
+    places = _outer_corners(rotation, np.array([0.0, 0.0, height]), camera, board)
+    least = free - places.min(axis=0)
+    most = (columns - 1 - free, rows - 1 - free) - places.max(axis=0)
+    move = least + beside * (most - least)
+    middle = np.array([*(move * (1.0, -1.0) / px_per_mm_at(camera, height)), height])
+    places = _outer_corners(rotation, middle, camera, board)
+    slack = min(float((places - free).min()), float(((columns - 1 - free, rows - 1 - free) - places).min()))
+    if slack < 0.0:
+        return None
+    x, y, z = (float(v) for v in middle)
+    return BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
 
 
-def _middle_of_view(camera: Camera) -> NDArray[np.float64]:
-    """(2,) x and y in mm that appear in the picture's middle, distortion (none there to speak of) left out."""
-    rows, columns = camera.image_size
-    origin = seen_at(camera, np.zeros(3))
-    away = np.array([(columns - 1) / 2, (rows - 1) / 2]) - origin
-    return np.asarray(away * (1.0, -1.0) / camera.px_per_mm)
-
-
-def _in_view(pose: BoardPose, camera: Camera, board: Board, edge: float) -> bool:
+def _outer_corners(
+    rotation: NDArray[np.float64], middle: NDArray[np.float64], camera: Camera, board: Board
+) -> NDArray[np.float64]:
+    """(4, 2) column and row of the corners of all squares together."""
     width, height = board.size_mm
     u, v = np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2))
-    points = plane_of(pose.rotation_vector, pose.translation_mm).points(u.ravel(), v.ravel())
-    places = seen_at(camera, points)
-    rows, columns = camera.image_size
-    free = edge * rows
-    return bool(
-        (places >= free).all()
-        and (places[:, 0] <= columns - 1 - free).all()
-        and (places[:, 1] <= rows - 1 - free).all()
-    )
+    return seen_at(camera, plane_of(rotation, middle).points(u.ravel(), v.ravel()))
