@@ -76,15 +76,17 @@ def perspective_camera(
     return Camera(px_per_mm, size, height_mm, "perspective", matrix, distortion, shading)
 
 
-def perspective_plane(camera: Camera, z_mm: float) -> Surface:
-    """A flat sheet at the height `z_mm` that fills the picture of a camera without distortion."""
+def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> Surface:
+    """A flat sheet, z = z_mm + slope x, that fills the picture of a camera without distortion."""
     rows, columns = np.indices(camera.image_size)
     assert camera.matrix is not None
-    depth = camera.height_mm - z_mm
-    x = ((columns - camera.matrix[0, 2]) / camera.matrix[0, 0] * depth).astype(np.float32)
-    y = ((camera.matrix[1, 2] - rows) / camera.matrix[1, 1] * depth).astype(np.float32)
-    up = np.zeros((*camera.image_size, 3), dtype=np.float32)
-    up[..., 2] = 1.0
-    z = np.full(camera.image_size, z_mm, dtype=np.float32)
+    right, up = (
+        (columns - camera.matrix[0, 2]) / camera.matrix[0, 0],
+        (camera.matrix[1, 2] - rows) / camera.matrix[1, 1],
+    )
+    depth = (camera.height_mm - z_mm) / (1.0 + slope * right)
+    x, y, z = (a.astype(np.float32) for a in (right * depth, up * depth, camera.height_mm - depth))
+    normals = np.zeros((*camera.image_size, 3), dtype=np.float32)
+    normals[:] = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
     one = np.ones(camera.image_size, dtype=np.float32)
-    return Surface(camera, z, z, up, up, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y)
+    return Surface(camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y)

@@ -19,6 +19,7 @@ from splitknit.simulate.lighting import cut_out, light_on, white_card
 from splitknit.simulate.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulate.pose_ranges import PoseRanges
 from splitknit.simulate.projector import Checkerboard, pattern_states
+from splitknit.simulate.rays import Rays
 from splitknit.simulate.renderer import render_ambient, render_band
 from splitknit.simulate.separation import separate_truth
 from splitknit.simulate.skin import ChannelOptics, SkinSettings
@@ -136,6 +137,39 @@ def test_the_sides_move_inwards(finger: Finger, master: MasterPrint) -> None:
     assert (inwards > 0.15).all() and (inwards < 0.45).all()
 
 
+def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: MasterPrint) -> None:
+    """A near camera sees skin of the side towards it that no orthographic camera sees: normals that point down."""
+    camera = perspective_camera((300, 420), 10.0, 45.0)
+    pose = Pose(x_mm=12.0, insertion_mm=20.0)
+    surface = finger_surface(finger, pose, camera, master=master)
+    down = surface.mask & (surface.shape_normals[..., 2] < -0.05)
+    assert down.sum() > 500
+    assert (_view(surface) * surface.normals).sum(-1)[surface.mask].min() > 5e-4
+    body = FingerBody(finger.shape)
+    placement = place(body, pose, camera)
+    distance, _, _ = body.distance_and_chart(*placement.to_finger(*_points(surface)[down].T))
+    np.testing.assert_allclose(1e3 * distance, surface.relief_um[down], atol=0.03)
+    # the outline is where the smooth body, seen from the camera's centre, turns away
+    rim = surface.mask & ~ndimage.binary_erosion(surface.mask) & (np.indices(surface.mask.shape)[1] < 290)
+    rim[-4:] = False
+    assert np.median((_view(surface) * surface.shape_normals).sum(-1)[rim]) < 0.15
+
+
+def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
+    slopes = (np.array([0.2, 0.2, 0.0]), np.array([0.0, 0.0, -0.3]))
+    rays = Rays(np.zeros(3), np.zeros(3), slopes)
+    normals = np.array([[0.0, 0.0, 1.0], [0.99, 0.0, np.sqrt(1 - 0.99**2)], [0.0, -0.96, 0.28]])
+    given = normals.copy()
+    rays.turn_to_view(normals)
+    np.testing.assert_array_equal(normals[0], given[0])
+    view = np.array([-0.2, 0.0, 1.0]) / np.sqrt(1.04), np.array([0.0, 0.3, 1.0]) / np.sqrt(1.09)
+    np.testing.assert_allclose([normals[1] @ view[0], normals[2] @ view[1]], 1e-3, rtol=0.01)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    parallel = Rays(np.zeros(3), np.zeros(3))
+    parallel.turn_to_view(given)
+    np.testing.assert_array_equal(given[2], [0.0, -0.96, 0.28])
+
+
 def test_landmarks_are_pixels_of_the_lens(seen: Surface, finger: Finger, master: MasterPrint) -> None:
     body = FingerBody(finger.shape)
     placement = place(body, POSE, CAMERA)
@@ -171,18 +205,17 @@ def test_the_pose_is_where_it_says_in_the_picture(finger: Finger) -> None:
 
 
 def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
-    """Irradiance, mirror reflection and emergence of a sheet 8 mm below the finger plane, by the book."""
+    """Irradiance and emergence of a steep sheet, and its light under the sky, by the book."""
     camera = perspective_camera((160, 240), 4.0, 60.0, off=(11.0, 5.0))
-    sheet = perspective_plane(camera, -8.0)
+    sheet = perspective_plane(camera, -8.0, slope=-1.5)
     led = Led("white", (40.0, 6.0, 50.0))
     dense = ChannelOptics(scattering_per_mm=3000.0, absorption_per_mm=60.0, relief_gain_per_um=0.0)
     image = render_band(sheet, [led], [dense], roughness=0.2, glare=1.0, walks=load_walks())
-    x, y = sheet.x_mm, sheet.y_mm
-    assert x is not None and y is not None
-    to = np.stack([40.0 - x, 6.0 - y, np.full_like(x, 58.0)], -1).astype(np.float64)
+    to = np.array([40.0, 6.0, 50.0]) - _points(sheet)
     distance = np.linalg.norm(to, axis=-1)
-    cosine = 58.0 / distance
-    leaving = 68.0 / np.sqrt(x * x + y * y + 68.0**2)
+    cosine = (to * sheet.normals).sum(-1) / distance
+    leaving = (_view(sheet) * sheet.normals).sum(-1)
+    assert leaving.min() < 0.2 and leaving.max() > 0.85
     rough = np.sqrt(leaving**2 + 0.1**2 * (1 - leaving**2))
     albedo = diffusion_profile(load_walks(), 3000.0, 60.0).albedo
     expected = 1e4 * cosine / distance**2 * (1 - fresnel(cosine)) * (1 - fresnel(rough)) * albedo
@@ -190,14 +223,18 @@ def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
     np.testing.assert_allclose(
         image.diffuse[0, 0][inner], (expected / (np.pi * diffuse_transmittance()))[inner], rtol=0.004
     )
-    # a mirror shows the light where angles are equal: at the share h_camera / (h_camera + h_light) of the way
-    _, sharp = light_on(cut_out(sheet), led, 0.02, 0.0)
+    sky = render_ambient(sheet, 1.0, [dense], roughness=0.2, walks=load_walks())
+    half = 0.5 * (1.0 + sheet.normals[..., 2])
+    np.testing.assert_allclose(sky[0][inner], (half * albedo * (1 - fresnel(rough)))[inner], rtol=0.006)
+
+
+def test_a_mirror_shows_the_light_where_angles_are_equal() -> None:
+    """On a level sheet: at the share camera / (camera + light) of the way, heights above the sheet."""
+    sheet = perspective_plane(perspective_camera((160, 240), 4.0, 60.0, off=(11.0, 5.0)), -8.0)
+    _, sharp = light_on(cut_out(sheet), Led("white", (40.0, 6.0, 50.0)), 0.02, 0.0)
     row, column = np.unravel_index(np.argmax(sharp), sharp.shape)
     share = 68.0 / (68.0 + 58.0)
-    assert x[row, column] == pytest.approx(40.0 * share, abs=0.4)
-    assert y[row, column] == pytest.approx(6.0 * share, abs=0.4)
-    sky = render_ambient(sheet, 1.0, [dense], roughness=0.2, walks=load_walks())
-    np.testing.assert_allclose(sky[0][inner], (albedo * (1 - fresnel(rough)))[inner], rtol=0.006)
+    np.testing.assert_allclose(_points(sheet)[row, column, :2], [40.0 * share, 6.0 * share], atol=0.4)
 
 
 def test_diffusion_has_the_pitch_of_the_fingers_distance() -> None:
