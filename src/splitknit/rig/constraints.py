@@ -213,7 +213,7 @@ def _beam(candidate: Candidate, exponent: float, limits: Limits) -> Finding:
     words = (
         f"the finger gets {100 * share:.0f} % of the LEDs' axial intensity."
         if ok
-        else f"beams {off:.0f} deg off the finger give it {100 * share:.0f} % of their light; tilt them by {centre:.0f}."
+        else f"beams {off:.0f} deg off the finger give it {100 * share:.0f} % of it; tilt them by {centre:.0f} deg."
     )
     return Finding("beam", ok, True, share, words)
 

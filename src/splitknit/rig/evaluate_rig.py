@@ -14,7 +14,7 @@ from splitknit.check import BadInput
 from splitknit.pipeline import reconstruct
 from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
 from splitknit.rig.constraints import Finding, Print, examine
-from splitknit.rig.hausdorff import surface_distances
+from splitknit.rig.hausdorff import both_ways, surface_distances
 from splitknit.rig.photo import Shot, photograph
 from splitknit.rig.photons import intensity_w_sr
 from splitknit.rig.study import Study
@@ -132,14 +132,14 @@ def compare_surfaces(
         x, y = result.x_mm.astype(np.float64), result.y_mm.astype(np.float64)
     lift = float(np.mean(result.height_mm[flat], dtype=np.float64) - np.mean(surface.height_mm[flat], dtype=np.float64))
     points = np.stack([x, y, result.height_mm - lift], axis=-1).astype(np.float64)
-    near = surface_distances(true.print, points[flat], first_all=true.phalange, second_all=points[kept])
-    everything = surface_distances(true.phalange, points[kept])
+    there, back = both_ways(true.phalange, points[kept])
+    near = surface_distances(there[true.print], back[flat[kept]])
     cosine = np.sum(result.normals[flat].astype(np.float64) * surface.normals[flat], axis=1)
     return {
         "hausdorff_mm": near.hausdorff_mm,
         "hausdorff95_mm": near.hausdorff95_mm,
         "rms_mm": near.rms_mm,
-        "whole_mm": everything.hausdorff_mm,
+        "whole_mm": surface_distances(there, back).hausdorff_mm,
         "normals_deg": float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))),
         "ridge_correlation": _ridge_correlation(
             result.ridge_mm, surface.height_mm - surface.shape_mm, kept, flat, BAND_SIGMA_MM / result.pitch_mm

@@ -30,41 +30,36 @@ def nearest_distances(points: Array, others: Array) -> Array:
     return np.asarray(cKDTree(others).query(points)[0], dtype=np.float64)
 
 
-def surface_distances(
-    first: Array, second: Array, *, first_all: Array | None = None, second_all: Array | None = None
-) -> SurfaceDistances:
-    """Measure two sets of points against each other.
-
-    Parameters
-    ----------
-    first, second : (N, 3), (M, 3) points, mm
-    first_all, second_all : larger sets that hold `first` and `second`, in which the nearest point is looked for: where
-        only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond
-
-    Returns
-    -------
-    SurfaceDistances
+def both_ways(first: Array, second: Array) -> tuple[Array, Array]:
+    """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,).
 
     Raises
     ------
     BadInput
         If a set is empty, not (N, 3) or not finite.
-
-    References
-    ----------
-    F. Hausdorff, Grundzuege der Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A. Klanderman, W. J. Rucklidge,
-    Comparing images using the Hausdorff distance, IEEE PAMI 15 (1993), equations (1), (2) and, for the percentile, (8).
     """
-    first_all = first if first_all is None else first_all
-    second_all = second if second_all is None else second_all
-    for name, points in (("first", first), ("second", second), ("first_all", first_all), ("second_all", second_all)):
+    for name, points in (("first", first), ("second", second)):
         require(
             points.ndim == 2 and points.shape[1] == 3 and points.shape[0] > 0,
             f"{name} must hold points (N, 3), but it has the shape {points.shape}.",
         )
         require(bool(np.isfinite(points).all()), f"{name} holds points that are not finite.")
-    there = nearest_distances(first, second_all)
-    back = nearest_distances(second, first_all)
+    return nearest_distances(first, second), nearest_distances(second, first)
+
+
+def surface_distances(there: Array, back: Array) -> SurfaceDistances:
+    """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`both_ways`, or a part of them.
+
+    Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
+    distances are found on the whole surfaces and those of the middle are kept.
+
+    References
+    ----------
+    F. Hausdorff, Grundzuege der Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A. Klanderman, W. J. Rucklidge,
+    Comparing images using the Hausdorff distance, IEEE PAMI 15 (1993), equations (1) and (2); the percentile is their
+    partial distance, equation (8).
+    """
+    require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
     return SurfaceDistances(
         hausdorff_mm=float(max(there.max(), back.max())),
         hausdorff95_mm=float(max(np.percentile(there, 95), np.percentile(back, 95))),

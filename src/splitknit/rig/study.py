@@ -31,7 +31,7 @@ class Study:
     fingers: int = 3
     first_seed: int = 400
     """Of the fingers; all candidates photograph the same ones, with the same noise."""
-    truth_px_per_mm: float = 15.0
+    truth_px_per_mm: float = 10.0
     """Density of the points of the true surface."""
     build: BuildSettings = field(default_factory=BuildSettings)
     photons: PhotonSettings = field(default_factory=PhotonSettings)

@@ -30,8 +30,8 @@ class Points:
 
     phalange: Array
     """(N, 3) mm, all that the camera sees of the phalange."""
-    print: Array
-    """(M, 3) mm, the part of it that carries the print: slant of the shape up to 60 deg."""
+    print: BoolArray
+    """(N,) which of them carry the print: slant of the shape up to 60 deg."""
 
 
 @functools.lru_cache(maxsize=16)
@@ -96,4 +96,4 @@ def truth(seed: int, px_per_mm: float) -> Points:
     whole = phalange(seed, surface)
     x, y = places(surface)
     points = np.stack([x, y, surface.height_mm.astype(np.float64)], axis=-1)
-    return Points(points[whole], points[printed(surface, whole)])
+    return Points(points[whole], printed(surface, whole)[whole])
