@@ -146,8 +146,11 @@ def _add_calibrate(verbs: Any) -> None:
 
 
 def _add_rig(verbs: Any) -> None:
-    _group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
+    from splitknit.apps.rig_optimise_verb import add_optimise  # noqa: PLC0415
+
+    kinds = _group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
     # one line a kind: from splitknit.apps.rig_KIND_verb import add_KIND; add_KIND(kinds)
+    add_optimise(kinds)
 
 
 def _group(verbs: Any, name: str, does: str) -> Any:

@@ -6,15 +6,14 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.check import BadInput, require
 from splitknit.rig.candidates import Candidate
-from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate
+from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 from splitknit.rig.pareto import OBJECTIVES, compare_with_best, pareto_front
 from splitknit.rig.store import SweepFolder
 from splitknit.rig.study import Study
@@ -55,6 +54,7 @@ def sweep(
     """
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")
+    _check_possible(candidates, study)
     folder = SweepFolder(out, study)
     records: dict[str, dict[str, Any]] = {}
     for candidate in candidates:
@@ -120,6 +120,20 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
     }
 
 
+def _check_possible(candidates: Sequence[Candidate], study: Study) -> None:
+    """Refuse, before anything is written, a sweep of which no rig keeps the constraints."""
+    reason = ""
+    for candidate in candidates:
+        try:
+            broken = [finding.words for finding in judge(candidate, study) if finding.hard and not finding.ok]
+        except BadInput as error:
+            broken = [str(error)]
+        if not broken:
+            return
+        reason = reason or broken[0]
+    require(False, f"not one of the {len(candidates)} rigs can be built; of the first, {candidates[0].name}: {reason}")
+
+
 def _thesis(done: Sequence[dict[str, Any]], compared: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
     """The row of the thesis's rig: among several tilts and resolutions, its best."""
     its = [one for one in done if all(one["candidate"][name] == value for name, value in THESIS.items())]
@@ -163,8 +177,3 @@ def _quiet() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
-
-
-def resolve(study: Study, **changes: Any) -> Study:
-    """A study with the fields that are not None changed."""
-    return replace(study, **{name: value for name, value in changes.items() if value is not None})
