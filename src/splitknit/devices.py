@@ -1,17 +1,24 @@
 """What a camera and a bank of LEDs must do, whoever makes them: a Raspberry Pi's hardware, or the digital twin.
 
-One suite of contract tests (``tests/capture/contract.py``) holds for every implementation.
+One suite of contract tests (``tests/capture/contract.py``) holds for every implementation. What keeps LEDs from staying
+lit is written once, in :class:`GuardedLights`.
 """
 
 from __future__ import annotations
 
+import atexit
+import os
+import signal
+import threading
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Protocol, Self
 
 import numpy as np
 
+from splitknit.check import require
 from splitknit.types import PixelArray
 
 
@@ -20,13 +27,15 @@ class Frame:
     """One photograph as the sensor gave it."""
 
     pixels: PixelArray
-    """(H, W, C) integers, C = 1 or 3, linear."""
+    """(H, W, C) integers, C = 1 or 3, linear, full scale is that of the integers."""
     exposure_s: float
     gain: float
     black_level: float = 0.0
     """Stored value of no light."""
     at_s: float = 0.0
-    """When the exposure ended, on a clock that only runs forward."""
+    """When the exposure of the last row ended, on a clock that only runs forward."""
+    discarded: int = 0
+    """Frames that the camera gave before this one and that were thrown away: stale, or not yet as locked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +47,32 @@ class ExposureRange:
     lowest_gain: float
     highest_gain: float
 
+    def check(self, exposure_s: float, gain: float) -> None:
+        """Refuse an exposure outside the range.
+
+        Raises
+        ------
+        BadInput
+            Naming the quantity and the range.
+        """
+        slack = 1e-9
+        require(
+            bool(np.isfinite(exposure_s))
+            and self.shortest_s * (1 - slack) <= exposure_s <= self.longest_s * (1 + slack),
+            f"the camera exposes for {1e3 * self.shortest_s:g} to {1e3 * self.longest_s:g} ms, "
+            f"but {1e3 * exposure_s:g} ms were asked for.",
+        )
+        require(
+            bool(np.isfinite(gain)) and self.lowest_gain * (1 - slack) <= gain <= self.highest_gain * (1 + slack),
+            f"the camera's gain is {self.lowest_gain:g} to {self.highest_gain:g}, but {gain:g} was asked for.",
+        )
+
 
 class Camera(Protocol):
     """A camera whose exposure, gain and white balance stay as they are set.
 
-    Every frame that :meth:`capture` returns was exposed wholly after the call. Also a context manager that closes.
+    Every frame that :meth:`capture` and :meth:`preview` return was exposed wholly after the call, with what was locked.
+    Also a context manager that closes.
     """
 
     @property
@@ -53,20 +83,25 @@ class Camera(Protocol):
     def exposures(self) -> ExposureRange:
         """What :meth:`lock` accepts."""
 
-    def lock(self, exposure_s: float, gain: float) -> None:
-        """Fix exposure and gain for all further frames.
+    def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
+        """Fix exposure, gain and white balance for all further frames.
+
+        Parameters
+        ----------
+        exposure_s, gain : within :attr:`exposures`
+        band : ``white`` or ``nir``, whose LEDs a white card is white under
 
         Raises
         ------
         BadInput
-            If they are outside :attr:`exposures`.
+            If they are outside :attr:`exposures`, or there is no such band.
         """
 
     def capture(self) -> Frame:
         """Take one photograph of full size with the locked exposure."""
 
     def preview(self) -> Frame:
-        """Take a small photograph quickly, for focus and exposure, with the same exposure."""
+        """Take a small photograph of the whole field quickly, for exposure, with the same exposure."""
 
     def close(self) -> None:
         """Give the hardware back; may be called twice."""
@@ -102,14 +137,14 @@ class LightBank(Protocol):
         Raises
         ------
         BadInput
-            If there is no such LED.
+            If there is no such LED, or the bank is closed.
         """
 
     def on_together(self, leds: Sequence[int]) -> None:
         """Light several LEDs at once: only this call ever does."""
 
     def off(self) -> None:
-        """Switch all LEDs off; may be called at any time."""
+        """Switch all LEDs off and wait until they are dark; may be called at any time."""
 
     def close(self) -> None:
         """Switch all off and give the hardware back; may be called twice."""
@@ -124,3 +159,151 @@ class LightBank(Protocol):
 def relative_exposure(frame: Frame) -> float:
     """Exposure time times gain, by which light is divided."""
     return float(np.float64(frame.exposure_s) * frame.gain)
+
+
+class GuardedLights(ABC):
+    """A bank of LEDs that leaves none lit: what every :class:`LightBank` shares, whatever switches its LEDs.
+
+    All LEDs are switched off when the bank is made, when its ``with`` block ends in whatever way, when the process
+    exits, and before SIGTERM or SIGHUP end it (only where nobody else handles these). SIGKILL and a power failure are
+    the circuit's business: its transistors pull the lines down.
+
+    A maker's ``__init__`` calls this one last, when its LEDs can be switched.
+    """
+
+    def __init__(self, count: int, settle_s: float) -> None:
+        """Switch all LEDs off and stand guard."""
+        require(count >= 1, f"a bank of LEDs needs at least one, but has {count}.")
+        require(0 <= settle_s <= 10, f"settle_s must be 0 to 10 s, but it is {settle_s:g}.")
+        self._count, self._settle_s = count, settle_s
+        self._lit: set[int] = set(range(count))  # for all we know
+        self._closed = False
+        atexit.register(self.close)
+        _watch(self)
+        try:
+            self._dark()
+        except BaseException:
+            self.close()
+            raise
+
+    @abstractmethod
+    def _switch(self, led: int, lit: bool) -> None:
+        """Switch one LED."""
+
+    @abstractmethod
+    def _wait(self, seconds: float) -> None:
+        """Let time pass."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Give the hardware back; called once, with all LEDs off."""
+
+    @property
+    def count(self) -> int:
+        """See :class:`LightBank`."""
+        return self._count
+
+    @property
+    def lit(self) -> frozenset[int]:
+        """See :class:`LightBank`."""
+        return frozenset(self._lit)
+
+    @property
+    def settle_s(self) -> float:
+        """See :class:`LightBank`."""
+        return self._settle_s
+
+    def on(self, led: int) -> None:
+        """See :class:`LightBank`."""
+        self.on_together((led,))
+
+    def on_together(self, leds: Sequence[int]) -> None:
+        """See :class:`LightBank`."""
+        require(not self._closed, "the bank of LEDs is closed; open it again.")
+        wanted = sorted(set(leds))
+        for led in wanted:
+            require(
+                0 <= led < self._count,
+                f"there is no LED {led}; the bank has {self._count}, 0 to {self._count - 1}.",
+            )
+        require(len(wanted) > 0, "name at least one LED, or switch all off.")
+        self._dark(keep=frozenset(wanted))  # before the next is lit: never two at once
+        for led in wanted:
+            if led not in self._lit:
+                self._lit.add(led)  # first: an interrupt here must find it listed
+                self._switch(led, True)
+        self._wait(self._settle_s)
+
+    def off(self) -> None:
+        """See :class:`LightBank`."""
+        if self._closed:
+            return
+        were_lit = bool(self._lit)
+        self._dark()
+        if were_lit:
+            self._wait(self._settle_s)
+
+    def close(self) -> None:
+        """See :class:`LightBank`."""
+        if self._closed:
+            return
+        try:
+            self._dark()
+        finally:
+            self._closed = True
+            atexit.unregister(self.close)
+            _unwatch(self)
+            self._release()
+
+    def __enter__(self) -> Self:
+        """Return the bank."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def _dark(self, keep: frozenset[int] = frozenset()) -> None:
+        """Switch off all LEDs but `keep`: every one of them is tried, even where another fails."""
+        failure: Exception | None = None
+        for led in sorted(self._lit - keep):
+            try:
+                self._switch(led, False)
+                self._lit.discard(led)
+            except Exception as error:  # the others matter more
+                failure = failure or error
+        if failure is not None:
+            raise failure
+
+
+_DEADLY = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_open_banks: list[GuardedLights] = []
+
+
+def _watch(bank: GuardedLights) -> None:
+    """Have `bank` switched off before a signal ends the process."""
+    _open_banks.append(bank)
+    if threading.current_thread() is threading.main_thread():
+        for number in _DEADLY:
+            if signal.getsignal(number) == signal.SIG_DFL:
+                signal.signal(number, _off_then_die)
+
+
+def _unwatch(bank: GuardedLights) -> None:
+    if bank in _open_banks:
+        _open_banks.remove(bank)
+    if not _open_banks and threading.current_thread() is threading.main_thread():
+        for number in _DEADLY:
+            if signal.getsignal(number) is _off_then_die:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def _off_then_die(number: int, frame: FrameType | None) -> None:
+    try:
+        for bank in tuple(_open_banks):
+            bank.close()
+    finally:
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)

@@ -1,0 +1,140 @@
+"""The devices that ``splitknit capture`` opens: a Raspberry Pi's, or the twin's around a simulated finger."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.apps.commands import twin_settings
+from splitknit.capture.pi import open_pi
+from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.session import SessionSettings
+from splitknit.check import BadInput, require
+from splitknit.devices import Camera, LightBank
+from splitknit.io import read_rig
+from splitknit.settings import flatten, override
+from splitknit.simulate.device import Clock, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulate.finger_scene import FingerScene
+from splitknit.simulate.rig import default_rig
+from splitknit.simulate.twin import TwinSettings
+from splitknit.types import Rig
+
+NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by --rig"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """Everything that can be set about a capture."""
+
+    capture: SessionSettings
+    """Of the session."""
+    pi: PiCameraSettings
+    twin: TwinSettings
+    device: TwinDeviceSettings
+    """Of the twin's devices."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opened:
+    """Devices that are ready, and what is known about them."""
+
+    name: str
+    """``pi`` or ``twin``."""
+    camera: Camera
+    lights: LightBank
+    rig: Rig
+    truth: Mapping[str, Any] | None = None
+    """What the twin knows of the finger."""
+    notes: tuple[str, ...] = ()
+
+
+def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> DeviceSettings:
+    """Sort settings by what they belong to.
+
+    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the
+    rest is the twin's finger, skin, light and sensor.
+
+    Raises
+    ------
+    BadInput
+        If a setting is not known, or is the twin's and the device is not.
+    """
+    flat = flatten(changes)
+    parts: dict[str, dict[str, Any]] = {"capture": {}, "pi": {}, "device": {}, "": {}}
+    for name, value in flat.items():
+        stage, _, rest = name.partition(".")
+        known = stage in parts and bool(rest)
+        parts[stage if known else ""][rest if known else name] = value
+    if device == "pi":
+        strays = [*parts[""], *(f"device.{name}" for name in parts["device"])]
+        require(
+            not strays and scale is None,
+            f"'{strays[0] if strays else '--scale'}' is a setting of the twin; with --device pi leave it out, or use "
+            "names that begin with capture. or pi.",
+        )
+    twin = twin_settings(scale, parts[""])
+    if rig is not None and device == "twin":
+        if scale is not None:
+            size = default_rig(scale).camera.image_size
+            require(
+                size == rig.camera.image_size,
+                f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x "
+                f"{rig.camera.image_size[1]} pixels (rows x columns), those of --scale {scale:g} have {size[0]} x "
+                f"{size[1]}; leave --scale out.",
+            )
+        twin = replace(twin, rig=rig)
+    return DeviceSettings(
+        capture=override(SessionSettings(), parts["capture"]),
+        pi=override(PiCameraSettings(), parts["pi"]),
+        twin=twin,
+        device=override(TwinDeviceSettings(), parts["device"]),
+    )
+
+
+def rig_of(file: Path | None) -> Rig | None:
+    """Read the rig file, if one is named."""
+    return None if file is None else read_rig(file)
+
+
+@contextmanager
+def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
+    """Open the Raspberry Pi's devices; all LEDs are off before and after.
+
+    Raises
+    ------
+    BadInput
+        If there is no camera, or no LEDs.
+    """
+    with ExitStack() as stack:
+        chosen = rig or default_rig(1.0)
+        camera, lights = open_pi(stack, chosen, settings.pi)
+        yield Opened("pi", camera, lights, chosen, notes=() if rig is not None else (NOMINAL,))
+
+
+@contextmanager
+def opened_twin(settings: DeviceSettings, seed: int, impression: int, pattern: str | None = None) -> Iterator[Opened]:
+    """Open the twin's devices around a simulated finger."""
+    scene = FingerScene(seed, pattern, settings.twin, impression=impression)
+    clock = Clock()
+    noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
+    with (
+        TwinLightBank(scene, clock, settings.device) as lights,
+        TwinCamera(
+            scene,
+            lights,
+            clock,
+            settings.device,
+            sensor=settings.twin.sensor,
+            sensor_scale=settings.twin.sensor_scale,
+            seed=noise,
+        ) as camera,
+    ):
+        try:
+            yield Opened("twin", camera, lights, scene.rig, truth=scene.truth())
+        except BadInput as error:
+            raise BadInput(f"simulated finger {seed}: {error}") from error

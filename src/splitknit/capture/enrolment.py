@@ -1,0 +1,215 @@
+"""Many fingers, one after the other, over days: which are captured, and which is next.
+
+The folder holds ``enrolment.json`` (the plan) and ``S01/session_1/right_index/`` (a capture folder each). What is
+finished is read off the folders, which appear whole or not at all: stopping at any moment loses nothing. Subjects have
+numbers, no names; who S01 is, is nobody's business here.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.io import atomic_file
+
+HAND = ("thumb", "index", "middle", "ring", "little")
+FINGERS = tuple(f"{side}_{finger}" for side in ("right", "left") for finger in HAND)
+PLAN_FILE = "enrolment.json"
+_FORMAT, _VERSION = "splitknit-enrolment", 1
+
+
+@dataclass(frozen=True, slots=True)
+class EnrolmentPlan:
+    """Who is captured how often."""
+
+    subjects: int = 17
+    """The thesis has 17, with all ten fingers, in four sessions."""
+    sessions: int = 4
+    fingers: tuple[str, ...] = FINGERS
+
+    def __post_init__(self) -> None:
+        require(1 <= self.subjects <= 9999, f"an enrolment has 1 to 9999 subjects, not {self.subjects}.")
+        require(1 <= self.sessions <= 999, f"an enrolment has 1 to 999 sessions, not {self.sessions}.")
+        require(len(self.fingers) > 0, "an enrolment needs at least one finger.")
+        for finger in self.fingers:
+            require(finger in FINGERS, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
+        require(len(set(self.fingers)) == len(self.fingers), "an enrolment names a finger twice.")
+
+    @property
+    def total(self) -> int:
+        """Number of captures."""
+        return self.subjects * self.sessions * len(self.fingers)
+
+    def subject_ids(self) -> tuple[str, ...]:
+        """S01, S02, ..."""
+        return tuple(f"S{number:02d}" for number in range(1, self.subjects + 1))
+
+    def covers(self, earlier: EnrolmentPlan) -> bool:
+        """Whether everything that `earlier` plans is planned here too."""
+        grown = self.subjects >= earlier.subjects and self.sessions >= earlier.sessions
+        return grown and set(self.fingers) >= set(earlier.fingers)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One capture of the plan."""
+
+    subject: str
+    session: int
+    finger: str
+
+    @property
+    def folder(self) -> str:
+        """Where it is, relative to the enrolment."""
+        return f"{self.subject}/session_{self.session}/{self.finger}"
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"{self.subject}, session {self.session}, {self.finger.replace('_', ' ')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Enrolment:
+    """An enrolment on disk."""
+
+    folder: Path
+    plan: EnrolmentPlan
+
+    def places(self) -> Iterator[Place]:
+        """Yield all captures in their order: session by session, subject by subject, finger by finger."""
+        for session in range(1, self.plan.sessions + 1):
+            for subject in self.plan.subject_ids():
+                for finger in self.plan.fingers:
+                    yield Place(subject, session, finger)
+
+    def path(self, place: Place) -> Path:
+        """Capture folder of a place."""
+        return self.folder / place.folder
+
+    def finished(self, place: Place) -> bool:
+        """Whether it is captured."""
+        return (self.path(place) / "capture.json").is_file()
+
+    def waiting(
+        self, *, subject: str | None = None, session: int | None = None, finger: str | None = None
+    ) -> list[Place]:
+        """What is not captured yet, in its order; of one subject, session or finger where named.
+
+        Raises
+        ------
+        BadInput
+            If the plan knows no such subject, session or finger.
+        """
+        plan = self.plan
+        require(
+            subject is None or subject in plan.subject_ids(),
+            f"subject '{subject}' is not in the plan of '{self.folder}'; it has {plan.subject_ids()[0]} to "
+            f"{plan.subject_ids()[-1]}.",
+        )
+        require(
+            session is None or 1 <= session <= plan.sessions,
+            f"session {session} is not in the plan of '{self.folder}'; it has sessions 1 to {plan.sessions}.",
+        )
+        require(
+            finger is None or finger in plan.fingers,
+            f"finger '{finger}' is not in the plan of '{self.folder}'; it has {', '.join(plan.fingers)}.",
+        )
+        return [
+            place
+            for place in self.places()
+            if subject in (None, place.subject)
+            and session in (None, place.session)
+            and finger in (None, place.finger)
+            and not self.finished(place)
+        ]
+
+    def seeds(self, place: Place, seed: int) -> tuple[int, int]:
+        """Seed and impression of a simulated finger: every finger has its own, every session is another impression."""
+        person = int(place.subject.removeprefix("S"))
+        key = [seed, 0xE7, person, FINGERS.index(place.finger)]
+        return int(np.random.SeedSequence(key).generate_state(1, np.uint32)[0]), place.session - 1
+
+
+def open_enrolment(
+    folder: Path,
+    *,
+    subjects: int | None = None,
+    sessions: int | None = None,
+    fingers: Sequence[str] | None = None,
+) -> Enrolment:
+    """Open an enrolment, or start one; what is not given is as the plan has it, or as in the thesis.
+
+    A plan may grow. It never shrinks: what was planned may have been captured.
+
+    Raises
+    ------
+    BadInput
+        If the folder holds something else, its plan is damaged, or the plan would shrink.
+    """
+    file = folder / PLAN_FILE
+    earlier = _read(file) if file.is_file() else None
+    if earlier is None and folder.exists():
+        require(folder.is_dir(), f"'{folder}' is a file; name a folder for the enrolment.")
+        require(
+            not any(folder.iterdir()),
+            f"'{folder}' is not empty and holds no {PLAN_FILE}: it is no enrolment; name another folder.",
+        )
+    start = earlier or EnrolmentPlan()
+    wanted = EnrolmentPlan(
+        subjects=start.subjects if subjects is None else subjects,
+        sessions=start.sessions if sessions is None else sessions,
+        fingers=start.fingers if fingers is None else tuple(fingers),
+    )
+    if earlier is not None:
+        require(
+            wanted.covers(earlier),
+            f"the enrolment in '{folder}' is planned for {earlier.subjects} subjects, {earlier.sessions} sessions and "
+            f"{len(earlier.fingers)} fingers; a plan may grow but not shrink: leave out --subjects, --sessions and "
+            "--fingers, or name another folder.",
+        )
+    if wanted != earlier:
+        _write(file, wanted)
+    return Enrolment(folder, wanted)
+
+
+def check_subject_id(text: str) -> str:
+    """Return `text` if it can be a subject's id: letters, digits, - and _ only, so that it says and breaks nothing.
+
+    Raises
+    ------
+    BadInput
+    """
+    require(
+        re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
+        f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name.",
+    )
+    return text
+
+
+def _write(file: Path, plan: EnrolmentPlan) -> None:
+    document = {"format": _FORMAT, "version": _VERSION, **asdict(plan)}
+    with atomic_file(file) as stream:
+        stream.write((json.dumps(document, indent=1) + "\n").encode("ascii"))
+
+
+def _read(file: Path) -> EnrolmentPlan:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        require(document["format"] == _FORMAT and document["version"] == _VERSION, f"'{file}' is of another version.")
+        subjects, sessions, fingers = document["subjects"], document["sessions"], document["fingers"]
+        sound = type(subjects) is int and type(sessions) is int and isinstance(fingers, list)
+        require(sound and all(isinstance(finger, str) for finger in fingers), f"'{file}' is damaged.")
+        return EnrolmentPlan(subjects, sessions, tuple(fingers))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = str(error) if isinstance(error, BadInput) else "it is damaged"
+        raise BadInput(
+            f"the plan '{file}' cannot be read ({reason.rstrip('.')}); put it right, or remove it and give --subjects, "
+            "--sessions and --fingers again: no capture is lost by that."
+        ) from error

@@ -1,0 +1,81 @@
+"""Which GPIO line of the Raspberry Pi switches which LED.
+
+Lines are named by their BCM numbers, as gpiozero does. The map of a built rig is in its rig file::
+
+    "provenance": {"pins": {"white": [17, 27, 22, 13, 19, 26, 21], "nir": [18, 23, 24, 25, 12, 16, 20]}}
+
+Of the 28 lines of the 40-pin header the default leaves free: 0 and 1 (ID EEPROM), 2 and 3 (I2C, with fixed pull-ups),
+14 and 15 (UART), 7 to 11 (SPI), and 4 to 6, because lines 0 to 8 are pulled *up* until a program takes them: an LED
+there would glow while the Pi boots. What is left are exactly 14 lines that are pulled down at power-on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from splitknit.check import require
+from splitknit.types import Rig
+
+WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)
+"""BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40)."""
+NIR_PINS = (18, 23, 24, 25, 12, 16, 20)
+"""BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)."""
+DEFAULT_PINS: Mapping[str, tuple[int, ...]] = {"white": WHITE_PINS, "nir": NIR_PINS}
+HEADER_PINS: Mapping[int, int] = {
+    17: 11, 27: 13, 22: 15, 13: 33, 19: 35, 26: 37, 21: 40,
+    18: 12, 23: 16, 24: 18, 25: 22, 12: 32, 16: 36, 20: 38,
+}  # fmt: skip
+"""Where the default lines are on the 40-pin header."""
+USABLE = range(2, 28)
+"""Lines that a rig may use; 0 and 1 belong to the ID EEPROM."""
+
+
+def pins_of(rig: Rig) -> tuple[int, ...]:
+    """BCM lines of the rig's LEDs, in the order of the rig file.
+
+    LED number k of a band has the k-th line of that band, from the rig file or else by default.
+
+    Raises
+    ------
+    BadInput
+        If the map has too few lines, a line twice, or one that cannot be used.
+    """
+    given = rig.provenance.get("pins", DEFAULT_PINS)
+    require(
+        isinstance(given, Mapping),
+        'provenance.pins of the rig file must be like {"white": [7 numbers], "nir": [7 numbers]}.',
+    )
+    pins: list[int] = []
+    taken: dict[str, int] = {}
+    for index, led in enumerate(rig.leds):
+        lines = given.get(led.band)
+        require(
+            isinstance(lines, Sequence)
+            and not isinstance(lines, str)
+            and all(type(line) is int and line in USABLE for line in lines),
+            f"provenance.pins.{led.band} of the rig file must be a list of GPIO numbers (BCM, 2 to 27); "
+            "'splitknit rig circuit' writes it.",
+        )
+        assert lines is not None
+        k = taken.get(led.band, 0)
+        taken[led.band] = k + 1
+        require(
+            k < len(lines),
+            f"provenance.pins.{led.band} of the rig file has {len(lines)} lines, but LED {index} is {led.band} LED "
+            f"number {k}; add its line.",
+        )
+        pins.append(lines[k])
+    for pin in pins:
+        require(pins.count(pin) == 1, f"provenance.pins of the rig file gives GPIO {pin} to two LEDs; correct it.")
+    return tuple(pins)
+
+
+def led_names(rig: Rig) -> tuple[str, ...]:
+    """Names of the rig's LEDs for people: band, and number within the band as in the files' names."""
+    taken: dict[str, int] = {}
+    names = []
+    for led in rig.leds:
+        k = taken.get(led.band, 0)
+        taken[led.band] = k + 1
+        names.append(f"{led.band} {k}")
+    return tuple(names)

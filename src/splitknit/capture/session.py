@@ -1,0 +1,203 @@
+"""One capture: focus, exposure, an ambient frame and the lit frames of every band, each checked while there is time.
+
+Pictures are kept in memory and written after the last shot: while the finger lies there nothing but light, camera and
+checks takes time. All LEDs are off when a session ends, in whatever way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splitknit.capture.checks import CheckSettings, Examiner, shrink_region
+from splitknit.capture.exposure import Exposure, ExposureSettings
+from splitknit.capture.focus import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
+from splitknit.capture.metering import Metering, MeteringLimits, meter
+from splitknit.capture.pins import led_names
+from splitknit.capture.shots import Shooting, Shot
+from splitknit.check import require
+from splitknit.devices import Camera, LightBank
+from splitknit.preprocess.regions import bounding_box
+from splitknit.types import Band, Capture, Rig
+
+Progress = Callable[[str, float], None]
+WatchFocus = Callable[[Focus, FocusWatch], bool]
+"""Shown every measurement; true ends the live measurement."""
+
+BANDS = ("white", "nir")
+_FOCUS_FIELD_MM = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSettings:
+    """How a capture goes."""
+
+    exposure: ExposureSettings = field(default_factory=ExposureSettings)
+    focus: FocusSettings = field(default_factory=FocusSettings)
+    checks: CheckSettings = field(default_factory=CheckSettings)
+    find_finger: bool = True
+    """False for calibration targets: the whole picture counts, and motion and focus are not judged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """What came out."""
+
+    bands: Mapping[str, Band]
+    shots: tuple[Shot, ...]
+    """In their order, ambient frames included."""
+    exposures: Mapping[str, Exposure]
+    focus: Focus
+    verdict: tuple[str, ...]
+    """Why the finger must be captured again; empty if it need not."""
+    frames_taken: int
+    """Full-size frames of the shots, retries included."""
+
+    @property
+    def seconds(self) -> float:
+        """From the first ambient frame to the end of the last lit one, by the camera's clock."""
+        return self.shots[-1].at_s - self.shots[0].at_s
+
+    def capture(self, rig: Rig, *, material: str = "skin") -> Capture:
+        """Return the capture that :func:`splitknit.io.write_capture` writes."""
+        return Capture(rig=rig, bands=self.bands, encoding="linear", material=material)
+
+
+def check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
+    """Return band to LEDs, white first; refuse a rig file of another camera or another bank of LEDs.
+
+    Raises
+    ------
+    BadInput
+    """
+    rows, columns = camera.image_size
+    require(
+        rig.camera.image_size == (rows, columns),
+        f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x "
+        f"{rig.camera.image_size[1]} pixels (rows x columns), this camera's have {rows} x {columns}.",
+    )
+    require(
+        lights.count == len(rig.leds),
+        f"the rig file has {len(rig.leds)} LEDs, but {lights.count} are connected; correct one of them.",
+    )
+    bands = {band: tuple(k for k, led in enumerate(rig.leds) if led.band == band) for band in BANDS}
+    for k, led in enumerate(rig.leds):
+        require(led.band in BANDS, f"LED {k} of the rig is of the band '{led.band}'; bands are white and nir.")
+    for band, leds in bands.items():
+        require(
+            len(leds) >= 3 or (band == "nir" and not leds),
+            f"the rig file has {len(leds)} {band} LEDs, but photometric stereo needs three at least; add the missing "
+            "ones.",
+        )
+    return {band: leds for band, leds in bands.items() if leds}
+
+
+def run_session(
+    camera: Camera,
+    lights: LightBank,
+    rig: Rig,
+    settings: SessionSettings | None = None,
+    *,
+    watch_focus: WatchFocus | None = None,
+    progress: Progress = lambda stage, share: None,
+) -> Session:
+    """Photograph one finger under all LEDs.
+
+    Parameters
+    ----------
+    camera, lights : devices that fit the rig
+    rig : the rig file's
+    settings : of exposure, focus and checks
+    watch_focus : shown live measurements until it says stop; None measures once
+    progress : told stage and share
+
+    Returns
+    -------
+    Session
+        Look at its verdict before anything else.
+
+    Raises
+    ------
+    BadInput
+        If nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits.
+    """
+    settings = settings or SessionSettings()
+    bands = check_fit(camera, lights, rig)
+    names, checks, px_per_mm = led_names(rig), settings.checks, rig.camera.px_per_mm
+    try:
+        lights.off()
+        progress("finding the exposure", 0.0)
+        metering = meter(
+            camera,
+            lights,
+            bands,
+            names,
+            settings=settings.exposure,
+            limits=MeteringLimits(checks.least_relative, checks.most_ambient),
+            px_per_mm=px_per_mm,
+            find_finger=settings.find_finger,
+            progress=lambda share: progress("finding the exposure", 0.3 * share),
+        )
+        progress("focus", 0.3)
+        focus = _focus(camera, lights, metering, settings, px_per_mm=px_per_mm, watch_focus=watch_focus)
+        shooting = Shooting(
+            camera,
+            lights,
+            names,
+            Examiner(metering.region, px_per_mm, checks),
+            watch_motion=settings.find_finger,
+            progress=lambda name, share: progress(name, 0.4 + 0.6 * share),
+        )
+        for band, leds in bands.items():
+            shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
+    finally:
+        lights.off()
+    verdict = list(shooting.verdict)
+    judged = settings.find_finger and px_per_mm >= settings.focus.least_px_per_mm
+    if judged and focus.snr < settings.focus.least_snr:
+        verdict.append("the finger is out of focus (nothing on it is sharper than the noise): focus and capture again")
+    return Session(
+        bands={band: replace(one, shading=rig.camera.shading) for band, one in shooting.bands.items()},
+        shots=tuple(shooting.shots),
+        exposures=metering.exposures,
+        focus=focus,
+        verdict=tuple(verdict),
+        frames_taken=shooting.taken,
+    )
+
+
+def _focus(
+    camera: Camera,
+    lights: LightBank,
+    metering: Metering,
+    settings: SessionSettings,
+    *,
+    px_per_mm: float,
+    watch_focus: WatchFocus | None,
+) -> Focus:
+    """Measure the focus under the brightest white LED, live if somebody watches."""
+    exposure = metering.exposures["white"]
+    camera.lock(exposure.exposure_s, exposure.gain, "white")
+    rows, columns = camera.image_size
+    inner = shrink_region(metering.region, 1.0 * px_per_mm * metering.region.shape[1] / columns)
+    box = bounding_box(inner)
+    part = []
+    for one, small, full in zip(box, inner.shape, (rows, columns), strict=True):
+        middle = 0.5 * (one.start + one.stop) * full / small
+        half = min(0.5 * (one.stop - one.start) * full / small, 0.5 * _FOCUS_FIELD_MM * px_per_mm)
+        part.append(slice(max(int(middle - half), 0), max(int(middle + half), int(middle - half) + 8)))
+    y = np.minimum((np.arange(rows)[part[0]] * inner.shape[0] / rows).astype(np.intp), inner.shape[0] - 1)
+    x = np.minimum((np.arange(columns)[part[1]] * inner.shape[1] / columns).astype(np.intp), inner.shape[1] - 1)
+    region = inner[np.ix_(y, x)]
+    watch = FocusWatch(settings.focus)
+    while True:
+        lights.on(exposure.brightest)
+        frame = camera.capture()
+        light = grey_light(frame.pixels[part[0], part[1]], frame.black_level)
+        focus = measure_focus(light, region, px_per_mm, settings.focus)
+        enough = watch.add(focus)
+        if watch_focus is None or watch_focus(focus, watch) or enough:
+            lights.off()
+            return focus
