@@ -1,0 +1,187 @@
+"""Zhang's fit of a camera to views of one board, with as many terms of distortion as the views determine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+
+Points = NDArray[np.float64]
+TERMS = ("k1", "k2", "p1", "p2", "k3")
+"""Of the distortion, in OpenCV's order."""
+_STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
+"""Terms are tried in this order, each beside those that were kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class LensSettings:
+    """What a term must be to be kept."""
+
+    significance: float = 4.0
+    """A term is kept where it differs from nothing by more than this many standard deviations."""
+    principal_limit: float = 0.05
+    """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
+    longer side."""
+
+    def __post_init__(self) -> None:
+        require(self.significance > 0, "LensSettings: significance must be positive.")
+        require(self.principal_limit > 0, "LensSettings: principal_limit must be positive.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensFit:
+    """A camera matrix with distortion, and where the board stood in each view."""
+
+    matrix: Points
+    """(3, 3) in pixels."""
+    distortion: tuple[float, ...]
+    """k1, k2, p1, p2, k3."""
+    deviations: Mapping[str, float]
+    """Standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted."""
+    rms_px: float
+    """Root of the mean squared distance between corners and their prediction."""
+    view_rms_px: NDArray[np.float64]
+    """(V,) the same for each view."""
+    normals: Points
+    """(V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera."""
+    fitted: tuple[str, ...]
+    """What was fitted beside the focal length."""
+    fixed: Mapping[str, str] = field(default_factory=dict)
+    """What was held, and why, in words."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Views:
+    boards: list[NDArray[np.float32]]
+    corners: list[NDArray[np.float32]]
+    size: tuple[int, int]
+    """Columns, rows of the images."""
+
+
+def fit_lens(
+    board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int], settings: LensSettings | None = None
+) -> LensFit:
+    """Fit matrix and distortion; each term only where the views tell it from nothing.
+
+    Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
+    its value differs from zero by more than `settings.significance` of the standard deviations that the fit itself
+    gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
+    cannot be told.
+
+    Parameters
+    ----------
+    board_mm : (N, 2) the board's corners in its plane
+    corner_sets : V arrays (N, 2), column and row of the corners in each view
+    image_size : rows, columns
+    settings : LensSettings
+
+    Raises
+    ------
+    BadInput
+        If the views do not determine a camera at all.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms of the distortion as in
+    OpenCV's ``calibrateCameraExtended``, whose standard deviations come from the Jacobian at the solution.
+    """
+    settings = settings or LensSettings()
+    board = np.asarray(board_mm, dtype=np.float64)
+    flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
+    corners = [np.asarray(one, dtype=np.float32).reshape(-1, 1, 2) for one in corner_sets]
+    views = _Views([flat] * len(corners), corners, (image_size[1], image_size[0]))
+    kept: tuple[str, ...] = ("cx", "cy")
+    fixed: dict[str, str] = {}
+    best = _fit(views, kept)
+    if max(best.deviations["cx"], best.deviations["cy"]) > settings.principal_limit * max(image_size):
+        words = "{0:.0f} px of standard deviation are too much; it was held in the middle of the image"
+        fixed["principal point"] = words.format(max(best.deviations["cx"], best.deviations["cy"]))
+        kept = ()
+        best = _fit(views, kept)
+    for step in (*_STEPS, ("aspect",)):
+        trial = _fit(views, kept + step, best)
+        values = dict(zip(TERMS, trial.distortion, strict=True))
+        values["aspect"] = trial.matrix[0, 0] / trial.matrix[1, 1] - 1
+        ratio = max(abs(values[term]) / max(trial.deviations[term], 1e-300) for term in step)
+        if ratio > settings.significance:
+            kept, best = kept + step, trial
+        elif step == ("aspect",):
+            fixed["fx / fy"] = f"1: it differs by {values['aspect']:.1e} +- {trial.deviations['aspect']:.1e} only"
+        else:
+            told = " and ".join(f"{values[term]:.2g} +- {trial.deviations[term]:.2g}" for term in step)
+            fixed[" and ".join(step)] = f"0: the photographs give {told}"
+    return LensFit(
+        best.matrix,
+        best.distortion,
+        best.deviations,
+        best.rms_px,
+        best.view_rms_px,
+        best.normals,
+        tuple(term for term in (*TERMS, "cx", "cy", "aspect") if term in kept),
+        fixed,
+    )
+
+
+def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> LensFit:
+    """One fit with the terms `kept` free."""
+    flags = _flags(kept)
+    columns, rows = views.size
+    matrix = np.eye(3)
+    if start is not None or "cx" not in kept:
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+        matrix = _guess(views) if start is None else start.matrix.copy()
+    if "cx" not in kept:
+        matrix[:2, 2] = (columns - 1) / 2, (rows - 1) / 2
+    distortion = np.zeros(5) if start is None else np.array(start.distortion)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+    try:
+        found = cv2.calibrateCameraExtended(
+            views.boards, views.corners, views.size, matrix, distortion, flags=flags, criteria=criteria
+        )
+    except cv2.error as error:
+        raise BadInput(_undetermined("no camera fits them")) from error
+    rms, turns = float(found[0]), found[3]
+    matrix, distortion, deviations, each = (np.asarray(found[k], dtype=np.float64) for k in (1, 2, 5, 7))
+    sound = bool(np.isfinite(matrix).all() and np.isfinite(deviations).all())
+    require(sound and matrix[0, 0] > 0 and matrix[1, 1] > 0, _undetermined("no camera fits them"))
+    names = ("fx", "fy", "cx", "cy", *TERMS)
+    spread = dict(zip(names, deviations.ravel()[: len(names)].tolist(), strict=True))
+    if "aspect" not in kept:
+        spread["fx"] = spread["fy"]  # OpenCV counts one of the two
+    spread["aspect"] = float(np.hypot(spread["fx"] / matrix[0, 0], spread["fy"] / matrix[1, 1]))
+    normals = np.array([-cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
+    normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
+    given = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy", "aspect")}
+    return LensFit(matrix, tuple(distortion.ravel()[:5].tolist()), given, rms, each.ravel(), normals, kept)
+
+
+def _flags(kept: tuple[str, ...]) -> int:
+    flags = 0
+    flags |= 0 if "k1" in kept else cv2.CALIB_FIX_K1
+    flags |= 0 if "k2" in kept else cv2.CALIB_FIX_K2
+    flags |= 0 if "k3" in kept else cv2.CALIB_FIX_K3
+    flags |= 0 if "p1" in kept else cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= 0 if "cx" in kept else cv2.CALIB_FIX_PRINCIPAL_POINT
+    flags |= 0 if "aspect" in kept else cv2.CALIB_FIX_ASPECT_RATIO
+    return flags
+
+
+def _guess(views: _Views) -> Points:
+    """A camera matrix to start from."""
+    guess = np.asarray(cv2.initCameraMatrix2D(views.boards, views.corners, views.size, 1.0), dtype=np.float64)
+    if not (np.isfinite(guess).all() and guess[0, 0] > 0):
+        guess = np.diag([2.0 * max(views.size)] * 2 + [1.0])
+    return guess
+
+
+def _undetermined(why: str) -> str:
+    return (
+        f"the photographs do not determine the camera ({why}); tilt the board by 20 to 40 deg to several sides, "
+        "and let it fill the picture."
+    )

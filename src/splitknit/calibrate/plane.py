@@ -1,0 +1,172 @@
+"""The finger plane as the camera sees it: scale, the camera's height, and how obliquely it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanePose:
+    """A plane before a camera."""
+
+    height_mm: float
+    """From the camera's centre to the plane, along the optical axis."""
+    px_per_mm: float
+    """Where the axis meets the plane: focal length over height."""
+    normal: Points
+    """(3,) of the plane in the rig's frame (x right, y up, z to the camera), towards the camera."""
+    rms_px: float
+    """Root of the mean squared distance between marks and their prediction."""
+    deviations: dict[str, float]
+    """Standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being exact."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the optical axis and the plane's normal."""
+        return float(np.degrees(np.arctan2(np.hypot(self.normal[0], self.normal[1]), self.normal[2])))
+
+    @property
+    def tilt_xy_deg(self) -> tuple[float, float]:
+        """Turn of the plane about x, then y, right-handed: its parts."""
+        x, y, z = (float(value) for value in self.normal)
+        return float(np.degrees(np.arctan2(-y, z))), float(np.degrees(np.arctan2(x, np.hypot(y, z))))
+
+    @property
+    def nearer_side(self) -> str:
+        """Edge of the picture towards which the plane comes nearer to the camera, in words."""
+        rise_x, rise_y = -self.normal[0], -self.normal[1]
+        sides = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
+        return sides[round(float(np.arctan2(rise_y, rise_x)) / (np.pi / 4)) % 8]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneScale:
+    """A plane seen by an orthographic camera."""
+
+    px_per_mm: float
+    rms_px: float
+    deviation: float
+    """Standard deviation of `px_per_mm` that the marks' scatter causes."""
+    anisotropy: float
+    """Longest over shortest scale in the plane, less one: what a tilt, or a lens's perspective, would leave."""
+
+
+def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) -> PlanePose:
+    """Pose of a plane with known marks.
+
+    Parameters
+    ----------
+    marks_mm : (N, 2) marks in the plane, five at least
+    pixels : (N, 2) column and row at which they appear
+    matrix : (3, 3) camera matrix in pixels
+    distortion : coefficients in OpenCV's order, or None
+
+    Raises
+    ------
+    BadInput
+        If there are too few marks, they lie on one line, or no pose explains them.
+
+    References
+    ----------
+    T. Collins, A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109, 2014 (``SOLVEPNP_IPPE``), then
+    refined by Levenberg and Marquardt's least squares on the reprojection.
+    """
+    marks, places = _marks(marks_mm, pixels, least=5)
+    camera = np.asarray(matrix, dtype=np.float64)
+    lens = np.zeros(5) if distortion is None or len(distortion) == 0 else np.asarray(distortion, dtype=np.float64)
+    flat = np.column_stack([marks - marks.mean(axis=0), np.zeros(len(marks))])
+    count, turns, shifts, _ = cv2.solvePnPGeneric(flat, places, camera, lens, flags=cv2.SOLVEPNP_IPPE)
+    require(count > 0, "no pose of the plane explains its marks; photograph it again.")
+    best: tuple[float, Points, Points] | None = None
+    for first_turn, first_shift in zip(turns, shifts, strict=True):
+        turn, shift = cv2.solvePnPRefineLM(flat, places, camera, lens, np.array(first_turn), np.array(first_shift))
+        seen, _ = cv2.projectPoints(flat, turn, shift, camera, lens)
+        error = float(((np.asarray(seen)[:, 0] - places) ** 2).sum())
+        if best is None or error < best[0]:
+            best = error, np.asarray(turn, dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel()
+    assert best is not None
+    error, turn, shift = best
+    height, normal = _height_and_normal(turn, shift)
+    require(np.isfinite(height) and height > 0, "no pose of the plane explains its marks; photograph it again.")
+    _, jacobian = cv2.projectPoints(flat, turn, shift, camera, lens)
+    by_pose = np.asarray(jacobian, dtype=np.float64)[:, :6]
+    covariance = np.linalg.pinv(by_pose.T @ by_pose) * error / max(2 * len(flat) - 6, 1)
+    deviations = _deviations(turn, shift, covariance)
+    focal = float(np.sqrt(camera[0, 0] * camera[1, 1]))
+    return PlanePose(height, focal / height, normal, float(np.sqrt(error / len(marks))), deviations)
+
+
+def plane_scale(marks_mm: Any, pixels: Any) -> PlaneScale:
+    """Scale of a plane with known marks under an orthographic camera: the best similarity.
+
+    Parameters
+    ----------
+    marks_mm : (N, 2) marks in the plane, four at least
+    pixels : (N, 2) column and row at which they appear
+
+    Raises
+    ------
+    BadInput
+        If there are too few marks, or they lie on one line.
+    """
+    marks, places = _marks(marks_mm, pixels, least=4)
+    a = marks - marks.mean(axis=0)
+    b = places - places.mean(axis=0)
+    # the picture's rows run down and the marks' order is free: a turn, or a turn with a reflection, whichever fits
+    left, sizes, right = np.linalg.svd(b.T @ a)
+    scale = float(sizes.sum() / (a**2).sum())
+    residual = b - scale * (a @ (left @ right).T)
+    freedom = 2 * len(marks) - 4
+    sigma2 = float((residual**2).sum()) / freedom
+    affine = np.linalg.lstsq(a, b, rcond=None)[0]
+    stretch = np.linalg.svd(affine, compute_uv=False)
+    return PlaneScale(
+        scale,
+        float(np.sqrt((residual**2).sum() / len(marks))),
+        float(np.sqrt(sigma2 / (a**2).sum())),
+        float(stretch[0] / stretch[1] - 1),
+    )
+
+
+def _marks(marks_mm: Any, pixels: Any, least: int) -> tuple[Points, Points]:
+    marks = np.asarray(marks_mm, dtype=np.float64)
+    places = np.asarray(pixels, dtype=np.float64)
+    require(
+        marks.ndim == 2 and marks.shape[1] == 2 and marks.shape == places.shape,
+        f"marks and pixels must both be (N, 2), but they are {marks.shape} and {places.shape}.",
+    )
+    require(bool(np.isfinite(marks).all() and np.isfinite(places).all()), "marks and pixels must be finite.")
+    require(len(marks) >= least, f"at least {least} marks of the plane are needed, but {len(marks)} are given.")
+    spread = np.linalg.svd(marks - marks.mean(axis=0), compute_uv=False)
+    require(bool(spread[1] > 0.02 * spread[0]), "the marks of the plane lie on one line; show more of them.")
+    return marks, places
+
+
+def _height_and_normal(turn: Points, shift: Points) -> tuple[float, Points]:
+    """Distance along the axis to the plane, and its normal in the rig's frame."""
+    across = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)[:, 2]
+    across = across if across[2] < 0 else -across  # towards the camera, which looks along its own z
+    height = float(across @ shift / across[2])
+    return height, np.array([across[0], -across[1], -across[2]])
+
+
+def _deviations(turn: Points, shift: Points, covariance: Points) -> dict[str, float]:
+    """Standard deviations of height and tilt from the covariance (6, 6) of the pose."""
+    pose = np.concatenate([turn.ravel(), shift.ravel()])
+    slopes = np.zeros((3, 6))
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-5 if k < 3 else 1e-3
+        high, low = (_height_and_normal((pose + s)[:3], (pose + s)[3:]) for s in (step, -step))
+        slopes[:, k] = np.array([high[0] - low[0], *(high[1] - low[1])[:2]]) / (2 * step[k])
+    variances = np.diag(slopes @ covariance @ slopes.T)
+    return {"height_mm": float(np.sqrt(variances[0])), "tilt_deg": float(np.degrees(np.sqrt(variances[1:].max())))}
