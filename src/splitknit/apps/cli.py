@@ -7,6 +7,7 @@ Exit code 0: done; 2: the input cannot be used (one sentence on stderr says why 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import signal
@@ -17,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit import __version__
-from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb, scale
+from splitknit.apps.capture_verb import add_capture
+from splitknit.apps.verb import Outcome, Progress, Refused, add_settings, natural, new_verb, scale
 from splitknit.check import BadInput
 
 DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -53,6 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_reconstruct(verbs)
     _add_separate(verbs)
     _add_train(verbs)
+    add_capture(verbs)
     _add_calibrate(verbs)
     _add_rig(verbs)
     return parser
@@ -138,11 +141,13 @@ def _add_train(verbs: Any) -> None:
 
 
 def _add_calibrate(verbs: Any) -> None:
+    from splitknit.apps.calibrate_lights_verb import add_lights  # noqa: PLC0415
     from splitknit.apps.calibrate_radiometry_verb import add_radiometry  # noqa: PLC0415
 
     kinds = _group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
     # one line a kind: from splitknit.apps.calibrate_KIND_verb import add_KIND; add_KIND(kinds)
     add_radiometry(kinds)
+    add_lights(kinds)
 
 
 def _add_rig(verbs: Any) -> None:
@@ -281,6 +286,9 @@ def _guarded(options: argparse.Namespace) -> int:
         facts, lines = options.run(options)
         _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
     except BadInput as error:
+        if options.json and isinstance(error, Refused):
+            with contextlib.suppress(BrokenPipeError):
+                _say(json.dumps(error.facts, indent=1, allow_nan=False))
         return _fail(options, f"splitknit: error: {_one_line(error)}", BAD_INPUT)
     except KeyboardInterrupt:
         return _fail(options, "splitknit: interrupted; nothing was left half-written.", INTERRUPTED)

@@ -8,8 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from splitknit.check import BadInput
+
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""
+
+
+class Refused(BadInput):
+    """The input was understood and is not good enough; with ``--json`` the facts are printed all the same."""
+
+    def __init__(self, message: str, facts: dict[str, Any]) -> None:  # noqa: D107 - the class says it
+        super().__init__(message)
+        self.facts = facts
 
 
 def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:

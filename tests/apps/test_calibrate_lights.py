@@ -1,0 +1,178 @@
+"""``splitknit calibrate lights``: what it prints, writes, refuses, and in which words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.apps.cli import main
+from splitknit.io import read_rig, write_rig
+from splitknit.simulate.rig import default_rig
+
+THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"
+RIG = (
+    *("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5"),
+    *("--led-centre-px", "1575,1174", "--image-size", "2200,3200"),
+)
+GOOD = (*("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5.25"), "--image-size", "2200,3200")
+
+
+def cast_table(path: Path, places, *, height=15.0, bands=("white", "nir"), skip=()) -> Path:
+    """Shadows of the drawn rig by hand."""
+    lines = ["band,led,nail,nail_x_px,nail_y_px,tip_x_px,tip_y_px"]
+    for k, led in enumerate(default_rig().leds):
+        for number, place in enumerate(np.asarray(places, float), start=1):
+            if led.band not in bands or (led.band, k % 7, number) in skip:
+                continue
+            at = np.asarray(led.position_mm)
+            end = at[:2] + (place - at[:2]) * at[2] / (at[2] - height)
+            pixels = [(1599.5 + 75.7 * x, 1099.5 - 75.7 * y) for x, y in (place, end)]
+            lines.append(f"{led.band},{k % 7},{number},{pixels[0][0]},{pixels[0][1]},{pixels[1][0]},{pixels[1][1]}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def run(capsys, *words) -> tuple[int, str, str]:
+    code = main(["calibrate", "lights", *map(str, words)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def refused(capsys, *words) -> str:
+    code, out, err = run(capsys, *words)
+    assert code == 2, err
+    assert out == ""
+    assert err.startswith("splitknit: error: ") and err.count("\n") == 1
+    return err
+
+
+def test_the_thesiss_table_is_refused(capsys, tmp_path):
+    out = tmp_path / "rig.json"
+    message = refused(capsys, "--table", THESIS, *RIG, "--out", out)
+    for name in ("white 0", "white 2", "white 5", "white 6", *(f"NIR {k}" for k in range(7)), "--keep"):
+        assert name in message
+    assert "white 1" not in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_facts_are_printed_all_the_same(capsys, tmp_path):
+    code, out, err = run(capsys, "--table", THESIS, *RIG, "--out", tmp_path / "rig.json", "--json")
+    assert code == 2 and err.count("\n") == 1
+    facts = json.loads(out)
+    assert facts["method"] == "circle" and facts["written"] is False and list(tmp_path.iterdir()) == []
+    assert facts["totals"] == {
+        **{"leds": 14, "ok": 3, "disagrees": 5, "copied": 6, "off_the_circle": 0, "unchecked": 0},
+        **{"refused": 11, "kept": 3},
+    }
+    names = [(one["band"], one["led"]) for one in facts["leds"]]
+    assert names == [(band, k) for band in ("white", "nir") for k in range(7)]
+    for one in facts["leds"]:
+        assert np.linalg.norm(one["direction"]) == pytest.approx(1.0)
+        assert one["direction"][2] > 0.9
+        assert one["kept"] == (one["verdict"] == "ok")
+    assert facts["leds"][0]["disagreement_deg"] == pytest.approx(8.94, abs=0.005)
+
+
+def test_keep_keeps_both_kinds(capsys, tmp_path):
+    out = tmp_path / "rig.json"
+    code, said, _ = run(capsys, "--table", THESIS, *RIG, "--out", out, "--keep", "--json")
+    facts = json.loads(said)
+    assert code == 0 and facts["written"] and facts["totals"]["kept"] == 14
+    rig = read_rig(out)
+    assert len(rig.leds) == 14 and rig.camera.px_per_mm == 75.7 and rig.camera.image_size == (2200, 3200)
+    for led, one in zip(rig.leds, facts["leds"], strict=True):
+        assert led.band == one["band"] and led.position_mm == pytest.approx(one["position_mm"])
+    verdicts = [one["verdict"] for one in rig.provenance["lights"]["leds"]]
+    assert verdicts.count("copied") == 6 and verdicts.count("disagrees") == 5
+
+
+def test_a_wider_limit_leaves_the_copies(capsys):
+    message = refused(capsys, "--table", THESIS, *RIG, "--limit-deg", "20")
+    assert "white" not in message and "NIR 0" not in message and "NIR 4" in message
+
+
+def test_a_good_table(capsys, tmp_path):
+    table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
+    code, said, err = run(capsys, "--table", table, *GOOD, "--out", tmp_path / "rig.json")
+    assert code == 0 and err == "" and "ok" in said and "15.0 mm" in said
+    found = read_rig(tmp_path / "rig.json")
+    for led, truth in zip(found.leds, default_rig().leds, strict=True):
+        assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm, abs=1e-3)
+
+
+def test_several_positions_are_fitted_together(capsys, tmp_path):
+    table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5), (6, -4)], skip={("nir", 2, 1)})
+    code, said, _ = run(capsys, "--table", table, *GOOD, "--json")
+    facts = json.loads(said)
+    assert code == 0 and facts["method"] == "joint" and facts["written"] is False
+    assert facts["nail_height_mm"] == pytest.approx(15.0, abs=0.01)
+    for one, truth in zip(facts["leds"], default_rig().leds, strict=True):
+        assert one["position_mm"] == pytest.approx(truth.position_mm, abs=0.01)
+        assert one["circle"]["position_mm"] == pytest.approx(truth.position_mm, abs=0.01)
+        assert 0 < one["interval_deg"] < 1.0 and 0 < one["interval_mm"] < 4.0
+
+
+def test_a_rig_keeps_what_it_knows(capsys, tmp_path):
+    """Camera, intensities and other facts come from the rig, whose LEDs move."""
+    table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
+    known = default_rig(seed=3)
+    write_rig(known, tmp_path / "old.json")
+    code, said, _ = run(
+        capsys, "--table", table, "--rig", tmp_path / "old.json", "--out", tmp_path / "new.json", "--json"
+    )
+    assert code == 0 and json.loads(said)["method"] == "joint"
+    rig = read_rig(tmp_path / "new.json")
+    assert [led.intensity for led in rig.leds] == [led.intensity for led in known.leds]
+    assert rig.provenance["source"] == known.provenance["source"]
+
+
+def test_one_position_is_not_checked(capsys, tmp_path):
+    table = cast_table(tmp_path / "tips.csv", [(-6, -4)], bands=("nir",))
+    code, said, _ = run(capsys, "--table", table, *GOOD, "--json")
+    facts = json.loads(said)
+    assert code == 0 and len(facts["leds"]) == 7 and facts["joint"] is None
+    assert all(one["disagreement_deg"] is None and one["verdict"] == "unchecked" for one in facts["leds"])
+    assert "one place only" in facts["warnings"][0]
+    assert "two at least" in refused(capsys, "--table", table, *GOOD, "--method", "joint")
+
+
+def test_the_same_table_gives_the_same_bytes(capsys, tmp_path):
+    table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5), (6, -4)])
+    for name in ("a.json", "b.json"):
+        assert run(capsys, "--table", table, *GOOD, "--out", tmp_path / name)[0] == 0
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_geometry(capsys, tmp_path):
+    out = tmp_path / "rig.json"
+    assert run(capsys, "--geometry", *GOOD, "--out", out)[0] == 0
+    for led, truth in zip(read_rig(out).leds, default_rig().leds, strict=True):
+        assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), "one of --table"),
+        (("--table", THESIS, "--geometry"), "--table and --geometry"),
+        (("--table", THESIS), "--px-per-cm and --image-size and --led-height-cm"),
+        (
+            ("--table", THESIS, "--px-per-cm", "757", "--image-size", "2200,3200", "--led-height-cm", "14"),
+            "--led-radius-cm",
+        ),
+        (("--table", THESIS, *RIG[:-1], "2200"), "rows,columns"),
+        (("--table", THESIS, *RIG[:-1], "3200.5,5"), "whole numbers"),
+        (("--table", THESIS, *RIG[:-1], "1100,1600"), "outside the image"),
+        (("--table", THESIS, *RIG[:-3], "middle", *RIG[-2:]), "x,y in pixels"),
+        (("--table", "absent.csv", *RIG), "absent.csv"),
+        (("--table", THESIS, *RIG[:4], "--led-radius-cm", "0.5", *RIG[6:]), "circle"),
+        (("--table", THESIS, *RIG, "--set", "nail.tip_sd=2"), "tip_sd_px"),
+        (("--sphere", "grey", *RIG), "--images"),
+        (("--geometry", *RIG), "--out"),
+    ],
+)
+def test_bad_input_is_one_sentence(capsys, words, expected):
+    assert expected in refused(capsys, *words)
