@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.calibrate.card_light import UNIT_MM2, CardPlane, rays_to_led, squared_radius
+from splitknit.check import require
 from splitknit.types import Camera, Led
 
 Array = NDArray[np.float64]
@@ -152,11 +153,11 @@ class CardModel:
         return np.full(self.count, np.nan) if order.beam == "none" else own[self.band] if order.beam == "band" else own
 
     def prior(self, order: Order) -> tuple[Array, Array]:
-        """Middle and inverse width of the prior of every parameter: exponents 1 +- 5, aims within 10 deg."""
+        """Middle and inverse width of the prior of every parameter: exponents 5 +- 20, aims within 20 deg."""
         middle, inverse = np.zeros(self.size(order)), np.zeros(self.size(order))
         _, _, beams, tilts = self._places(order)
-        middle[list(beams)], inverse[list(beams)] = 1.0, 1 / 5.0
-        inverse[list(tilts)] = 1 / np.deg2rad(10.0)
+        middle[list(beams)], inverse[list(beams)] = 5.0, 1 / 20.0
+        inverse[list(tilts)] = 1 / np.deg2rad(20.0)
         return middle, inverse
 
     def aim(self, answer: Answer, k: int) -> Array:
@@ -175,6 +176,7 @@ class CardModel:
 
 def _frame(led: Led) -> Array:
     """Rows: direction from the LED to the origin, and two unit vectors across it."""
+    require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
     axis = -np.asarray(led.position_mm, dtype=np.float64)
     axis /= np.linalg.norm(axis)
     first = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
