@@ -12,7 +12,7 @@ from splitknit.simulate.bench_sight import Array, Sight, steps
 from splitknit.simulate.lighting import UNIT
 from splitknit.types import Led
 
-FINER = 6
+FINER = 12
 """A pixel near a mirrored LED's rim is this many samples wide."""
 Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""

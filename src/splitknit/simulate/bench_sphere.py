@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.bench_mirror import Lines, directions, finer_lines, led_face, mirrored, unit
 from splitknit.simulate.bench_scene import GroundScene, Window, card_radiance, disc_points, irradiance, positions_of
-from splitknit.simulate.bench_sight import Array, Plane, Sight, base_plane, inside, seen_at
+from splitknit.simulate.bench_sight import Array, Plane, Sight, Steps, base_plane, inside, seen_at, steps
 from splitknit.types import Led
 
 
@@ -91,13 +92,24 @@ class SphereScene(GroundScene):
         if window is None:
             return share
         points = np.stack([axis[window] for axis in self._points], axis=-1).astype(np.float64)
-        away = points - self.middle_mm
-        for place in places:
-            towards = unit(place - points)
-            nearest = np.sum(away * towards, axis=-1)  # of the line to the LED to the ball's middle
-            beside = np.sqrt(np.maximum(np.sum(away * away, axis=-1) - nearest**2, 0.0))
-            share[window] -= inside(self.radius_mm - beside) / len(places)
+        depth = self._depth_in_shadow(points, places[0])
+        step = steps(depth)
+        # lines to the rest of the face pass the ball less than the face's radius beside the line to its middle
+        pixel = np.hypot(step.column, step.row)
+        rim = np.abs(depth) < self.bench.led_radius_mm + 2.0 * pixel
+        step, points = Steps(step.column[rim], step.row[rim]), points[rim]
+        hidden = np.mean([inside(self._depth_in_shadow(points, place), step) for place in places], axis=0)
+        part = np.where(depth > 0.0, 0.0, 1.0)
+        part[rim] = 1.0 - hidden
+        share[window] = part
         return share
+
+    def _depth_in_shadow(self, points: Array, place: Array) -> Array:
+        """By how much (mm) the lines from points (..., 3) of the base to the point `place` pass inside the ball."""
+        away = points - self.middle_mm
+        towards = unit(place - points)
+        nearest = np.sum(away * towards, axis=-1)
+        return np.asarray(self.radius_mm - np.sqrt(np.maximum(np.sum(away * away, axis=-1) - nearest**2, 0.0)))
 
     def _shadow(self, places: Array) -> Window | None:
         """Pixels that the ball's shadow from points (N, 3) may reach."""
@@ -194,9 +206,11 @@ class SphereScene(GroundScene):
             return led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
 
         inwards, radiance = led_face(led, self.bench.led_radius_mm, rays)
-        row, column = np.gradient(inwards)
+        step = steps(inwards)
+        # in the very middle of the face the distance from its rim has no slope: the neighbours' counts
+        pixel = cv2.dilate(np.hypot(step.column, step.row), np.ones((3, 3), np.uint8))
         light = np.where(inwards > 0.0, radiance, 0.0)
-        at = np.nonzero(np.abs(inwards) < 3.0 * np.hypot(row, column))
+        at = np.nonzero(np.abs(inwards) < 2.0 * pixel)
         if at[0].size:
             light[at] = np.mean(
                 [np.where(hit > 0.0, value, 0.0) for hit, value in map(shine, finer_lines(lines, at))], 0
