@@ -30,3 +30,13 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"independent data not found at {folder} (set SPLITKNIT_DATA)")
     return folder
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs the built rig."""
+    if os.environ.get("SPLITKNIT_HARDWARE"):
+        return
+    skip = pytest.mark.skip(reason="needs the built rig on a Raspberry Pi (set SPLITKNIT_HARDWARE=1)")
+    for item in items:
+        if "hardware" in item.keywords:
+            item.add_marker(skip)

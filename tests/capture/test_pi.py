@@ -1,0 +1,187 @@
+"""What is the Raspberry Pi's alone: metadata, linear pictures, missing hardware."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from types import SimpleNamespace
+
+import gpiozero
+import numpy as np
+import pytest
+from fake_picamera2 import FakePicamera2, World, tuning
+from gpiozero.pins.mock import MockFactory
+from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
+
+from splitknit.capture.pi import open_camera, open_lights, open_pi
+from splitknit.capture.pi_camera import PiCamera, PiCameraSettings, developed, linear_tuning
+from splitknit.check import BadInput
+from splitknit.simulate.rig import default_rig
+
+SMALL = PiCameraSettings(image_size=(64, 96))
+
+
+@pytest.fixture
+def world(monkeypatch) -> World:
+    world = World()
+    monkeypatch.setattr(FakePicamera2, "world", world)
+    monkeypatch.setattr(FakePicamera2, "opened", [])
+    monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=FakePicamera2))
+    return world
+
+
+def camera_in(world: World, settings: PiCameraSettings = SMALL) -> PiCamera:
+    return PiCamera(FakePicamera2, settings, now_ns=lambda: world.now_ns)
+
+
+def test_the_picture_is_the_middle_of_the_sensor_one_to_one_and_nothing_is_automatic(world):
+    with camera_in(world, PiCameraSettings()) as camera:
+        (made,) = FakePicamera2.opened
+        asked = made.configuration
+        assert camera.image_size == (2200, 3200)
+        assert asked["main"] == {"size": (3200, 2200), "format": "BGR888"}
+        assert asked["raw"] == {"size": (3280, 2464), "format": "SBGGR10"}
+        assert asked["controls"]["ScalerCrop"] == (40, 132, 3200, 2200)
+        assert asked["queue"] is False
+        for name in ("AeEnable", "AwbEnable", "NoiseReductionMode", "Sharpness"):
+            assert not asked["controls"][name]
+        camera.lock(0.03, 2.0, "nir")
+        controls = made.asked[-1][1]
+        assert controls["ExposureTime"] == 30_000
+        assert controls["AnalogueGain"] == 2.0
+        assert controls["ColourGains"] == (1.0, 1.0)
+        assert controls["FrameDurationLimits"] == (47_700, 47_700)
+        camera.lock(0.1, 1.0, "white")
+        assert made.asked[-1][1]["FrameDurationLimits"] == (101_000, 101_000)
+        assert made.asked[-1][1]["ColourGains"] == PiCameraSettings().white_gains
+    assert made.calls == ["start", "stop", "close"]
+
+
+def test_frames_of_the_old_exposure_and_stale_ones_are_thrown_away(world):
+    with camera_in(world) as camera:
+        camera.lock(0.01, 1.0)
+        assert camera.capture().discarded >= 3  # the new exposure comes late
+        assert camera.capture().discarded <= 2
+        world.sleep(1.0)  # two old frames wait in the buffers
+        assert camera.capture().discarded >= 2
+        camera.lock(0.01, 1.0, "nir")  # the exposure is the same, the colours are not yet
+        assert camera.capture().discarded >= 3
+        made = FakePicamera2.opened[0]
+        assert all(request.released for request in made.requests)
+
+
+def test_a_camera_that_does_not_obey_is_refused_in_one_sentence(world, monkeypatch):
+    with camera_in(world) as camera:
+        monkeypatch.setattr(FakePicamera2, "stuck", True)
+        camera.lock(0.05, 1.0)
+        with pytest.raises(BadInput, match=r"did not take its settings: 50000 us at gain 1.*reports"):
+            camera.capture()
+        assert all(request.released for request in FakePicamera2.opened[0].requests)
+
+
+@pytest.mark.parametrize("digital", [1.5, 0.5])
+def test_a_digital_gain_is_not_accepted(world, digital):
+    with camera_in(world) as camera:
+        assert camera._as_locked({"ExposureTime": 9998, "AnalogueGain": 1.0, "ColourGains": (1.11, 2.13)})
+        assert not camera._as_locked(
+            {"ExposureTime": 9998, "AnalogueGain": 1.0, "ColourGains": (1.11, 2.13), "DigitalGain": digital}
+        )
+
+
+def test_the_tuning_becomes_linear():
+    straight = linear_tuning(tuning())
+    algorithms = {name: values for entry in straight["algorithms"] for name, values in entry.items()}
+    assert "rpi.alsc" not in algorithms
+    assert algorithms["rpi.contrast"] == {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]}
+    assert np.array_equal(np.reshape(algorithms["rpi.ccm"]["ccms"][0]["ccm"], (3, 3)), np.eye(3))
+    assert algorithms["rpi.black_level"] == {"black_level": 4096}
+    assert straight["target"] == "bcm2835"
+    with pytest.raises(BadInput, match="unknown version"):
+        linear_tuning({"version": 1.0, "rpi.contrast": {}})
+
+
+def test_raw_pictures_are_developed_in_the_right_colours():
+    raw = np.full((32, 48), 64, dtype=np.uint16)
+    raw[0::2, 0::2] += 100  # blue
+    raw[0::2, 1::2] += 200  # green
+    raw[1::2, 0::2] += 200
+    raw[1::2, 1::2] += 300  # red
+    colours = developed(raw, (1.5, 2.0))[4:-4, 4:-4]
+    assert colours.dtype == np.uint16
+    black = 64 * 64
+    np.testing.assert_allclose(colours[..., 0], black + 300 * 1.5 * 64, atol=1)
+    np.testing.assert_allclose(colours[..., 1], black + 200 * 64, atol=1)
+    np.testing.assert_allclose(colours[..., 2], black + 100 * 2.0 * 64, atol=1)
+    clipped = developed(np.full((8, 8), 1023, dtype=np.uint16), (0.5, 1.0))
+    assert (clipped == 65535).all()
+    dark = developed(np.full((8, 8), 60, dtype=np.uint16), (2.0, 2.0))
+    assert (dark < black).all()  # noise below black is kept
+    assert (dark > 0).all()
+
+
+def test_a_raw_frame_is_the_middle_of_the_sensor_with_its_black_level(world):
+    with camera_in(world, PiCameraSettings(image_size=(64, 96), raw=True)) as camera:
+        frame = camera.capture()
+        assert frame.pixels.shape == (64, 96, 3)
+        assert frame.pixels.dtype == np.uint16
+        assert frame.black_level == 64 * 64
+        middle = frame.pixels[8:-8, 8:-8].reshape(-1, 3).mean(axis=0) - frame.black_level
+        assert middle[0] == pytest.approx(9 * 1.11 * 64, rel=0.05)
+        assert middle[2] == pytest.approx(5 * 2.13 * 64, rel=0.05)
+
+
+def test_a_pi_without_a_camera_says_so_and_its_leds_are_off(world, pins: MockFactory, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(FakePicamera2, "cameras", 0)
+    for pin in PINS:
+        pins.pin(pin).function = "output"
+        pins.pin(pin).state = True
+    with pytest.raises(BadInput, match="no camera was found"), ExitStack() as stack:
+        open_pi(stack, default_rig(), SMALL)
+    assert not any(pins.pin(pin).function == "output" and pins.pin(pin).state for pin in PINS)
+
+
+def test_a_camera_in_use_says_so(world, monkeypatch):
+    monkeypatch.setattr(FakePicamera2, "broken", True)
+    with pytest.raises(BadInput, match=r"could not be started .*resource busy.*close other programs"):
+        open_camera(SMALL)
+
+
+def test_missing_libraries_are_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "picamera2", None)
+    with pytest.raises(BadInput, match=r"picamera2.*apt install"):
+        open_camera()
+    monkeypatch.setitem(sys.modules, "gpiozero", None)
+    with pytest.raises(BadInput, match=r"gpiozero.*apt install"):
+        open_lights(default_rig())
+
+
+@pytest.mark.filterwarnings("ignore::gpiozero.PinFactoryFallback")
+def test_a_computer_without_gpio_lines_says_so(monkeypatch):
+    monkeypatch.setattr(gpiozero.Device, "pin_factory", None)
+
+    def none():
+        raise gpiozero.BadPinFactory("Unable to load any default pin factory!")
+
+    monkeypatch.setattr(gpiozero.Device, "_default_pin_factory", none)
+    with pytest.raises(BadInput, match=r"no GPIO lines.*--device twin"):
+        open_lights(default_rig())
+
+
+def test_a_line_in_use_is_named_and_the_others_are_given_back(pins: MockFactory):  # noqa: F811
+    other = gpiozero.LED(PINS[5])
+    with pytest.raises(BadInput, match=f"GPIO{PINS[5]}.*in use"):
+        open_lights(default_rig())
+    other.close()
+    with open_lights(default_rig()) as lights:  # nothing was kept
+        assert lights.count == 14
+
+
+@pytest.mark.hardware
+def test_a_real_rig_gives_a_dark_and_a_lit_picture():
+    with ExitStack() as stack:
+        camera, lights = open_pi(stack, default_rig())
+        camera.lock(0.02, 1.0)
+        dark = camera.capture().pixels.mean()
+        for led in range(lights.count):
+            lights.on(led)
+            assert camera.capture().pixels.mean() > dark
