@@ -141,21 +141,25 @@ def _add_train(verbs: Any) -> None:
 
 
 def _add_calibrate(verbs: Any) -> None:
+    from splitknit.apps.calibrate_camera_verb import add_camera  # noqa: PLC0415
     from splitknit.apps.calibrate_lights_verb import add_lights  # noqa: PLC0415
     from splitknit.apps.calibrate_radiometry_verb import add_radiometry  # noqa: PLC0415
 
     kinds = _group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
     # one line a kind: from splitknit.apps.calibrate_KIND_verb import add_KIND; add_KIND(kinds)
+    add_camera(kinds)
     add_radiometry(kinds)
     add_lights(kinds)
 
 
 def _add_rig(verbs: Any) -> None:
+    from splitknit.apps.rig_circuit_verb import add_circuit  # noqa: PLC0415
     from splitknit.apps.rig_optimise_verb import add_optimise  # noqa: PLC0415
 
     kinds = _group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
     # one line a kind: from splitknit.apps.rig_KIND_verb import add_KIND; add_KIND(kinds)
     add_optimise(kinds)
+    add_circuit(kinds)
 
 
 def _group(verbs: Any, name: str, does: str) -> Any:

@@ -32,6 +32,8 @@ class CameraSettings:
     """Relative standard deviation of the focal length from which views are refused."""
     focal_warned: float = 0.003
     """The same, from which there is a warning."""
+    aspect_refused: float = 0.02
+    """Difference of fx / fy from one that is refused: sensors have square pixels."""
     tilt_deg: float = 10.0
     """Views should hold boards whose normals differ by more than this."""
     coverage: float = 0.5
@@ -191,6 +193,12 @@ def _judged(
     lens: LensFit, tilts: NDArray[np.float64], variety: float, coverage: float, settings: CameraSettings
 ) -> tuple[str, ...]:
     """Warnings, or the refusal of views that tell too little."""
+    ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
+    require(
+        abs(ratio - 1) < settings.aspect_refused,
+        f"the pixels come out as no squares (fx / fy = {ratio:.3f}): the photographs were stretched, or the printed "
+        "squares are none; measure the print along both sides, and use the camera's own images.",
+    )
     relative = lens.deviations["fx"] / lens.matrix[0, 0]
     tilted = f"the boards' tilts are {tilts.min():.0f} to {tilts.max():.0f} deg, {variety:.0f} deg apart at most"
     remedy = "tilt the board by 20 to 40 deg to several sides"

@@ -108,13 +108,14 @@ def fit_lens(
         trial = _fit(views, kept + step, best)
         values = dict(zip(TERMS, trial.distortion, strict=True))
         values["aspect"] = trial.matrix[0, 0] / trial.matrix[1, 1] - 1
-        ratio = max(abs(values[term]) / max(trial.deviations[term], 1e-300) for term in step)
+        deviations = {**trial.deviations, "aspect": _aspect_deviation(values["aspect"], best, trial, views)}
+        ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
         if ratio > settings.significance:
             kept, best = kept + step, trial
         elif step == ("aspect",):
-            fixed["fx / fy"] = f"1: it differs by {values['aspect']:.1e} +- {trial.deviations['aspect']:.1e} only"
+            fixed["fx / fy"] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
         else:
-            told = " and ".join(f"{values[term]:.2g} +- {trial.deviations[term]:.2g}" for term in step)
+            told = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
             fixed[" and ".join(step)] = f"0: the photographs give {told}"
     return LensFit(
         best.matrix,
@@ -154,11 +155,20 @@ def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> 
     spread = dict(zip(names, deviations.ravel()[: len(names)].tolist(), strict=True))
     if "aspect" not in kept:
         spread["fx"] = spread["fy"]  # OpenCV counts one of the two
-    spread["aspect"] = float(np.hypot(spread["fx"] / matrix[0, 0], spread["fy"] / matrix[1, 1]))
     normals = np.array([-cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
     normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
-    given = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy", "aspect")}
+    given = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
     return LensFit(matrix, tuple(distortion.ravel()[:5].tolist()), given, rms, each.ravel(), normals, kept)
+
+
+def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views) -> float:
+    """Standard deviation of fx / fy, which OpenCV does not give: how much worse the fit is without it says it.
+
+    The sum of squares falls by the variance of one coordinate times (value / deviation)^2.
+    """
+    coordinates = 2 * len(views.corners) * len(views.boards[0])
+    fall = coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12)
+    return abs(value) / float(np.sqrt(fall))
 
 
 def _flags(kept: tuple[str, ...]) -> int:

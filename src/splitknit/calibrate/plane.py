@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,6 +104,29 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
     deviations = _deviations(turn, shift, covariance)
     focal = float(np.sqrt(camera[0, 0] * camera[1, 1]))
     return PlanePose(height, focal / height, normal, float(np.sqrt(error / len(marks))), deviations)
+
+
+def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
+    """Mean of several photographs' poses of one plane, each by the inverse of its variance.
+
+    Raises
+    ------
+    BadInput
+        If there is none.
+    """
+    require(len(poses) > 0, "there is no pose to take the mean of.")
+    by_height, by_tilt = (
+        np.array([1 / max(pose.deviations[name], 1e-9) ** 2 for pose in poses]) for name in ("height_mm", "tilt_deg")
+    )
+    height = float(by_height @ [pose.height_mm for pose in poses] / by_height.sum())
+    normal = by_tilt @ np.array([pose.normal for pose in poses])
+    return PlanePose(
+        height,
+        focal_px / height,
+        np.asarray(normal / np.linalg.norm(normal), dtype=np.float64),
+        float(np.sqrt(np.mean([pose.rms_px**2 for pose in poses]))),
+        {"height_mm": float(by_height.sum() ** -0.5), "tilt_deg": float(by_tilt.sum() ** -0.5)},
+    )
 
 
 def plane_scale(marks_mm: Any, pixels: Any) -> PlaneScale:
