@@ -1,0 +1,229 @@
+"""The transistor stages that switch the LEDs: values from the parts' data, every margin checked at its worst corner.
+
+Two stages are offered. In ``sink`` the emitter resistor sets the current: the GPIO's 3.3 V less the base-emitter
+voltage stands over it, whatever the supply and the LED's forward voltage do. Photometric stereo wants just this, the
+same light every time. In ``switch``, the thesis's stage (its figure 4.4), the transistor is fully on and a resistor in
+series with the LED sets the current, so that supply and forward voltage show in the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import product
+
+from splitknit.check import require
+from splitknit.rig.circuit_parts import (
+    BC337,
+    NIR_LED,
+    RASPBERRY_PI,
+    WHITE_LED,
+    Gpio,
+    LedPart,
+    Transistor,
+    preferred,
+    rating_for,
+)
+
+LEAST_HEADROOM_V = 0.5
+"""Voltage that a current sink's transistor must keep to be one."""
+FORCED_GAIN = 20.0
+"""A switching transistor gets this share of its collector current in the base, far more than its gain asks for."""
+
+
+@dataclass(frozen=True, slots=True)
+class CircuitSettings:
+    """What the circuit is built from."""
+
+    topology: str = "sink"
+    """``sink`` (the emitter resistor sets the current) or ``switch`` (the thesis's: a resistor beside the LED does)."""
+    supply_v: float = 9.0
+    """Of the LEDs: a wall adapter; the Pi has its own."""
+    supply_spread: float = 0.05
+    """Relative, half the range."""
+    resistor_spread: float = 0.01
+    """Relative, half the range: metal film."""
+    white: LedPart = field(default_factory=lambda: WHITE_LED)
+    nir: LedPart = field(default_factory=lambda: NIR_LED)
+    transistor: Transistor = field(default_factory=lambda: BC337)
+    gpio: Gpio = field(default_factory=lambda: RASPBERRY_PI)
+    power_margin: float = 0.6
+    """Share of its rating that a part may turn into heat when its LED stays on for ever."""
+    least_current: float = 0.7
+    """Smallest current in the worst corner, over the wanted one."""
+    pull_down_ohm: float = 100_000.0
+    """From every line to ground: LEDs are off while no Pi is connected or none has been started."""
+
+    def __post_init__(self) -> None:
+        require(self.topology in ("sink", "switch"), f"circuit.topology must be sink or switch, not '{self.topology}'.")
+        require(1.0 <= self.supply_v <= 24.0, f"circuit.supply_v must lie between 1 and 24, but it is {self.supply_v}.")
+        require(0 <= self.supply_spread < 0.5, "circuit.supply_spread must lie between 0 and 0.5.")
+        require(0 <= self.resistor_spread < 0.3, "circuit.resistor_spread must lie between 0 and 0.3.")
+        require(0.1 <= self.power_margin <= 1.0, "circuit.power_margin must lie between 0.1 and 1.")
+        require(0.1 <= self.least_current <= 1.0, "circuit.least_current must lie between 0.1 and 1.")
+        require(self.pull_down_ohm >= 10_000, "circuit.pull_down_ohm must be at least 10,000.")
+
+
+@dataclass(frozen=True, slots=True)
+class Resistor:
+    """One resistor of a stage."""
+
+    role: str
+    """``base``, ``emitter``, ``series`` or ``pull_down``."""
+    ohm: float
+    rating_w: float
+    heat_w: float
+    """In the worst corner, LED on for ever."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One LED's stage, and what it does at its corners."""
+
+    band: str
+    led: LedPart
+    resistors: tuple[Resistor, ...]
+    current_a: tuple[float, float, float]
+    """Of the LED: smallest, typical, largest."""
+    gpio_a: float
+    """Largest current of the GPIO line, LED supply connected."""
+    gpio_fault_a: float
+    """The same with the LED supply missing."""
+    transistor_w: float
+    """Largest dissipation."""
+
+    def ohm(self, role: str) -> float:
+        """Value of a resistor; 0 where the stage has none in that place."""
+        return next((r.ohm for r in self.resistors if r.role == role), 0.0)
+
+
+def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
+    """Choose the resistors of one band's stage and check all margins at the worst corners.
+
+    Parameters
+    ----------
+    band : ``white`` or ``nir``
+    settings : parts and margins
+
+    Raises
+    ------
+    BadInput
+        Naming the margin that is missed and the remedy.
+
+    References
+    ----------
+    P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, sections 2.2.1 (switch) and 2.2.6 (current sink).
+    """
+    settings = settings or CircuitSettings()
+    require(band in ("white", "nir"), f"there are stages for the bands white and nir, not '{band}'.")
+    led = settings.white if band == "white" else settings.nir
+    stage = _sink(band, led, settings) if settings.topology == "sink" else _switch(band, led, settings)
+    _check(stage, settings)
+    return stage
+
+
+def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
+    t, high = s.transistor, s.gpio.high_v
+    # with the supply missing, the base feeds the emitter resistor: the base resistor limits what the line gives
+    typical_drop = sum(high) / 2 - sum(t.base_v) / 2
+    least_total = (high[1] - t.base_v[0]) / (0.9 * s.gpio.limit_a)
+    base = preferred(max(least_total - typical_drop / led.current_a, 47.0))
+    emitter = preferred(typical_drop / led.current_a - base / (sum(t.gain) / 2))
+    least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
+
+    def current(high_v: float, base_v: float, gain: float, spread: float) -> float:
+        return (high_v - base_v) / (emitter * (1 + spread) + base / (gain + 1)) * gain / (gain + 1)
+
+    corners = [current(*c) for c in product(high, t.base_v, t.gain, (-s.resistor_spread, s.resistor_spread))]
+    low, top = min(corners), max(corners)
+    middle = current(sum(high) / 2, sum(t.base_v) / 2, sum(t.gain) / 2, 0.0)
+    over_emitter = top * emitter * (1 + s.resistor_spread) * (1 + 1 / t.gain[0])
+    spare = least_v - led.forward_v - led.spread_v - over_emitter - LEAST_HEADROOM_V
+    require(
+        spare >= 0,
+        f"{s.supply_v:g} V are too little for the {band} LEDs: {least_v - spare:.2g} V are needed for LED, transistor "
+        f"and emitter resistor; set circuit.supply_v to {(least_v - spare) / (1 - s.supply_spread):.2g} or more, or "
+        "circuit.topology to switch.",
+    )
+    # what is to spare heats a resistor rather than the transistor
+    series = preferred(spare / top, up=False) if spare / top >= 1.0 else 0.0
+    over_led = led.forward_v - led.spread_v
+    heat = max(i * (most_v - over_led - i * (emitter + series)) for i in (low, middle, top))
+    resistors = [_resistor("base", base, 0.0, s), _resistor("emitter", emitter, top * top * emitter, s)]
+    if series:
+        resistors.append(_resistor("series", series, top * top * series, s))
+    resistors.append(_resistor("pull_down", s.pull_down_ohm, 0.0, s))
+    line = max(c / g for c in (top,) for g in t.gain) + high[1] / s.pull_down_ohm
+    fault = (high[1] - t.base_v[0]) / ((base + emitter) * (1 - s.resistor_spread))
+    return Stage(band, led, tuple(resistors), (low, middle, top), line, fault, heat)
+
+
+def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
+    t, high = s.transistor, s.gpio.high_v
+    least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
+    saturated = sum(t.saturation_v) / 2
+    headroom = s.supply_v - led.forward_v - saturated
+    require(
+        least_v - led.forward_v - led.spread_v - t.saturation_v[1] > 0,
+        f"{s.supply_v:g} V are too little for the {band} LEDs of {led.forward_v:g} V; set circuit.supply_v higher.",
+    )
+    series = preferred(headroom / led.current_a)
+    base = preferred((high[0] - t.base_v[1]) / (led.current_a / FORCED_GAIN), up=False)
+
+    def current(supply_v: float, forward_v: float, saturation_v: float, spread: float) -> float:
+        return (supply_v - forward_v - saturation_v) / (series * (1 + spread))
+
+    voltages = (led.forward_v - led.spread_v, led.forward_v + led.spread_v)
+    spreads = (-s.resistor_spread, s.resistor_spread)
+    corners = [current(*c) for c in product((least_v, most_v), voltages, t.saturation_v, spreads)]
+    top = max(corners)
+    line = (high[1] - t.base_v[0]) / (base * (1 - s.resistor_spread)) + high[1] / s.pull_down_ohm
+    resistors = (
+        _resistor("base", base, line * line * base, s),
+        _resistor("series", series, top * top * series, s),
+        _resistor("pull_down", s.pull_down_ohm, 0.0, s),
+    )
+    heat = top * t.saturation_v[1] + line * t.base_v[1]
+    return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat)
+
+
+def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> Resistor:
+    return Resistor(role, ohm, rating_for(heat_w, s.power_margin), heat_w)
+
+
+def _check(stage: Stage, s: CircuitSettings) -> None:
+    """Refuse a stage that misses a margin."""
+    t, led = s.transistor, stage.led
+    low, _, top = stage.current_a
+    which = f"the {stage.band} stage"
+    require(
+        s.topology == "sink" or 0.5 * t.gain[0] >= FORCED_GAIN,
+        f"{which} needs a transistor with a gain of at least {2 * FORCED_GAIN:.0f} to be fully on.",
+    )
+    require(
+        top <= led.limit_a,
+        f"{which} would drive up to {1000 * top:.0f} mA through an LED of {1000 * led.limit_a:.0f} mA: " + _remedy(s),
+    )
+    require(
+        low >= s.least_current * led.current_a,
+        f"{which} would fall to {1000 * low:.0f} mA where {1000 * led.current_a:.0f} are wanted: " + _remedy(s),
+    )
+    require(top <= 0.5 * t.limit_a, f"{which} needs a transistor for at least {2000 * top:.0f} mA.")
+    require(
+        stage.transistor_w <= s.power_margin * t.limit_w,
+        f"{which} would heat its transistor with {stage.transistor_w:.2f} W, more than {s.power_margin:.0%} of the "
+        f"{t.limit_w:g} W it stands; lower circuit.supply_v or take a larger transistor.",
+    )
+    for name, amperes in (("", stage.gpio_a), (" while the LED supply is missing", stage.gpio_fault_a)):
+        require(
+            amperes <= s.gpio.limit_a,
+            f"{which} would draw {1000 * amperes:.1f} mA from a GPIO line{name}, which gives "
+            f"{1000 * s.gpio.limit_a:.0f} mA; take a transistor with more gain.",
+        )
+
+
+def _remedy(s: CircuitSettings) -> str:
+    if s.topology == "switch":
+        return (
+            "a higher circuit.supply_v makes it less dependent on the LED's voltage, or set circuit.topology to sink."
+        )
+    return "take another LED current or a transistor with less spread."

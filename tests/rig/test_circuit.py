@@ -1,0 +1,234 @@
+"""The LED board: values, margins at the corners against an independent solution of the circuit, netlist, pin map."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS
+from splitknit.check import BadInput
+from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
+from splitknit.rig.circuit_parts import BC337, E24, RATINGS_W, preferred, rating_for
+from splitknit.rig.netlist import (
+    GROUND_PINS,
+    HEADER_OF_GPIO,
+    Circuit,
+    bill_of_materials,
+    design_circuit,
+    kicad_netlist,
+    ohm_text,
+)
+from splitknit.simulate.rig import default_rig
+from splitknit.types import Led
+
+
+@pytest.fixture(scope="module")
+def board() -> Circuit:
+    return design_circuit(default_rig())
+
+
+def solved(
+    stage: Stage, *, high_v: float, supply_v: float, forward_v: float, base_v: float, gain: float
+) -> tuple[float, float]:
+    """LED and base current by the transistor's exponential law (Ebers and Moll): no shortcuts of the design."""
+    thermal, back = 0.026, 4.0
+    saturation = 0.1 / math.exp(base_v / thermal)  # base_v at 100 mA
+    base, emitter, series = stage.ohm("base"), stage.ohm("emitter"), max(stage.ohm("series"), 1e-3)
+
+    def currents(of_base: float, of_collector: float) -> tuple[float, float]:
+        """Into collector and base at voltages over the emitter."""
+        forward = saturation * math.expm1(min(of_base / thermal, 60.0))
+        reverse = saturation * math.expm1(min((of_base - of_collector) / thermal, 60.0))
+        return forward - reverse * (1 + 1 / back), forward / gain + reverse / back
+
+    def collector(of_base: float, at_emitter: float) -> float:
+        """Voltage over the emitter at which LED and transistor carry the same current."""
+        top = supply_v - forward_v - at_emitter
+        return float(brentq(lambda v: (top - v) / series - currents(of_base, v)[0], -60.0, 60.0, xtol=1e-12))
+
+    def emitter_of(of_base: float) -> float:
+        """Voltage over the emitter resistor."""
+        if emitter == 0.0:
+            return 0.0
+
+        def lacking(v: float) -> float:
+            return sum(currents(of_base, collector(of_base, v))) - v / emitter
+
+        return float(brentq(lacking, 0.0, 50.0, xtol=1e-12))
+
+    def too_much(of_base: float) -> float:
+        at_emitter = emitter_of(of_base)
+        into_base = currents(of_base, collector(of_base, at_emitter))[1]
+        return into_base - (high_v - at_emitter - of_base) / base
+
+    of_base = float(brentq(too_much, 0.3, base_v + 0.05, xtol=1e-12))
+    at_emitter = emitter_of(of_base)
+    of_collector = collector(of_base, at_emitter)
+    return (supply_v - forward_v - at_emitter - of_collector) / series, (high_v - at_emitter - of_base) / base
+
+
+@pytest.mark.parametrize("band", ["white", "nir"])
+@pytest.mark.parametrize("topology", ["sink", "switch"])
+def test_currents_are_those_of_the_solved_circuit(band: str, topology: str) -> None:
+    settings = CircuitSettings(topology=topology)
+    stage = design_stage(band, settings)
+    forward = stage.led.forward_v
+    middle, into_base = solved(stage, high_v=3.275, supply_v=9.0, forward_v=forward, base_v=0.755, gain=440.0)
+    assert middle == pytest.approx(stage.current_a[1], rel=0.03)
+    assert into_base <= stage.gpio_a
+    rng = np.random.default_rng(0)
+    for _ in range(40):  # any board that can be built lies within the stated corners
+        t, s = settings.transistor, settings
+        current, into_base = solved(
+            stage,
+            high_v=rng.uniform(*s.gpio.high_v),
+            supply_v=9.0 * rng.uniform(0.95, 1.05),
+            forward_v=forward + rng.uniform(-1, 1) * stage.led.spread_v,
+            base_v=rng.uniform(*t.base_v),
+            gain=rng.uniform(*t.gain),
+        )
+        assert 0.98 * stage.current_a[0] <= current <= 1.02 * stage.current_a[2]
+        assert into_base <= stage.gpio_a
+
+
+def test_a_sink_does_not_care_for_the_supply_and_a_switch_does() -> None:
+    def change(topology: str) -> float:
+        stage = design_stage("white", CircuitSettings(topology=topology))
+        low, high = (
+            solved(stage, high_v=3.3, supply_v=v, forward_v=4.0, base_v=0.75, gain=400.0)[0] for v in (8.7, 9.3)
+        )
+        return high / low - 1
+
+    assert change("sink") < 0.01
+    assert change("switch") > 0.10
+
+
+def test_margins_are_kept() -> None:
+    for band in ("white", "nir"):
+        for topology in ("sink", "switch"):
+            settings = CircuitSettings(topology=topology)
+            stage = design_stage(band, settings)
+            assert stage.current_a[0] >= 0.7 * stage.led.current_a
+            assert stage.current_a[2] <= stage.led.limit_a
+            assert stage.transistor_w <= 0.6 * settings.transistor.limit_w
+            assert max(stage.gpio_a, stage.gpio_fault_a) <= settings.gpio.limit_a
+            for r in stage.resistors:
+                assert r.heat_w <= 0.6 * r.rating_w
+                assert r.rating_w in RATINGS_W
+                assert any(math.isclose(r.ohm / 10 ** math.floor(math.log10(r.ohm)), v, rel_tol=1e-6) for v in E24)
+
+
+@pytest.mark.parametrize(
+    ("band", "changes", "words"),
+    [
+        ("white", {"supply_v": 5.0}, r"5 V are too little for the white LEDs.*circuit\.supply_v to 7\.8"),
+        ("white", {"supply_v": 5.0, "topology": "switch"}, "up to 155 mA through an LED of 120 mA"),
+        ("white", {"supply_v": 4.2, "topology": "switch"}, "too little for the white LEDs of 4 V"),
+        ("nir", {"supply_v": 14.0}, "heat its transistor"),
+        ("nir", {"transistor": replace(BC337, gain=(20.0, 40.0)), "topology": "switch"}, "gain of at least 40"),
+        ("nir", {"transistor": replace(BC337, limit_a=0.15)}, "transistor for at least"),
+        ("blue", {}, "white and nir"),
+    ],
+)
+def test_missed_margins_are_named(band: str, changes: dict[str, object], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        design_stage(band, CircuitSettings(**changes))  # type: ignore[arg-type]
+
+
+def test_settings_are_checked() -> None:
+    for bad in ({"topology": "bridge"}, {"supply_v": 48.0}, {"power_margin": 0.0}, {"pull_down_ohm": 10.0}):
+        with pytest.raises(BadInput, match=r"circuit\."):
+            CircuitSettings(**bad)  # type: ignore[arg-type]
+
+
+def test_preferred_values() -> None:
+    assert preferred(25.1) == 27.0
+    assert preferred(25.1, up=False) == 24.0
+    assert preferred(1000.0) == preferred(1000.0, up=False) == 1000.0
+    assert preferred(9.5) == 10.0
+    assert rating_for(0.3, 0.6) == 0.6
+    with pytest.raises(BadInput, match="heat"):
+        rating_for(5.0, 0.6)
+    with pytest.raises(BadInput, match="positive"):
+        preferred(0.0)
+    assert [ohm_text(v) for v in (27.0, 4700.0, 100_000.0, 1.5, 0.47)] == ["27R", "4k7", "100k", "1R5", "0R47"]
+
+
+def nets_of(text: str) -> dict[str, set[tuple[str, str]]]:
+    """Read the netlist again with a parser of its own."""
+    nets = {}
+    for part in re.split(r"\(net ", text.partition("(nets")[2])[1:]:
+        name = re.search(r'\(name "([^"]*)"\)', part)
+        assert name
+        nets[name[1]] = set(re.findall(r'\(node \(ref "([^"]*)"\) \(pin "([^"]*)"\)', part))
+    return nets
+
+
+def test_every_led_hangs_on_its_line(board: Circuit) -> None:
+    nets = nets_of(kicad_netlist(board, "1"))
+    values = {c.ref: c.value for c in board.components}
+
+    def other_end(ref: str, net: str) -> str:
+        return next(name for name, nodes in nets.items() if name != net and any(r == ref for r, _ in nodes))
+
+    lines = [*DEFAULT_PINS["white"], *DEFAULT_PINS["nir"]]
+    for k, line in enumerate(lines, start=1):
+        net = nets[f"GPIO{line}"]
+        assert ("J1", str(HEADER_PINS[line])) in net
+        assert HEADER_OF_GPIO[line] == HEADER_PINS[line]
+        assert other_end(f"R{100 + k}", f"GPIO{line}") == f"BASE{k}"
+        assert other_end(f"R{400 + k}", f"GPIO{line}") == "GND"
+        assert (f"Q{k}", "2") in nets[f"BASE{k}"]
+        assert {(f"Q{k}", "1"), (f"D{k}", "1")} == nets[f"COLLECTOR{k}"]
+        assert {(f"Q{k}", "3"), (f"R{200 + k}", "1")} == nets[f"EMITTER{k}"]
+        assert {(f"D{k}", "2"), (f"R{300 + k}", "1")} == nets[f"ANODE{k}"]
+        assert (f"R{300 + k}", "2") in nets["V_LED"]
+        assert (f"R{200 + k}", "2") in nets["GND"]
+        assert values[f"D{k}"].startswith("white" if k <= 7 else "nir")
+
+
+def test_every_pin_is_on_one_net_and_every_part_is_connected(board: Circuit) -> None:
+    nets = nets_of(kicad_netlist(board, "1"))
+    nodes = [node for net in nets.values() for node in net]
+    assert len(nodes) == len(set(nodes)) == sum(len(net) for net in board.nets.values())
+    for part in board.components:
+        pins = {pin for ref, pin in nodes if ref == part.ref}
+        assert len(pins) == {"Q": 3}.get(part.ref[0], 2 if part.ref != "J1" else 14 + len(GROUND_PINS)), part.ref
+    assert all(len(net) >= 2 for net in nets.values())
+    assert len({part.ref for part in board.components}) == len(board.components)
+
+
+def test_the_netlist_is_balanced_and_the_same_every_time(board: Circuit) -> None:
+    text = kicad_netlist(board, "1")
+    assert text == kicad_netlist(design_circuit(default_rig()), "1")
+    depth = 0
+    for character in re.sub(r'"[^"]*"', "", text):
+        depth += {"(": 1, ")": -1}.get(character, 0)
+        assert depth >= 0
+    assert depth == 0
+    assert text.startswith('(export (version "E")')
+
+
+def test_parts_add_up(board: Circuit) -> None:
+    bill = bill_of_materials(board)
+    assert sum(quantity for quantity, *_ in bill) == len(board.components)
+    assert (14, "BC337-40") in [(q, value) for q, value, *_ in bill]
+    assert [value for q, value, *_ in bill if q == 7 and value.endswith("LED")] == ["white, 0.5 W LED", "850 nm LED"]
+
+
+def test_other_rigs_get_other_boards() -> None:
+    rig = default_rig()
+    few = replace(rig, leds=rig.leds[:3], provenance={"pins": {"white": [5, 6, 13]}})
+    board = design_circuit(few, CircuitSettings(topology="switch"))
+    assert [c.gpio for c in board.channels] == [5, 6, 13]
+    assert not any(name.startswith("EMITTER") for name in board.nets)
+    assert ("Q1", "3") in nets_of(kicad_netlist(board, "1"))["GND"]
+    with pytest.raises(BadInput, match="band 'uv'"):
+        design_circuit(replace(rig, leds=(Led("uv", (0.0, 0.0, 100.0)),)))
+    with pytest.raises(BadInput, match="GPIO 13 to two LEDs"):
+        design_circuit(replace(few, provenance={"pins": {"white": [5, 13, 13]}}))
