@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from splitknit.calibrate.card_model import Answer, CardModel, Order
 
 Array = NDArray[np.float64]
-_STEPS = 60
+_STEPS, _STAGES = 40, 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,14 +35,29 @@ def fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, s
     scale : residual (relative) beyond which a cell counts less and less
     """
     low, high = model.bounds(order)
-    middle, inverse = model.prior(order)
     vector = np.clip(model.vector(start, order), low, high)
+    width = np.inf
+    for _ in range(_STAGES):  # wide first, so that what is not fitted yet does not pass for dust
+        residual = np.abs(model.logarithm(model.answer(vector, order)) - logarithm)
+        wanted = max(scale, 3.0 * 1.4826 * float(np.median(residual)))
+        last, width = width, min(width, wanted)
+        if width > 0.99 * last:
+            break
+        vector = _descend(model, vector, order, logarithm, width)
+    normal, _ = _equations(model, vector, order, logarithm, scale)
+    return CardFit(order, model.answer(vector, order), normal + np.diag(model.prior(order)[1] ** 2))
+
+
+def _descend(model: CardModel, vector: Array, order: Order, logarithm: Array, scale: float) -> Array:
+    """Lower Cauchy's cost of the given scale as far as it goes."""
+    low, high = model.bounds(order)
+    middle, inverse = model.prior(order)
 
     def cost(values: Array) -> float:
         fitted = (model.logarithm(model.answer(values, order)) - logarithm) / scale
         return float(np.log1p(fitted * fitted).sum() + (((values - middle) * inverse) ** 2).sum())
 
-    damping, least = 1e-3, cost(vector)
+    damping, least = 1e-4, cost(vector)
     for _ in range(_STEPS):
         normal, slope = _equations(model, vector, order, logarithm, scale)
         normal += np.diag(inverse**2)
@@ -56,11 +71,10 @@ def fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, s
             damping *= 8.0
         else:
             break
-        gain, vector, least, damping = least - value, moved, value, max(damping / 8.0, 1e-9)
-        if gain < 1e-9 * least:
+        gain, vector, least, damping = least - value, moved, value, max(damping / 8.0, 1e-12)
+        if gain < 1e-7 * least + 1e-9:
             break
-    normal, _ = _equations(model, vector, order, logarithm, scale)
-    return CardFit(order, model.answer(vector, order), normal + np.diag(inverse**2))
+    return vector
 
 
 def _equations(model: CardModel, vector: Array, order: Order, logarithm: Array, scale: float) -> tuple[Array, Array]:

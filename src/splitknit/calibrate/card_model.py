@@ -5,7 +5,8 @@ In logarithms the model of :mod:`splitknit.calibrate.card_light` is a sum,
     ln I_k = ln c_k + [place of LED k, known] + n_k ln cos(beta_k) + ln(1 + a r^2 + b r^4),
 
 so that it is linear in the logarithms of the brightnesses c_k and in the exponents n_k. The axis of LED k is its
-direction to the origin, moved by u and v along two vectors across it.
+direction to the origin, moved by u and v along two vectors across it; the parameters are n u and n v, the slopes of the
+brightness that it makes, in which the model is nearly linear too.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ from splitknit.check import require
 from splitknit.types import Camera, Led
 
 Array = NDArray[np.float64]
+_LEAST_EXPONENT = 0.02
+"""Of a beam, where there is one: below it, an aim means nothing."""
+_MOST_TILT = 0.7
+"""Of an aim against the direction to the origin: 35 deg."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,27 +101,30 @@ class CardModel:
         elif order.beam == "led":
             parts.append(answer.exponent)
         if order.aims:
-            parts.append(answer.tilt.ravel())
+            parts.append((answer.tilt * np.maximum(answer.exponent, _LEAST_EXPONENT)[:, None]).ravel())
         return np.concatenate(parts)
 
     def answer(self, vector: Array, order: Order) -> Answer:
         """Parameters written out for every LED."""
         light, lens, beams, tilts = (vector[list(part)] for part in self._places(order))
-        exponent = {"none": np.zeros(self.count), "led": beams}.get(order.beam)
+        exponent = {"none": np.zeros(self.count), "led": beams, "band": beams[self.band] if len(beams) else None}[
+            order.beam
+        ]
+        assert exponent is not None
+        tilt = tilts.reshape(-1, 2) / exponent[:, None] if order.aims else np.zeros((self.count, 2))
         return Answer(
             brightness=np.exp(light),
-            exponent=beams[self.band] if exponent is None else exponent,
-            tilt=tilts.reshape(-1, 2) if order.aims else np.zeros((self.count, 2)),
+            exponent=exponent,
+            tilt=np.clip(tilt, -_MOST_TILT, _MOST_TILT),
             lens=np.concatenate([lens, np.zeros(2 - len(lens))]),
         )
 
     def bounds(self, order: Order) -> tuple[Array, Array]:
-        """Least and greatest values: a lens that keeps some light, beams from flat to narrow, aims within 35 deg."""
-        _, lens, beams, tilts = self._places(order)
+        """Least and greatest values: a lens that keeps some light, beams from flat to narrow."""
+        _, lens, beams, _ = self._places(order)
         low, high = np.full(self.size(order), -np.inf), np.full(self.size(order), np.inf)
         low[list(lens)], high[list(lens)] = -0.95, 0.95
-        low[list(beams)], high[list(beams)] = 0.0, 200.0
-        low[list(tilts)], high[list(tilts)] = -0.7, 0.7
+        low[list(beams)], high[list(beams)] = _LEAST_EXPONENT, 200.0
         return low, high
 
     def logarithm(self, answer: Answer) -> Array:
@@ -137,14 +145,14 @@ class CardModel:
             places.append(place)
             rows.append(self.squared ** (power + 1) / fall_off)
         if order.beam != "none":
-            places.append(beams[int(self.band[k]) if order.beam == "band" else k])
-            rows.append(self._log_cosine(answer)[k])
-        if order.aims:
             u, v = answer.tilt[k]
             along = np.maximum(self.seen[k, 0] + u * self.seen[k, 1] + v * self.seen[k, 2], 1e-6)
-            for axis, value in ((0, u), (1, v)):
-                places.append(tilts[2 * k + axis])
-                rows.append(answer.exponent[k] * (self.seen[k, 1 + axis] / along - value / (1 + u * u + v * v)))
+            by_u, by_v = (self.seen[k, 1 + i] / along - w / (1 + u * u + v * v) for i, w in ((0, u), (1, v)))
+            places.append(beams[int(self.band[k]) if order.beam == "band" else k])
+            rows.append(self._log_cosine(answer)[k] - u * by_u - v * by_v)  # at given n u and n v
+            if order.aims:
+                places += [tilts[2 * k], tilts[2 * k + 1]]
+                rows += [by_u, by_v]
         return np.array(places, dtype=np.intp), np.stack(rows)
 
     def exponents(self, values: Array, order: Order) -> Array:
@@ -153,11 +161,11 @@ class CardModel:
         return np.full(self.count, np.nan) if order.beam == "none" else own[self.band] if order.beam == "band" else own
 
     def prior(self, order: Order) -> tuple[Array, Array]:
-        """Middle and inverse width of the prior of every parameter: exponents 5 +- 20, aims within 20 deg."""
+        """Middle and inverse width of the prior of every parameter: exponents 5 +- 20, slopes 0 +- 4."""
         middle, inverse = np.zeros(self.size(order)), np.zeros(self.size(order))
         _, _, beams, tilts = self._places(order)
         middle[list(beams)], inverse[list(beams)] = 5.0, 1 / 20.0
-        inverse[list(tilts)] = 1 / np.deg2rad(20.0)
+        inverse[list(tilts)] = 1 / 4.0
         return middle, inverse
 
     def aim(self, answer: Answer, k: int) -> Array:

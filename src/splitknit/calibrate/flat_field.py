@@ -128,7 +128,7 @@ def fit_flat_field(  # noqa: PLR0917
     -----
     Models of :data:`splitknit.calibrate.card_model.LADDER` are fitted one after the other, each from the one before,
     and the simplest is taken that explains the images about as well as the richest. Two weak priors (exponents 5 +- 20,
-    aims within 20 deg of the origin, each worth one cell of thousands) settle what the images leave open: the aim of a
+    slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a
     beam that is wide.
 
     A tilt of the card cannot be told from aims and brightnesses: it must be known (as the camera's tilt against the

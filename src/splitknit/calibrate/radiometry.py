@@ -123,12 +123,6 @@ def calibrate_radiometry(
 
 
 def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
-    shines = flat.gloss_percent > settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error
-    require(
-        not shines,
-        f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the LEDs (at most "
-        f"{settings.gloss_percent:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
-    )
     dust = float(flat.dust.mean())
     most = flat.settings.worst_dust_share
     require(
@@ -144,6 +138,12 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
         f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
         f"rms is {rms:.1f} % (at most {settings.limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
         f"check its calibrated position, and that nothing shadows the card.",
+    )
+    shines = flat.gloss_percent > settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error
+    require(
+        not shines,
+        f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the LEDs (at most "
+        f"{settings.gloss_percent:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
     )
 
 
