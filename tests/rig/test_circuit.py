@@ -126,7 +126,7 @@ def test_margins_are_kept() -> None:
 @pytest.mark.parametrize(
     ("band", "changes", "words"),
     [
-        ("white", {"supply_v": 5.0}, r"5 V are too little for the white LEDs.*circuit\.supply_v to 7\.8"),
+        ("white", {"supply_v": 5.0}, r"5 V are too little for the white LEDs.*circuit\.supply_v to 7\.9"),
         ("white", {"supply_v": 5.0, "topology": "switch"}, "up to 155 mA through an LED of 120 mA"),
         ("white", {"supply_v": 4.2, "topology": "switch"}, "too little for the white LEDs of 4 V"),
         ("nir", {"supply_v": 14.0}, "heat its transistor"),
@@ -138,6 +138,12 @@ def test_margins_are_kept() -> None:
 def test_missed_margins_are_named(band: str, changes: dict[str, object], words: str) -> None:
     with pytest.raises(BadInput, match=words):
         design_stage(band, CircuitSettings(**changes))  # type: ignore[arg-type]
+
+
+def test_the_supply_that_is_named_is_enough() -> None:
+    design_stage("white", CircuitSettings(supply_v=7.9))
+    with pytest.raises(BadInput, match="too little"):
+        design_stage("white", CircuitSettings(supply_v=7.8))
 
 
 def test_settings_are_checked() -> None:

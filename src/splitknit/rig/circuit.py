@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import product
 
+import numpy as np
+
 from splitknit.check import require
 from splitknit.rig.circuit_parts import (
     BC337,
@@ -138,10 +140,11 @@ def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     middle = current(sum(high) / 2, sum(t.base_v) / 2, sum(t.gain) / 2, 0.0)
     over_emitter = top * emitter * (1 + s.resistor_spread) * (1 + 1 / t.gain[0])
     spare = least_v - led.forward_v - led.spread_v - over_emitter - LEAST_HEADROOM_V
+    enough = np.ceil(10 * (least_v - spare) / (1 - s.supply_spread)) / 10
     require(
         spare >= 0,
         f"{s.supply_v:g} V are too little for the {band} LEDs: {least_v - spare:.2g} V are needed for LED, transistor "
-        f"and emitter resistor; set circuit.supply_v to {(least_v - spare) / (1 - s.supply_spread):.2g} or more, or "
+        f"and emitter resistor; set circuit.supply_v to {enough:.1f} or more, or "
         "circuit.topology to switch.",
     )
     # what is to spare heats a resistor rather than the transistor
