@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 from bench_help import DARK_ROOM, built, drawn, grey, parallel, sample, seen
+from scipy.special import ndtr
 
 from splitknit.check import BadInput
 from splitknit.simulate.bench import Board, BoardScene, CardScene, DiscScene, HandRanges, board_poses
+from splitknit.simulate.bench_sight import inside
 from splitknit.simulate.lens import slopes_of_pixels
 
 
@@ -28,6 +30,27 @@ def reflectance(scene):
         translation_mm=scene.translation_mm,
     )
     return grey(scene, [0, 2, 4]) / grey(card, [0, 2, 4])
+
+
+@pytest.mark.parametrize("turn_deg", [0, 8, 30, 45, 90])
+@pytest.mark.parametrize("blur", [0.0, 0.6])
+def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
+    """An edge at any angle through pixels of one unit, against many points in each."""
+    c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    row, column = np.indices((24, 25)).astype(float)
+    distance = 0.7 * (c * (column - 12.3) + s * (row - 11.8))
+    places = (np.arange(40) + 0.5) / 40 - 0.5
+    moved = distance[..., None, None] + 0.7 * (c * places[:, None] + s * places)
+    exact = np.mean(ndtr(moved / 0.7 / blur) if blur else moved > 0, axis=(-1, -2))
+    share = inside(distance, blur=0.7 * blur)
+    # what is least exact is an edge at 45 deg, whose triangle becomes half a box and half a Gaussian
+    assert np.abs(share - exact).max() < (0.014 if turn_deg % 90 == 0 else 0.03)
+    assert abs(np.sum(share - exact, axis=1 if turn_deg <= 45 else 0)).max() < 0.02
+    if turn_deg == 45 and not blur:
+        weight = np.gradient(share[12])
+        middle = np.average(column[12], weights=weight)
+        spread = np.average((column[12] - middle) ** 2, weights=weight) - 1 / 3
+        assert spread == pytest.approx((1 + 1) / 12, rel=0.15)
 
 
 @pytest.mark.parametrize("make", [drawn, built, parallel])
@@ -113,14 +136,14 @@ def test_boards_are_held_as_people_hold_them(make):
     tilts = [np.rad2deg(np.arccos(cv2.Rodrigues(np.array(p.rotation_vector))[0][2, 2])) for p in poses]
     assert 10 <= min(tilts) < 18
     assert 25 < max(tilts) <= 35
+    squares = np.array([(u, v, 0.0) for u in (-16.5, 16.5) for v in (-12.0, 12.0)])
     for pose in poses:
-        scene = BoardScene(
-            **make(), rotation_vector=pose.rotation_vector, translation_mm=pose.translation_mm
-        ).truth_corners()
-        assert (scene > 0).all()
-        assert (scene < (319, 219)).all()
-        area = cv2.contourArea(cv2.convexHull(scene.astype(np.float32)))
-        assert area > 0.25 * 220 * 320
+        turn = cv2.Rodrigues(np.array(pose.rotation_vector))[0]
+        corners = seen(camera, squares @ turn.T + pose.translation_mm)
+        assert (corners >= 0.02 * 220).all()
+        assert (corners <= (319 - 0.02 * 220, 219 - 0.02 * 220)).all()
+        assert cv2.contourArea(cv2.convexHull(corners.astype(np.float32))) > 0.4 * 220 * 320
+        assert abs(pose.translation_mm[2]) <= 5
 
 
 @pytest.mark.parametrize("make", [drawn, built, parallel])

@@ -29,7 +29,12 @@ def test_highlights_are_where_the_normal_halves_the_angle(make):
     assert np.abs(seen(things["camera"], points) - scene.highlights_px()).max() < 1e-6
 
 
-@pytest.mark.parametrize("make", [drawn, built, parallel])
+def upright(scale):
+    """LEDs that look straight down: the ball sees their faces and beams from beside."""
+    return drawn(scale, aim=(0.0, 0.0, -1.0))
+
+
+@pytest.mark.parametrize("make", [drawn, built, parallel, upright])
 def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
     things = make(scale=0.2)
     scene = SphereScene(**things, position_mm=(-5.0, 2.0), **NO_WALLS)
