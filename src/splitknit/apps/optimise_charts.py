@@ -50,7 +50,7 @@ def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, ti
     known = [one.value for one in cells if one.value is not None]
     low, high = (min(known), max(known)) if known else (0.0, 1.0)
     wide, tall, left, top = 76, 40, 64, 30
-    width, height = left + wide * len(columns) + 12, top + tall * len(rows) + 62
+    width, height = max(left + wide * len(columns) + 12, left + 220), top + tall * len(rows) + 78
     parts = [_open(width, height, title or f"{y_label} against {x_label}"), _stripes()]
     parts.append(_text(left, 16, title, "start", bold=True))
     for one in cells:
@@ -84,7 +84,8 @@ def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, ti
         f'<text x="14" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 14 {middle:.1f})">'
         f"{escape(y_label)}</text>"
     )
-    parts.append(_text(left, bottom + 50, f"{unit}; orange: best, • as good, dashed: the thesis's", "start"))
+    parts.append(_text(left, bottom + 50, unit, "start"))
+    parts.append(_text(left, bottom + 66, "orange: best; •: as good; dashed: the thesis's", "start"))
     return Markup("".join(parts) + "</svg>")
 
 
@@ -108,16 +109,17 @@ def scatter(
         return height - bottom - (value - y_low) / (y_high - y_low) * (height - top - bottom)
 
     parts = [_open(width, height, title or f"{y_label} against {x_label}"), _text(left, 14, title, "start", bold=True)]
-    marks = sorted({dot.x for dot in dots}) if len({dot.x for dot in dots}) <= 8 else _nice(x_low, x_high, log_x)
+    own = sorted({dot.x for dot in dots})
+    marks = own if len(own) <= 10 and not any(dot.front for dot in dots) else _nice(x_low, x_high, log_x)
     for mark in marks:
         parts.append(_line(to_x(mark), top, to_x(mark), height - bottom, "#e2e2e2"))
-        parts.append(_text(to_x(mark), height - bottom + 14, f"{mark:g}", "middle"))
+        parts.append(_text(to_x(mark), height - bottom + 14, f"{mark:.3g}", "middle"))
     for mark in _nice(y_low, y_high, False):
         parts.append(_line(left, to_y(mark), width - right, to_y(mark), "#e2e2e2"))
         parts.append(_text(left - 5, to_y(mark) + 4, f"{mark:g}", "end"))
     parts.append(_text((left + width - right) / 2, height - 8, x_label, "middle"))
     parts.append(_text(4, 32, y_label, "start"))
-    offset = width - right
+    offset = float(width - right)
     for k, name in reversed(list(enumerate(series))):
         parts.append(_text(offset, 32, name, "end"))
         offset -= 6.2 * len(name) + 10
@@ -125,8 +127,8 @@ def scatter(
         offset -= 14
     if not any(dot.front for dot in dots):
         for k in sorted({dot.series for dot in dots}):
-            own = sorted((dot for dot in dots if dot.series == k), key=lambda dot: dot.x)
-            points = " ".join(f"{to_x(dot.x):.1f},{to_y(dot.y):.1f}" for dot in own)
+            along = sorted((dot for dot in dots if dot.series == k), key=lambda dot: dot.x)
+            points = " ".join(f"{to_x(dot.x):.1f},{to_y(dot.y):.1f}" for dot in along)
             parts.append(f'<polyline points="{points}" fill="none" stroke="{SERIES_COLOURS[k % 4]}" opacity="0.6"/>')
     for dot in sorted(dots, key=lambda dot: dot.front):
         x, y, paint = to_x(dot.x), to_y(dot.y), SERIES_COLOURS[dot.series % 4]

@@ -195,6 +195,11 @@ def _pareto(records: Records, summary: Mapping[str, Any], what: str, unit: str) 
     """Error against the size of the box; powers are series."""
     done = [one for one in records if one["candidate"]["name"] in summary["compared"]]
     powers = sorted({one["candidate"]["power_w"] for one in done})
+
+    def named(candidate: Candidate) -> tuple[float, ...]:
+        many = (candidate.power_w,) if len(powers) > 1 else ()
+        return (candidate.height_mm, candidate.radius_mm, *many)
+
     dots = []
     for one in done:
         candidate = candidate_of(one)
@@ -203,14 +208,14 @@ def _pareto(records: Records, summary: Mapping[str, Any], what: str, unit: str) 
             Dot(
                 x=candidate.volume_l,
                 y=summary["compared"][candidate.name]["value"],
-                label=f"{candidate.height_mm:g}/{candidate.radius_mm:g}" if front else "",
+                label="/".join(f"{value:g}" for value in named(candidate)) if front else "",
                 front=front,
                 thesis=all(getattr(candidate, name) == value for name, value in THESIS.items()),
                 series=powers.index(candidate.power_w),
             )
         )
     series = [f"{power:g} W" for power in powers] if 1 < len(powers) <= 4 else []
-    title = "Pareto front (filled; height/radius in mm)"
+    title = f"Pareto front (filled; height/radius{'/power' if len(powers) > 1 else ''})"
     return scatter(dots, "volume between LEDs and finger (litres)", f"{what} ({unit})", series=series, title=title)
 
 

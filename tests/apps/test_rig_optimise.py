@@ -1,0 +1,161 @@
+"""``splitknit rig optimise``: a sweep from the command line to the page."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import splitknit.rig.optimise as module
+from splitknit.apps.cli import main
+from splitknit.apps.optimise_charts import Cell, Dot, heat_map, scatter, standalone
+
+Captured = pytest.CaptureFixture[str]
+SMALL = ["--heights-mm", "100,140", "--radii-mm", "52.5,80", "--powers-w", "1", "--resolutions", "6", "--fingers", "2"]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished sweep of 2 x 2 x 1 rigs at 6 px/mm (scale 0.08)."""
+    out = tmp_path_factory.mktemp("rig") / "out"
+    assert main(["rig", "optimise", "--out", str(out), *SMALL, "--workers", "1", "--json"]) == 0
+    return out
+
+
+def test_a_small_sweep_gives_a_result(swept: Path, capsys: Captured) -> None:
+    results = json.loads((swept / "results.json").read_text())
+    assert results["counts"] == {"done": 4, "refused": 0, "failed": 0}
+    assert results["best"]["name"] in results["as_good"]
+    assert results["best"]["name"] in results["pareto"]
+    assert results["thesis"]["name"] == "h140_r52.5_p1_tcentre_s6"
+    figures = [one["mean"]["hausdorff_mm"] for one in results["records"]]
+    assert results["best"]["hausdorff_mm"] == min(figures)
+    assert all(0.5 < value < 4.0 for value in figures)
+    with (swept / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == [one["candidate"]["name"] for one in results["records"]]
+    assert float(rows[0]["hausdorff_mm"]) == pytest.approx(figures[0], rel=1e-5)
+    assert {row["tilt_deg"] for row in rows} == {"centre"}
+
+
+def test_the_page_needs_nothing_else(swept: Path) -> None:
+    page = (swept / "index.html").read_text()
+    assert not re.search(r"<script|https?://(?!www\.w3\.org)|src=", page)
+    assert "The thesis" in page and page.count("<svg") == 2
+    for name in ("heat_map.svg", "pareto_front.svg"):
+        root = ElementTree.fromstring((swept / name).read_bytes())
+        assert root.tag.endswith("svg")
+
+
+def test_a_finished_sweep_is_not_done_again(swept: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    def never(*unused: object) -> None:
+        raise AssertionError("measured again")
+
+    monkeypatch.setattr(module, "evaluate", never)
+    before = {path.name: path.read_bytes() for path in swept.iterdir() if path.is_file()}
+    assert main(["rig", "optimise", "--out", str(swept), *SMALL]) == 0
+    said = capsys.readouterr()
+    assert "4 rigs in" in said.out and "Best: height" in said.out and "The thesis's choice" in said.out
+    assert said.err == ""
+    assert {path.name: path.read_bytes() for path in swept.iterdir() if path.is_file()} == before
+
+
+def test_json_is_one_object(swept: Path, capsys: Captured) -> None:
+    assert main(["rig", "optimise", "--out", str(swept), *SMALL, "--objective", "rms", "--json"]) == 0
+    said = capsys.readouterr()
+    facts = json.loads(said.out)
+    assert facts["objective"] == "rms" and "index.html" in facts["files"] and said.err == ""
+    assert main(["rig", "optimise", "--out", str(swept), *SMALL]) == 0  # as the other tests expect it
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--heights-mm", ""], "--heights-mm is empty"),
+        (["--radii-mm", " , "], "--radii-mm is empty"),
+        (["--tilts-deg", ","], "--tilts-deg is empty"),
+        (["--powers-w", "1,much"], "--powers-w must list numbers with commas between them, but it holds 'much'"),
+        (["--tilts-deg", "centre,steep"], "it holds 'steep'"),
+        (["--heights-mm", "-140"], "height_mm must lie between"),
+        (["--powers-w", "0"], "power_w must lie between"),
+        (["--radii-mm", "nan"], "radius_mm must lie between"),
+        (["--resolutions", "100"], "px_per_mm must lie between 3 and 75.7"),
+        (["--fingers", "0"], "the number of fingers must lie between 1 and 200"),
+        (["--workers", "0"], "the number of workers must lie between"),
+        (["--f-number", "-2"], "photons.f_number must be positive"),
+        (["--half-angle-deg", "2"], "half_angle_deg must lie in 5 to 90"),
+        (["--heights-mm", "300,400"], "not one of the 4 rigs can be built"),
+        (["--led-drop-mm", "30", "--tilts-deg", "80"], "not one of the 4 rigs can be built"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_sentence(
+    tmp_path: Path, arguments: list[str], words: str, capsys: Captured
+) -> None:
+    out = tmp_path / "out"
+    assert main(["rig", "optimise", "--out", str(out), *SMALL, *arguments]) == 2
+    said = capsys.readouterr()
+    assert words in said.err and said.err.count("\n") == 1 and said.out == ""
+    assert not out.exists()
+
+
+def test_foreign_files_and_other_settings_are_left_alone(swept: Path, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    assert main(["rig", "optimise", "--out", str(tmp_path), *SMALL]) == 2
+    assert "mine.txt" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    assert main(["rig", "optimise", "--out", str(swept), *SMALL, "--method", "metric"]) == 2
+    assert "other settings (method)" in capsys.readouterr().err
+
+
+def test_heat_map_says_why_a_rig_is_missing() -> None:
+    cells = [
+        Cell(50.0, 100.0, 1.0, "", best=True),
+        Cell(50.0, 140.0, 2.0, "", thesis=True, as_good=True),
+        Cell(20.0, 100.0, None, "glare"),
+    ]
+    drawn = standalone(heat_map(cells, "radius", "height", "mm", title="error <of> rigs")).decode()
+    ElementTree.fromstring(drawn)
+    assert "glare" in drawn and "url(#stripes)" in drawn and "2 •" in drawn and "&lt;of&gt;" in drawn
+    assert drawn.count('stroke-dasharray="4 3"') == 1
+
+
+def test_scatter_places_points_where_they_belong() -> None:
+    dots = [Dot(0.1, 1.0, low=0.9, high=1.1), Dot(1.0, 2.0), Dot(10.0, 3.0, thesis=True)]
+    drawn = standalone(scatter(dots, "power", "error", log_x=True)).decode()
+    ElementTree.fromstring(drawn)
+    places = [tuple(map(float, found)) for found in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="4"', drawn)]
+    assert len(places) == 3
+    steps = [b[0] - a[0] for a, b in itertools.pairwise(places)]
+    assert steps[0] == pytest.approx(steps[1], abs=0.2), "a decade is as wide as another"
+    assert places[0][1] > places[1][1] > places[2][1], "larger errors lie higher"
+    assert 'r="8"' in drawn
+
+
+@pytest.mark.slow
+def test_an_interrupt_keeps_what_is_finished_and_the_next_run_completes_it(swept: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "splitknit.apps.cli", "rig", "optimise", "--out", str(out), *SMALL]
+    running = subprocess.Popen([*command, "--workers", "2"], stderr=subprocess.PIPE, start_new_session=True, text=True)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and not list(out.glob("candidates/h*.json")):
+        time.sleep(0.02)
+    os.killpg(running.pid, signal.SIGINT)  # as Ctrl-C does: to the workers as well
+    _, said = running.communicate(timeout=120)
+    kept = {path.name: path.read_bytes() for path in (out / "candidates").iterdir()}
+    assert running.returncode == 130 and "interrupted" in said and "Traceback" not in said
+    assert 1 <= len(kept) < 4 and not (out / "results.json").exists()
+    assert main([*command[3:], "--workers", "1"]) == 0
+    for path in (out / "candidates").iterdir():
+        assert kept.get(path.name, path.read_bytes()) == path.read_bytes()
+        assert path.read_bytes() == (swept / "candidates" / path.name).read_bytes()
+    assert (out / "results.json").read_bytes() == (swept / "results.json").read_bytes()

@@ -1,0 +1,144 @@
+"""A sweep: kept rig by rig, taken up again, the same for any number of processes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import splitknit.rig.optimise as module
+from splitknit.check import BadInput
+from splitknit.rig.candidates import Candidate, grid
+from splitknit.rig.optimise import summarise, sweep
+from splitknit.rig.study import Study
+
+STUDY = Study(fingers=2)
+RIGS = grid((100.0, 140.0), (52.5, 80.0), (1.0,), (None,), (6.0,))
+
+
+class Counted:
+    """A quick stand-in for the measurement: a figure that follows from the rig alone."""
+
+    def __init__(self, stop_at=None, fail=()):
+        self.asked, self.stop_at, self.fail = [], stop_at, fail
+
+    def __call__(self, candidate: Candidate, study: Study):
+        self.asked.append(candidate.name)
+        if self.stop_at is not None and len(self.asked) > self.stop_at:
+            raise KeyboardInterrupt
+        values = [{"seed": s, "hausdorff_mm": candidate.radius_mm / 50 + 0.001 * s} for s in study.seeds]
+        record = {
+            "candidate": {
+                **{name: getattr(candidate, name) for name in Candidate.__dataclass_fields__},
+                "name": candidate.name,
+            },
+            "status": "done",
+            "reason": None,
+            "constraints": [],
+            "fingers": values,
+            "mean": {"hausdorff_mm": sum(one["hausdorff_mm"] for one in values) / len(values)},
+        }
+        if candidate.name in self.fail:
+            record |= {"status": "failed", "reason": "it broke", "fingers": [], "mean": None}
+        return record
+
+
+def _tree(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    whole = Counted()
+    monkeypatch.setattr(module, "evaluate", whole)
+    expected = sweep(tmp_path / "whole", RIGS, STUDY)
+    stopped = Counted(stop_at=2)
+    monkeypatch.setattr(module, "evaluate", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(tmp_path / "out", RIGS, STUDY)
+    assert len(list((tmp_path / "out" / "candidates").iterdir())) == 2
+    (tmp_path / "out" / "candidates" / ".x.json.0123.tmp").write_text("{")  # a kill leaves this
+    (tmp_path / "out" / "candidates" / f"{RIGS[1].name}.json").write_text("{half")  # a disk left this
+    again = Counted()
+    monkeypatch.setattr(module, "evaluate", again)
+    seen = []
+    found = sweep(tmp_path / "out", RIGS, STUDY, progress=lambda stage, share: seen.append((stage, share)))
+    assert again.asked == [RIGS[1].name, RIGS[2].name, RIGS[3].name]
+    assert seen[0] == ("resuming", 0.25) and seen[-1] == (RIGS[3].name, 1.0)
+    assert found == expected
+    (tmp_path / "out" / "candidates" / ".x.json.0123.tmp").unlink()
+    assert _tree(tmp_path / "out") == _tree(tmp_path / "whole")
+    sweep(tmp_path / "out", RIGS, STUDY)
+    assert len(again.asked) == 3, "nothing is done twice"
+
+
+def test_failed_rigs_are_tried_again_and_more_may_be_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "evaluate", Counted(fail=(RIGS[0].name,)))
+    found = sweep(tmp_path / "out", RIGS[:2], STUDY)
+    assert [one["status"] for one in found] == ["failed", "done"]
+    again = Counted()
+    monkeypatch.setattr(module, "evaluate", again)
+    found = sweep(tmp_path / "out", RIGS, STUDY)
+    assert again.asked == [RIGS[0].name, RIGS[2].name, RIGS[3].name]
+    assert [one["status"] for one in found] == ["done"] * 4
+
+
+def test_changed_settings_and_foreign_folders_are_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "evaluate", Counted())
+    sweep(tmp_path / "out", RIGS, STUDY)
+    with pytest.raises(BadInput, match=r"other settings \(fingers, method\)"):
+        sweep(tmp_path / "out", RIGS, replace(STUDY, fingers=3, method="metric"))
+    (tmp_path / "out" / "thesis.pdf").write_text("mine")
+    with pytest.raises(BadInput, match=r"'thesis\.pdf'"):
+        sweep(tmp_path / "out", RIGS, STUDY)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "notes.txt").write_text("mine")
+    with pytest.raises(BadInput, match=r"notes\.txt"):
+        sweep(other, RIGS, STUDY)
+    assert _tree(other) == {"notes.txt": b"mine"}
+    with pytest.raises(BadInput, match="is a file"):
+        sweep(other / "notes.txt", RIGS, STUDY)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "sweep.json").write_text("{")
+    with pytest.raises(BadInput, match="damaged"):
+        sweep(tmp_path / "broken", RIGS, STUDY)
+
+
+def test_rigs_that_cannot_be_built_are_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(BadInput, match=r"not one of the 2 rigs can be built.*printer"):
+        sweep(tmp_path / "out", grid((300.0, 400.0), (52.5,), (1.0,)), STUDY)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(BadInput, match="no candidates"):
+        sweep(tmp_path / "out", (), STUDY)
+    with pytest.raises(BadInput, match="workers"):
+        sweep(tmp_path / "out", RIGS, STUDY, workers=0)
+
+
+def test_summary_names_the_best_and_where_the_thesis_stands():
+    records = [Counted()(rig, STUDY) for rig in RIGS]
+    found = summarise(records, STUDY)
+    assert found["best"] == RIGS[0].name and found["counts"] == {"done": 4, "refused": 0, "failed": 0}
+    assert found["thesis"]["name"] == "h140_r52.5_p1_tcentre_s6"
+    assert found["thesis"]["as_good"], "the same figure as the best"
+    assert found["pareto"] == [RIGS[0].name], "the smallest box of the best figure"
+    assert RIGS[1].name not in found["as_good"]
+    failed = [Counted(fail=(rig.name,))(rig, STUDY) for rig in RIGS]
+    with pytest.raises(BadInput, match=r"not one of the 4 rigs.*it broke"):
+        summarise(failed, STUDY)
+    with pytest.raises(BadInput, match="objective"):
+        summarise(records, STUDY, "beauty")
+    assert summarise(records[:2], STUDY)["thesis"] is None
+
+
+@pytest.mark.slow
+def test_the_result_does_not_depend_on_the_processes(tmp_path):
+    rigs = grid((140.0,), (20.0, 52.5, 80.0), (1.0,), (None,), (5.0,))
+    study = Study(fingers=1)
+    sweep(tmp_path / "one", rigs, study, workers=1)
+    sweep(tmp_path / "two", rigs, study, workers=2)
+    assert _tree(tmp_path / "one") == _tree(tmp_path / "two")
+    statuses = [
+        json.loads(data)["record"]["status"] for name, data in _tree(tmp_path / "one").items() if "cand" in name
+    ]
+    assert sorted(statuses) == ["done", "done", "refused"]
