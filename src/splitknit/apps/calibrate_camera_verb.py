@@ -50,7 +50,7 @@ def add_camera(kinds: Any) -> None:
 def run(options: argparse.Namespace) -> Outcome:
     """Calibrate."""
     from splitknit.apps.calibrated_camera import CameraJob, calibrate_to_rig  # noqa: PLC0415 - only this verb pays
-    from splitknit.apps.camera_facts import lines_of  # noqa: PLC0415
+    from splitknit.apps.camera_words import lines_of  # noqa: PLC0415
 
     job = CameraJob(
         out=options.out,

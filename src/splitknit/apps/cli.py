@@ -153,13 +153,17 @@ def _add_calibrate(verbs: Any) -> None:
 
 
 def _add_rig(verbs: Any) -> None:
+    from splitknit.apps.rig_cad_verb import add_cad  # noqa: PLC0415
     from splitknit.apps.rig_circuit_verb import add_circuit  # noqa: PLC0415
     from splitknit.apps.rig_optimise_verb import add_optimise  # noqa: PLC0415
+    from splitknit.apps.rig_target_verb import add_target  # noqa: PLC0415
 
     kinds = _group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
     # one line a kind: from splitknit.apps.rig_KIND_verb import add_KIND; add_KIND(kinds)
+    add_target(kinds)
     add_optimise(kinds)
     add_circuit(kinds)
+    add_cad(kinds)
 
 
 def _group(verbs: Any, name: str, does: str) -> Any:

@@ -1,0 +1,84 @@
+"""What a camera's calibration found, in lines for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from splitknit.calibrate.lens_model import TERMS
+
+
+def lines_of(facts: Mapping[str, Any]) -> list[str]:
+    """Return the facts as lines for people."""
+    lines = []
+    if facts["fit"] is not None:
+        lines += _fit_lines(facts)
+    if facts["plane"] is not None:
+        lines += _plane_lines(facts)
+    if facts["depth_of_field"] is not None:
+        lines += _sharpness_lines(facts["depth_of_field"])
+    lines += [f"Please note: {words}" for words in facts["warnings"]]
+    lines.append(f"Measured: {', '.join(facts['measured'])}. Taken over: {', '.join(facts['nominal']) or 'nothing'}.")
+    lines.append(f"Written: {facts['out']}")
+    return lines
+
+
+def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
+    fit = facts["fit"]
+    per_image, deviations = fit["per_image_px"], fit["deviations"]
+    count = len(per_image) + len(fit["rejected_px"]) + len(fit["repeated"]) + len(fit["without_board"])
+    worst = max(per_image, key=lambda name: per_image[name])
+    fx, fy = fit["focal_length_px"]
+    cx, cy = fit["principal_point_px"]
+    focal = f"{fx:.2f}" if fx == fy else f"{fx:.2f} x {fy:.2f}"
+    around = [f" +- {deviations[name]:.2f}" if name in deviations else " (held)" for name in ("cx", "cy")]
+    lines = [
+        f"Camera calibrated from {fit['images']} of {count} photographs: corners lie {fit['rms_px']:.3f} px off (rms), "
+        f"most in {worst} ({per_image[worst]:.3f} px).",
+        f"  focal length {focal} +- {deviations['fx']:.2f} px, "
+        f"principal point ({cx:.2f}{around[0]}, {cy:.2f}{around[1]}) px",
+    ]
+    terms = zip(TERMS, facts["distortion"], strict=True)
+    free = [f"{name} = {value:.4g} +- {deviations[name]:.2g}" for name, value in terms if name in fit["fitted"]]
+    lines.append(f"  distortion {', '.join(free) or 'none'}")
+    lines += [
+        f"  held: {name} = {why}" if "point" not in name else f"  held: {name}, {why}"
+        for name, why in fit["held"].items()
+    ]
+    lines += [f"  left out: {name}, corners {error:.2f} px off" for name, error in fit["rejected_px"].items()]
+    lines += [f"  left out: {name}, the same view as {other}" for name, other in fit["repeated"].items()]
+    board = facts["board"]["inner_corners"]
+    lines += [f"  left out: {name}, no board of {board} inner corners in full view" for name in fit["without_board"]]
+    return lines
+
+
+def _plane_lines(facts: Mapping[str, Any]) -> list[str]:
+    plane = facts["plane"]
+    if "height_mm" not in plane:
+        return [
+            f"Scale of an orthographic camera: {plane['px_per_mm']:.4f} +- {plane['px_per_mm_deviation']:.4f} px/mm "
+            f"(marks {plane['rms_px']:.2f} px off)."
+        ]
+    return [
+        f"Finger plane: {plane['height_mm']:.3f} +- {plane['height_mm_deviation']:.3f} mm from the camera, "
+        f"{plane['px_per_mm']:.4f} px/mm (marks {plane['rms_px']:.2f} px off).",
+        f"  The camera looks on the base {plane['tilt_deg']:.2f} +- {plane['tilt_deg_deviation']:.2f} deg obliquely; "
+        f"the base comes nearer towards the picture's {plane['nearer_at']}.",
+    ]
+
+
+def _sharpness_lines(field: Mapping[str, Any]) -> list[str]:
+    far = "infinity" if field["far_mm"] is None else f"{field['far_mm']:.2f} mm"
+    depth = "" if field["depth_mm"] is None else f" ({field['depth_mm']:.2f} mm)"
+    first = (
+        f"Depth of field at f/{field['f_number']:g}, focal length {field['focal_length_mm']:.2f} mm: from "
+        f"{field['near_mm']:.2f} mm to {far}{depth} a point is at most one pixel ({field['confusion_um']:.2f} um) wide."
+    )
+    if field["fits"]:
+        return [first, f"  A finger {field['finger_depth_mm']:g} mm deep fits."]
+    return [
+        first,
+        f"  A finger {field['finger_depth_mm']:g} mm deep does not fit: focused in its middle, its ends are blurred "
+        f"over {field['blur_px']:.1f} px. It would fit at f/{field['needed_f_number']:.0f}, where diffraction alone "
+        f"blurs over {field['diffraction_px']:.0f} px.",
+    ]
