@@ -1,0 +1,135 @@
+"""The printed sheet, read back: true to scale, found by the calibration that it is for, the same bytes each time."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from page_raster import draw, objects_of
+
+from splitknit.apps.cli import main
+from splitknit.calibrate import Board, find_board
+from splitknit.calibrate.disc import find_disc
+from splitknit.calibrate.plane import plane_scale
+from splitknit.check import BadInput
+from splitknit.rig.pdf import POINTS_PER_MM, Page
+from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf
+
+PX_PER_MM = 12.0
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    return draw(target_pdf(), PX_PER_MM)
+
+
+def card(image, settings, across, down):
+    """The picture of one card, from the settings' own layout."""
+    width, height = settings.card_mm
+    count = settings.copies[0]
+    free = 210 - count * width
+    x = free * (across + 1) / (count + 1) + across * width
+    y = settings.ruler_y_mm - 10 - (down + 1) * height - 3 * down
+    columns = slice(round((x + 0.5) * PX_PER_MM), round((x + width - 0.5) * PX_PER_MM))
+    return image[round((297 - y - height + 0.5) * PX_PER_MM) : round((297 - y - 0.5) * PX_PER_MM), columns]
+
+
+def test_every_board_is_found_at_true_scale(sheet):
+    settings = TargetSettings()
+    assert settings.board_mm == (30.0, 21.0)
+    across, down = settings.copies
+    assert across * down >= 6
+    board = Board(9, 6, 3.0)
+    for column, row in ((0, 0), (across - 1, down - 1), (1, 1)):
+        corners = find_board(card(sheet[0], settings, column, row), board)
+        assert corners is not None
+        scale = plane_scale(board.points_mm, corners)
+        assert scale.px_per_mm == pytest.approx(PX_PER_MM, rel=5e-4)
+        assert scale.anisotropy < 5e-4
+        assert scale.rms_px < 0.05
+
+
+def test_the_disc_is_found_at_true_scale(sheet):
+    settings = TargetSettings()
+    x, y = settings.disc_centre_mm
+    r = settings.disc_radius_mm - 1
+    half = 31  # what stands outside a square inside the circle is cut off, as in a picture of the disc
+    assert half < r / np.sqrt(2) + 0.1
+    top, left = round((297 - y - half) * PX_PER_MM), round((x - half) * PX_PER_MM)
+    side = round(2 * half * PX_PER_MM)
+    picture = sheet[0][top : top + side, left : left + side]
+    places, centres = find_disc(picture, 10.0)
+    assert len(places) == 49
+    scale = plane_scale(places, centres)
+    assert scale.px_per_mm == pytest.approx(PX_PER_MM, rel=2e-4)
+    assert scale.rms_px < 0.05
+    assert len(dots_mm(settings)) == 61
+    area = (255 - picture.astype(float)).sum() / 255 / PX_PER_MM**2 / 49
+    assert area == pytest.approx(np.pi * 0.75**2, rel=0.04)  # the drawing widens every edge by an eighth of a pixel
+
+
+def test_the_ruler_is_as_long_as_it_says(sheet):
+    image = sheet[0]
+    row = image[round((297 - TargetSettings().ruler_y_mm) * PX_PER_MM)]
+    dark = np.flatnonzero(row < 128)
+    assert len(dark) / PX_PER_MM == pytest.approx(RULER_MM, abs=0.3)
+    assert (dark[-1] - dark[0]) == len(dark) - 1
+
+
+def test_two_lines_of_words_and_a_sheet_of_a4(sheet):
+    texts = sheet[1]
+    assert len(texts) == 2
+    assert "9 x 6 inner corners, squares 3 mm" in texts[0]
+    assert "100 %" in texts[1]
+    data = target_pdf()
+    assert data.startswith(b"%PDF-1.")
+    assert b"/PrintScaling /None" in objects_of(data)[1]
+    assert f"[0 0 {210 * POINTS_PER_MM:.4f} {297 * POINTS_PER_MM:.4f}]".replace("0]", "]").encode() in data
+    assert len(data) < 10_000
+
+
+def test_same_settings_same_bytes():
+    assert target_pdf() == target_pdf(TargetSettings())
+    assert target_pdf() != target_pdf(TargetSettings(square_mm=3.1))
+
+
+def test_other_boards(tmp_path, capsys):
+    out = tmp_path / "sheet.pdf"
+    assert main(["rig", "target", "--out", str(out), "--board", "7x5", "--square-mm", "12", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["copies"] == 1
+    assert facts["board_mm"] == [96, 72]
+    image, texts = draw(out.read_bytes(), 4.0)
+    assert "7 x 5" in texts[0]
+    assert find_board(image[:720], Board(7, 5, 12.0)) is not None
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--board", "9by6"], "such as 9x6"),
+        (["--board", "9x2"], "3 to 200 inner corners"),
+        (["--square-mm", "30"], "does not fit on the sheet"),
+        (["--square-mm", "nan"], "from 0.01 to 10000 mm"),
+        (["--dot-mm", "2"], "less than 0.6 of their spacing"),
+        (["--dot-mm", "60"], "must hold two dots"),
+    ],
+)
+def test_what_cannot_be_printed(tmp_path, capsys, options, words):
+    out = tmp_path / "sheet.pdf"
+    assert main(["rig", "target", "--out", str(out), *options]) == 2
+    message = capsys.readouterr().err
+    assert words in message
+    assert message.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_page_refuses_what_it_cannot_show():
+    page = Page()
+    with pytest.raises(BadInput, match="no shape 'Dot'"):
+        page.place("Dot", 0, 0)
+    with pytest.raises(BadInput, match="ASCII"):
+        page.text("5 µm", 0, 0)
+    page.text("a (b) \\ c", 10, 10)
+    assert draw(page.to_bytes(), 1.0)[1] == ["a (b) \\\\ c"]
