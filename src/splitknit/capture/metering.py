@@ -80,6 +80,7 @@ def meter(
         lights.off()
         camera.lock(seen.exposure_s, seen.gain, band)
         room = camera.preview()
+        _check_light(band, seen, room)
         if region is None:
             region = _region(seen, room, px_per_mm, camera.image_size[1], find_finger=find_finger)
         dark = median_level(room, region)
@@ -103,6 +104,18 @@ def _region(seen: Survey, room: Frame, px_per_mm: float, full_columns: int, *, f
         return finger_mask(image, px_per_mm * mean.shape[1] / full_columns)
     except BadInput as error:
         raise BadInput(f"no finger is seen under the white LEDs ({str(error).rstrip('.')}); lay one down.") from error
+
+
+def _check_light(band: str, seen: Survey, room: Frame) -> None:
+    """Refuse a band whose LEDs, all of them, add nothing to the room's light."""
+    full = float(np.iinfo(room.pixels.dtype).max)
+    brighter = max(
+        float(np.percentile(frame.pixels.astype(np.float32) - room.pixels, 99.9)) for frame in seen.frames.values()
+    )
+    require(
+        brighter > 0.02 * full,
+        f"nothing is seen under any {band} LED that is not seen without it; check the LEDs' supply and the lens.",
+    )
 
 
 def _check_lit(seen: Survey, region: BoolArray, dark: float, names: Sequence[str], limits: MeteringLimits) -> None:
