@@ -1,0 +1,170 @@
+"""The tube parts: cylinder with the finger's opening, LED and camera frame, circuit box, lid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, RigDimensions
+from splitknit.rig.solids import (
+    Shape,
+    box,
+    common,
+    cut,
+    cylinder,
+    feet,
+    fused,
+    groove,
+    head_holes,
+    head_lugs,
+    insert_holes,
+    insert_lugs,
+    prism_y,
+    rod,
+    tube,
+    turned,
+    turned_to,
+)
+
+_FEET_DEG = (45.0, 135.0, 225.0, 315.0)
+
+
+def cylinder_part(dimensions: RigDimensions) -> Shape:
+    """Return the cylinder, which holds the LEDs and the camera at their height over the finger.
+
+    The hand comes into a niche with a 45 deg roof; the niche's end wall has the semicircular opening for the finger.
+    """
+    low, high = dimensions.floor_z_mm, dimensions.frame_z_mm
+    joint = dimensions.settings.joint
+    body = tube(dimensions, low, high)
+    lugs = head_lugs(dimensions, low, joint.lug_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
+    niche = common(
+        prism_y(_niche(dimensions, joint.wall_mm), -dimensions.outer_mm - 10.0, dimensions.niche_inner_y_mm),
+        cylinder(dimensions.outer_mm - 0.3, low, high),
+    )
+    body = fused(body, [*lugs, niche])
+    hand = prism_y(_niche(dimensions, 0.0, below=5.0), -dimensions.outside_mm - 10.0, dimensions.niche_y_mm)
+    opening = rod(
+        dimensions.opening_radius_mm,
+        (0.0, dimensions.niche_y_mm - 1.0, low),
+        (0.0, dimensions.niche_inner_y_mm + 1.0, low),
+    )
+    holes = head_holes(dimensions, low, SCREWS_A_DEG)
+    holes += insert_holes(dimensions, high, joint.insert_depth_mm, SCREWS_B_DEG)
+    return cut(body, [hand, opening, *holes])
+
+
+def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[tuple[float, float]]:
+    """Outline (x, z) of the hand's niche, `wall` mm larger than its inside."""
+    finger, floor = dimensions.settings.finger, dimensions.floor_z_mm
+    half = finger.hand_width_mm / 2 + wall
+    roof = floor + finger.hand_height_mm + finger.hand_width_mm / 2 + wall * math.sqrt(2.0)
+    return [(-half, floor - below), (half, floor - below), (half, roof - half), (0.0, roof), (-half, roof - half)]
+
+
+def frame_part(dimensions: RigDimensions) -> Shape:
+    """Return the frame: tilted holes with shoulders for the LEDs, posts for the camera's board, the lens's opening."""
+    joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
+    body = tube(dimensions, low, high, joint.plate_mm)
+    lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_B_DEG) + insert_lugs(dimensions, high, SCREWS_A_DEG)
+    bosses = [
+        rod(hole.pocket_radius_mm + joint.wall_mm, hole.at(-2.0), hole.at(hole.back_mm)) for hole in dimensions.holes
+    ]
+    inside = cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)  # cuts what stands out of frame and wall
+    bosses = [common(boss, inside) for boss in bosses]
+    body = fused(body, [*lugs, *bosses, *_camera_posts(dimensions)])
+    holes = [cylinder(dimensions.lens_hole_mm, low - 1.0, dimensions.board_z_mm + 1.0)]
+    for hole in dimensions.holes:
+        holes.append(rod(hole.radius_mm, hole.at(-8.0), hole.at(hole.shoulder_mm + 0.5)))
+        holes.append(rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
+    holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
+    holes += head_holes(dimensions, low, SCREWS_B_DEG)
+    holes += insert_holes(dimensions, high, joint.insert_depth_mm, SCREWS_A_DEG)
+    return cut(body, holes)
+
+
+def camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the camera board's four holes; its connector lies on the hand's side (-y)."""
+    camera = dimensions.settings.camera
+    x = camera.hole_x_mm / 2
+    rows = (-camera.lens_to_holes_mm, camera.hole_y_mm - camera.lens_to_holes_mm)
+    return [(side * x, row) for side in (-1, 1) for row in rows]
+
+
+def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
+    low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
+    radius = dimensions.settings.camera.post_mm / 2
+    return [cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in camera_holes(dimensions)]
+
+
+def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
+    low = dimensions.frame_z_mm + 1.2
+    radius = dimensions.settings.camera.post_hole_mm / 2
+    return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in camera_holes(dimensions)]
+
+
+def _first_led_mark(dimensions: RigDimensions) -> Shape:
+    """A dimple in the frame's upper face beside LED 0, towards the camera."""
+    first, top = dimensions.holes[0], dimensions.frame_z_mm + dimensions.settings.joint.plate_mm
+    back = first.at(first.back_mm)[:2]
+    place = back * (1.0 - (first.pocket_radius_mm + dimensions.settings.joint.wall_mm + 3.0) / float(np.hypot(*back)))
+    return cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
+
+
+def box_part(dimensions: RigDimensions) -> Shape:
+    """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
+    joint, board = dimensions.settings.joint, dimensions.settings.board
+    low, high = dimensions.box_z_mm, dimensions.lid_z_mm
+    floor = low + joint.plate_mm
+    body = tube(dimensions, low, high, joint.plate_mm)
+    lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
+    posts, screws = [], []
+    sets = (
+        (pi_holes(dimensions), floor + board.pi_post_height_mm, board.pi_post_hole_mm),
+        (pcb_holes(dimensions), floor + board.pi_post_height_mm + 1.5 + board.pcb_over_pi_mm, board.pcb_post_hole_mm),
+    )
+    for places, top, hole in sets:
+        for x, y in places:
+            posts.append(cylinder(board.post_mm / 2, floor - 0.5, top, x, y))
+            screws.append(cylinder(hole / 2, max(floor - joint.plate_mm + 1.2, top - 12.0), top + 1.0, x, y))
+    body = fused(body, [*lugs, *posts])
+    x, y = board.slot_x_mm / 2, board.slot_y_mm / 2
+    slots = [box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
+    holes = head_holes(dimensions, low, SCREWS_A_DEG)
+    holes += insert_holes(dimensions, high, joint.insert_depth_mm, SCREWS_B_DEG)
+    return cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
+
+
+def pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the Raspberry Pi's holes; the board lies in the middle, its USB sockets at +x."""
+    board = dimensions.settings.board
+    first = -board.pi_x_mm / 2 + board.pi_hole_edge_mm
+    y = board.pi_hole_y_mm / 2
+    return [(x, side * y) for x in (first, first + board.pi_hole_x_mm) for side in (-1, 1)]
+
+
+def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the holes of the circuit's board."""
+    board = dimensions.settings.board
+    x, y = board.pcb_hole_x_mm / 2, board.pcb_hole_y_mm / 2
+    return [(sx * x, sy * y) for sx in (-1, 1) for sy in (-1, 1)]
+
+
+def _cable_hole(dimensions: RigDimensions) -> Shape:
+    """A hole through the wall near the top, round below and pointed above, so that it prints without support."""
+    joint, radius = dimensions.settings.joint, dimensions.settings.board.cable_hole_mm / 2
+    z = dimensions.lid_z_mm - 2 * joint.ring_mm - 1.0 - radius * math.sqrt(2.0)
+    near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
+    half = radius * math.sqrt(0.5)
+    point = prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
+    return turned_to(135.0 - 90.0, fused(rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
+
+
+def lid_part(dimensions: RigDimensions) -> Shape:
+    """Return the lid: closes the box against light; with the camera below it is the foot."""
+    low, high = dimensions.lid_z_mm, dimensions.top_z_mm
+    plate = turned([(0.0, low), (dimensions.ring_mm, low), (dimensions.ring_mm, high), (0.0, high)])
+    body = fused(plate, head_lugs(dimensions, low, high - low, SCREWS_B_DEG))
+    pockets = feet(dimensions, high, -1.0, _FEET_DEG)
+    return cut(body, [groove(dimensions, low), *pockets, *head_holes(dimensions, low, SCREWS_B_DEG)])

@@ -1,0 +1,77 @@
+"""STL files: binary ones are written, binary and text ones read."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+from splitknit.io.atomic import atomic_file
+
+Triangles = NDArray[np.float32]
+"""(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
+
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+_HEADER = 80
+
+
+def write_stl(path: str | os.PathLike[str], triangles: Triangles, title: str = "") -> None:
+    """Write a binary STL file; equal triangles give equal bytes."""
+    corners = np.asarray(triangles, dtype=np.float32)
+    require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
+    records = np.zeros(len(corners), dtype=_RECORD)
+    records["corners"] = corners
+    records["normal"] = unit_normals(corners)
+    header = f"splitknit {title}".encode("ascii", "replace")[:_HEADER].ljust(_HEADER, b" ")
+    with atomic_file(path) as stream:
+        stream.write(header)
+        stream.write(np.uint32(len(corners)).astype("<u4").tobytes())
+        stream.write(records.tobytes())
+
+
+def read_stl(path: str | os.PathLike[str]) -> Triangles:
+    """Read an STL file, binary or text.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read or is not STL.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise BadInput(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    if len(data) >= _HEADER + 4:
+        count = int(np.frombuffer(data, dtype="<u4", count=1, offset=_HEADER)[0])
+        if len(data) == _HEADER + 4 + count * _RECORD.itemsize:
+            records = np.frombuffer(data, dtype=_RECORD, offset=_HEADER + 4)
+            corners = np.array(records["corners"], dtype=np.float32)
+            require(bool(np.isfinite(corners).all()), f"'{path}' holds corners that are not numbers.")
+            return corners
+    require(data.lstrip().startswith(b"solid"), f"'{path}' is not an STL file, or it is cut short.")
+    return _text(data, str(path))
+
+
+def _text(data: bytes, name: str) -> Triangles:
+    rows: list[Any] = [line.split()[1:] for line in data.splitlines() if line.strip().startswith(b"vertex")]
+    try:
+        corners = np.array(rows, dtype=np.float32)
+    except ValueError:
+        corners = np.empty((0, 0), dtype=np.float32)
+    sound = (
+        len(rows) > 0 and corners.shape == (len(rows), 3) and len(rows) % 3 == 0 and bool(np.isfinite(corners).all())
+    )
+    require(sound, f"'{name}' is not a sound STL file: its vertices do not make triangles.")
+    return corners.reshape(-1, 3, 3)
+
+
+def unit_normals(triangles: Triangles) -> NDArray[np.float64]:
+    """Return (N, 3) unit normals of triangles; zero where a triangle has no area."""
+    corners = np.asarray(triangles, dtype=np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
