@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from splitknit.simulate.bench_nail import NailScene
 from splitknit.simulate.bench_poses import BoardPose, HandRanges, board_poses
 from splitknit.simulate.bench_scene import BenchSettings, switched_on
 from splitknit.simulate.bench_sphere import SphereScene
+from splitknit.simulate.device import Scene
 from splitknit.simulate.sensor import RESPONSE, SensorSettings, binning_scale, record
 from splitknit.types import Camera, FloatArray, Led, PixelArray
 
@@ -37,21 +37,6 @@ __all__ = [
     "photograph_bench",
     "well_exposed",
 ]
-
-
-class Scene(Protocol):
-    """What can be photographed."""
-
-    @property
-    def camera(self) -> Camera:
-        """That looks on."""
-
-    @property
-    def leds(self) -> tuple[Led, ...]:
-        """That `light` can switch on."""
-
-    def light(self, lit: Sequence[int]) -> FloatArray:
-        """(H, W, 3) noise-free linear light with the LEDs `lit` on, room light included."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
