@@ -187,7 +187,7 @@ def residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourAr
     rows = []
     widest = max(bands.count(band) for band in bands)
     for band in dict.fromkeys(bands):
-        tiles = [_tile(100 * flat.residual[k], flat.dust[k], shape, side) for k, b in enumerate(bands) if b == band]
+        tiles = [_tile(100 * flat.residual[k], flat.dust, shape, side) for k, b in enumerate(bands) if b == band]
         tiles += [np.full_like(tiles[0], 255)] * (widest - len(tiles))
         rows.append(np.concatenate(tiles, axis=1))
     return np.concatenate(rows, axis=0)

@@ -1,4 +1,8 @@
-"""Robust least squares for the model of a white card: Levenberg and Marquardt's steps, Cauchy's weights."""
+"""Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
+
+Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is no dust but that LED, and
+must be fitted, or show in its residuals. So a place is trusted by the median of its residuals over all LEDs.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.calibrate.card_model import Answer, CardModel, Order
 
 Array = NDArray[np.float64]
-_STEPS, _STAGES = 40, 8
+_STEPS, _STAGES = 30, 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,40 +36,61 @@ def fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, s
     start : first guess
     order : which parameters are free
     logarithm : (L, N) ln of the images
-    scale : residual (relative) beyond which a cell counts less and less
+    scale : residual (relative, common to all LEDs) beyond which a place counts less and less (Cauchy's weights)
     """
-    low, high = model.bounds(order)
-    vector = np.clip(model.vector(start, order), low, high)
-    width = np.inf
-    for _ in range(_STAGES):  # wide first, so that what is not fitted yet does not pass for dust
-        residual = np.abs(model.logarithm(model.answer(vector, order)) - logarithm)
-        wanted = max(scale, 3.0 * 1.4826 * float(np.median(residual)))
-        last, width = width, min(width, wanted)
-        if width > 0.99 * last:
+    vector = model.project(model.vector(start, order), order)
+    weight = np.ones(logarithm.shape[1])
+    for _ in range(_STAGES):
+        problem = _Problem(model, order, logarithm, weight, scale)
+        vector = _descend(problem, vector)
+        common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
+        width = max(scale, 3.0 * 1.4826 * float(np.median(np.abs(common))))
+        last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
+        if float(np.abs(weight - last).max()) < 0.01:
             break
-        vector = _descend(model, vector, order, logarithm, width)
-    normal, _ = _equations(model, vector, order, logarithm, scale)
-    return CardFit(order, model.answer(vector, order), normal + np.diag(model.prior(order)[1] ** 2))
+    return CardFit(order, model.answer(vector, order), problem.equations(vector)[0])
 
 
-def _descend(model: CardModel, vector: Array, order: Order, logarithm: Array, scale: float) -> Array:
-    """Lower Cauchy's cost of the given scale as far as it goes."""
-    low, high = model.bounds(order)
-    middle, inverse = model.prior(order)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Weighted least squares with the model's priors."""
 
-    def cost(values: Array) -> float:
-        fitted = (model.logarithm(model.answer(values, order)) - logarithm) / scale
-        return float(np.log1p(fitted * fitted).sum() + (((values - middle) * inverse) ** 2).sum())
+    model: CardModel
+    order: Order
+    logarithm: Array
+    weight: Array
+    """(N,)."""
+    scale: float
 
-    damping, least = 1e-4, cost(vector)
+    def cost(self, vector: Array) -> float:
+        middle, inverse = self.model.prior(self.order)
+        residual = (self.model.logarithm(self.model.answer(vector, self.order)) - self.logarithm) / self.scale
+        return float((residual * residual @ self.weight).sum() + (((vector - middle) * inverse) ** 2).sum())
+
+    def equations(self, vector: Array) -> tuple[Array, Array]:
+        """Normal matrix (P, P) and gradient (P,)."""
+        model, order = self.model, self.order
+        answer = model.answer(vector, order)
+        residual = (model.logarithm(answer) - self.logarithm) / self.scale
+        middle, inverse = model.prior(order)
+        normal, slope = np.diag(inverse**2), (vector - middle) * inverse**2
+        for k in range(model.count):
+            places, rows = model.slopes(answer, order, k)
+            weighted = rows * (self.weight / self.scale)
+            normal[np.ix_(places, places)] += weighted @ rows.T / self.scale
+            slope[places] += weighted @ residual[k]
+        return normal, slope
+
+
+def _descend(problem: _Problem, vector: Array) -> Array:
+    """Lower the cost as far as it goes."""
+    damping, least = 1e-4, problem.cost(vector)
     for _ in range(_STEPS):
-        normal, slope = _equations(model, vector, order, logarithm, scale)
-        normal += np.diag(inverse**2)
-        slope += (vector - middle) * inverse**2
+        normal, slope = problem.equations(vector)
         for _ in range(12):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope)
-            moved = np.clip(vector + step, low, high)
-            value = cost(moved)
+            moved = problem.model.project(vector + step, problem.order)
+            value = problem.cost(moved)
             if value <= least:
                 break
             damping *= 8.0
@@ -75,17 +100,3 @@ def _descend(model: CardModel, vector: Array, order: Order, logarithm: Array, sc
         if gain < 1e-7 * least + 1e-9:
             break
     return vector
-
-
-def _equations(model: CardModel, vector: Array, order: Order, logarithm: Array, scale: float) -> tuple[Array, Array]:
-    """Weighted normal matrix (P, P) and gradient (P,) at `vector`."""
-    answer = model.answer(vector, order)
-    residual = (model.logarithm(answer) - logarithm) / scale
-    weight = 1.0 / (1.0 + residual * residual)
-    normal, slope = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
-    for k in range(model.count):
-        places, rows = model.slopes(answer, order, k)
-        weighted = rows * (weight[k] / scale)
-        normal[np.ix_(places, places)] += weighted @ rows.T / scale
-        slope[places] += weighted @ residual[k]
-    return normal, slope

@@ -94,14 +94,15 @@ class CardModel:
         return tuple(range(int(a), int(b)) for a, b in itertools.pairwise(ends))  # type: ignore[return-value]
 
     def vector(self, answer: Answer, order: Order) -> Array:
-        """Parameters of `order` that come closest to `answer`."""
+        """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first time is not flat."""
+        exponent = np.maximum(answer.exponent, _LEAST_EXPONENT if answer.tilt.any() else 1.0)
         parts = [np.log(answer.brightness), answer.lens[: order.lens]]
         if order.beam == "band":
-            parts.append(np.array([answer.exponent[self.band == b].mean() for b in range(self.band.max() + 1)]))
+            parts.append(np.array([exponent[self.band == b].mean() for b in range(self.band.max() + 1)]))
         elif order.beam == "led":
-            parts.append(answer.exponent)
+            parts.append(exponent)
         if order.aims:
-            parts.append((answer.tilt * np.maximum(answer.exponent, _LEAST_EXPONENT)[:, None]).ravel())
+            parts.append((answer.tilt * exponent[:, None]).ravel())
         return np.concatenate(parts)
 
     def answer(self, vector: Array, order: Order) -> Answer:
@@ -115,7 +116,7 @@ class CardModel:
         return Answer(
             brightness=np.exp(light),
             exponent=exponent,
-            tilt=np.clip(tilt, -_MOST_TILT, _MOST_TILT),
+            tilt=tilt,
             lens=np.concatenate([lens, np.zeros(2 - len(lens))]),
         )
 
@@ -126,6 +127,16 @@ class CardModel:
         low[list(lens)], high[list(lens)] = -0.95, 0.95
         low[list(beams)], high[list(beams)] = _LEAST_EXPONENT, 200.0
         return low, high
+
+    def project(self, vector: Array, order: Order) -> Array:
+        """Nearest parameters that can be: within bounds, and beams narrow enough to be aimed within 35 deg."""
+        moved = np.clip(vector, *self.bounds(order))
+        if order.aims:
+            _, _, beams, tilts = self._places(order)
+            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / _MOST_TILT
+            own = self.band if order.beam == "band" else np.arange(self.count)
+            np.maximum.at(moved, np.asarray(beams, dtype=np.intp)[own], needed)
+        return np.asarray(moved)
 
     def logarithm(self, answer: Answer) -> Array:
         """Model (L, N): ln of the brightness."""

@@ -33,9 +33,9 @@ class FlatFieldSettings:
     """How the model is fitted and judged."""
 
     robust_percent: float = 0.5
-    """Residuals beyond this many per cent count less and less (Cauchy's loss): dust and scratches."""
+    """Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less and less: dust."""
     dust_percent: float = 2.0
-    """A cell that departs further is counted as dust and left out of the residuals' rms."""
+    """A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
     enough_percent: float = 0.05
     """The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
     enough_share: float = 0.05
@@ -70,7 +70,7 @@ class FlatField:
     residual: Array
     """(L, N) image over model, less one."""
     dust: NDArray[np.bool_]
-    """(L, N) cells that were left out."""
+    """(N,) cells that were left out."""
     exponent_error: Array
     """(L,) standard errors of the beams' exponents; NaN where they were not fitted."""
     common_percent: float
@@ -85,13 +85,12 @@ class FlatField:
     @property
     def rms_percent(self) -> Array:
         """(L,) rms of each LED's residuals without dust."""
-        used = np.where(self.dust, np.nan, self.residual)
-        return np.asarray(100 * np.sqrt(np.nanmean(used**2, axis=1)))
+        return np.asarray(100 * np.sqrt(np.mean(self.residual[:, ~self.dust] ** 2, axis=1)))
 
     @property
     def largest_percent(self) -> Array:
         """(L,) largest residual of each LED without dust."""
-        return np.asarray(100 * np.abs(np.where(self.dust, 0.0, self.residual)).max(axis=1))
+        return np.asarray(100 * np.abs(self.residual[:, ~self.dust]).max(axis=1))
 
 
 def fit_flat_field(  # noqa: PLR0917
@@ -151,8 +150,9 @@ def fit_flat_field(  # noqa: PLR0917
         if order.lens and not order.aims:
             _check_field(np.exp(logarithm - model.logarithm(start)), chosen)
     residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
-    dust = np.abs(residuals[-1] - np.median(residuals[-1], axis=1, keepdims=True)) > 0.01 * chosen.dust_percent
-    rms = [100 * float(np.sqrt(np.mean(one[~dust] ** 2))) if not dust.all() else np.inf for one in residuals]
+    dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * chosen.dust_percent
+    require(not dust.all(), "the card is not uniform: no part of the picture looks like an even card.")
+    rms = [100 * float(np.sqrt(np.mean(one[:, ~dust] ** 2))) for one in residuals]
     enough = max(float(np.hypot(min(rms), chosen.enough_percent)), (1 + chosen.enough_share) * min(rms))
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
@@ -249,6 +249,4 @@ def _exponent_errors(model: CardModel, fit: CardFit, scale: float, rms_percent: 
 
 
 def _common(residual: Array, dust: NDArray[np.bool_]) -> float:
-    used = np.where(dust, np.nan, residual)
-    kept = ~dust.all(axis=0)
-    return 100 * float(np.sqrt(np.mean(np.nanmean(used[:, kept], axis=0) ** 2)))
+    return 100 * float(np.sqrt(np.mean(residual[:, ~dust].mean(axis=0) ** 2)))

@@ -118,7 +118,7 @@ def calibrate_radiometry(
         flat_field=flat,
         images=images,
         facts=facts,
-        warnings=_warnings(images, flat, black_level, chosen),
+        warnings=_warnings(rig, images, flat, black_level, chosen),
     )
 
 
@@ -163,13 +163,12 @@ def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: 
         "level": _round(float(level)),
         "rms_percent": _round(rms),
         "largest_percent": _round(float(flat.largest_percent[k])),
-        "dust_percent": _round(100 * float(flat.dust[k].mean())),
         "verdict": "good" if rms <= 0.5 * settings.limit_percent else "fair",
     }
 
 
 def _warnings(
-    images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
+    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
 ) -> tuple[str, ...]:
     words = []
     for band, share in images.ambient_percent.items():
@@ -182,6 +181,12 @@ def _warnings(
             words.append(
                 f"light from elsewhere is {share:.1f} % of the {band} LEDs' (limit {settings.ambient_percent:g} %); "
                 f"close the lid, for it changes from image to image."
+            )
+    for k, largest in enumerate(flat.largest_percent):
+        if largest > 3 * settings.limit_percent:
+            words.append(
+                f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its beam is not smooth, "
+                f"or something shadows it."
             )
     dim = float(images.brightest.min())
     if dim < 0.25:

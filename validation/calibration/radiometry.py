@@ -1,0 +1,298 @@
+"""How well a rig's light is known after ``splitknit calibrate radiometry``, on rigs as people build them.
+
+    python validation/calibration/radiometry.py                      # 20 rigs: about ten minutes of one core
+    python validation/calibration/radiometry.py --rigs 3 --scale 0.1 # quick
+
+Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams and brightness of 14
+LEDs. The twin photographs a white card; the calibration knows the camera and the LEDs' places (exactly or not) and
+finds the rest. Judged are all pixels of all 14 images against the twin's own noise-free light on an even card, with one
+factor free for the whole rig. Figures land in ``validation/calibration/radiometry.json``, tables on the screen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+HEIGHTS_MM = (0.0, 2.5, 5.0, 7.5, 10.0)
+STEP = 4
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))  # before numpy is imported
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--scale", type=float, default=0.15, help="of the images (default: 0.15)")
+    parser.add_argument("--fingers", type=int, default=10, help="simulated fingers for the drift (default: 10)")
+    parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
+    options = parser.parse_args(arguments)
+    seeds = range(options.first_seed, options.first_seed + options.rigs)
+    results: dict[str, Any] = {
+        "format": "splitknit-calibration-radiometry",
+        "version": 1,
+        "rigs": options.rigs,
+        "first_seed": options.first_seed,
+        "scale": options.scale,
+        "plane": plane(seeds, options.scale),
+        "heights": heights(seeds, options.scale),
+        "drift": drift(options.fingers, options.first_seed),
+    }
+    options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="ascii")
+    print(summary(results))
+    return 0
+
+
+def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
+    """Errors on the finger plane, and how often a calibration was refused, for every case."""
+    from radiometry_cards import CASES  # noqa: PLC0415
+
+    from splitknit.check import BadInput  # noqa: PLC0415
+
+    rows = []
+    for case in CASES:
+        mean, worst, residual, refused = [], [], [], []
+        for seed in seeds:
+            try:
+                _, error, rms = measure(seed, scale, case)
+            except BadInput as reason:
+                refused.append(str(reason))
+                continue
+            mean.append(error["mean"])
+            worst.append(error["worst"])
+            residual.append(rms)
+        rows.append(
+            {
+                "case": case.name,
+                "mean_percent": interval(mean),
+                "worst_percent": interval(worst),
+                "residual_percent": interval(residual),
+                "refused": refused,
+            }
+        )
+        print(rows[-1]["case"], rows[-1]["mean_percent"], rows[-1]["worst_percent"], len(refused), flush=True)
+    return rows
+
+
+def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], float]:
+    """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
+    from radiometry_cards import Card, as_placed, photograph  # noqa: PLC0415
+
+    from splitknit.calibrate.card_light import CardPlane  # noqa: PLC0415
+    from splitknit.calibrate.radiometry import calibrate_radiometry  # noqa: PLC0415
+    from splitknit.simulate.built_rig import built_rig  # noqa: PLC0415
+
+    rig = built_rig(seed, scale=scale)
+    stored = as_placed(rig, case.error_mm, seed)
+    tilt = tuple(rig.provenance["base_tilt_deg"]) if case.base_tilt == "known" else (0.0, 0.0)
+    capture = photograph(Card(rig, case, seed=seed), stored, case, seed)
+    found = calibrate_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
+    truth = Card(rig, case, even=True)
+    return found, errors(found.rig, truth, 0.0), float(found.flat_field.rms_percent.max())
+
+
+def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
+    """Mean and largest departure in per cent of the flat field from the twin's light at a height, one factor free."""
+    import numpy as np  # noqa: PLC0415
+
+    ratio = _model(rig, height_mm) / _light(truth)
+    departure = np.abs(ratio / np.median(ratio) - 1)
+    return {"mean": 100 * float(departure.mean()), "worst": 100 * float(departure.max())}
+
+
+def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
+    """Model against division by the card's images, for an even surface at heights above the plane."""
+    import numpy as np  # noqa: PLC0415
+    from radiometry_cards import CASES, Card  # noqa: PLC0415
+
+    from splitknit.simulate.built_rig import built_rig  # noqa: PLC0415
+
+    case = next(one for one in CASES if one.name == "LEDs 0.5 mm off")
+    found: dict[tuple[float, str], dict[str, list[float]]] = {}
+    for seed in seeds:
+        rig = built_rig(seed, scale=scale)
+        calibrated = measure(seed, scale, case)[0].rig
+        card = _light(Card(rig, case, even=True))
+        for z in HEIGHTS_MM:
+            truth = _light(Card(rig, case, z, even=True))
+            towards = _directions(rig, z)
+            flat = _directions(rig, 0.0)[..., 2]  # a card's image has its cosine in it
+            nothing = _directions_weight(rig, z)
+            ways = {
+                "model": _model(calibrated, z),
+                "division by the card": card * towards[..., 2] / flat,
+                "no flat field": nothing * towards[..., 2],
+            }
+            for way, light in ways.items():
+                ratio = light / truth
+                common = ratio / np.median(ratio)
+                own = found.setdefault((z, way), {"worst": [], "lights": [], "lean": [], "worst_lean": []})
+                own["worst"].append(100 * float(np.abs(common - 1).max()))
+                spread = [ratio[b] / ratio[b].mean(axis=0) - 1 for b in (slice(0, 7), slice(7, 14))]
+                own["lights"].append(100 * float(np.sqrt(np.mean(np.concatenate(spread) ** 2))))
+                lean = np.concatenate([_lean(ratio[b], towards[b]) for b in (slice(0, 7), slice(7, 14))])
+                own["lean"].append(float(np.sqrt(np.mean(lean**2))))
+                own["worst_lean"].append(float(lean.max()))
+    return [
+        {
+            "height_mm": z,
+            "way": way,
+            "worst_percent": interval(own["worst"]),
+            "lights_percent": interval(own["lights"]),
+            "lean_deg": interval(own["lean"]),
+            "worst_lean_deg": interval(own["worst_lean"]),
+        }
+        for (z, way), own in found.items()
+    ]
+
+
+def drift(fingers: int, first_seed: int) -> dict[str, Any]:
+    """Gains of LEDs by captures of fingers: false alarms, and what becomes of a single LED that drifts."""
+    import numpy as np  # noqa: PLC0415
+
+    from splitknit.calibrate.drift import drift_words, led_drift  # noqa: PLC0415
+    from splitknit.radiance import linear_stack  # noqa: PLC0415
+    from splitknit.simulate.twin import TwinSettings, simulate_capture  # noqa: PLC0415
+
+    calm, errors_found, named, asked = [], {0.95: [], 0.88: []}, 0, 0
+    alarms = 0
+    names = [str(k) for k in range(7)]
+    for seed in range(first_seed, first_seed + fingers):
+        capture, truth = simulate_capture(seed, None, TwinSettings(scale=0.12))
+        for band in capture.bands.values():
+            vectors = capture.rig.select(band.leds).light_vectors()
+            stack, mask = linear_stack(band, capture.encoding), np.asarray(truth["mask"])
+            still = led_drift(stack, vectors, mask)
+            calm.append(100 * float(np.abs(still.gain - 1).max()))
+            alarms += bool(drift_words(still, names))
+            for gain, own in errors_found.items():
+                led = (seed + int(100 * gain)) % 7
+                gains = np.where(np.arange(7) == led, gain, 1.0).astype(np.float32)
+                moved = led_drift(stack * gains[:, None, None], vectors, mask)
+                asked += 1
+                named += moved.suspect == led
+                own.append(100 * abs(moved.suspect_gain - gain) if moved.suspect == led else float("nan"))
+    return {
+        "captures": len(calm),
+        "false_alarms": alarms,
+        "largest_gain_percent": interval(calm),
+        "named": named,
+        "asked": asked,
+        "gain_error_percent": {
+            str(gain): interval([v for v in own if np.isfinite(v)]) for gain, own in errors_found.items()
+        },
+    }
+
+
+def _pixels(rig: Any) -> Any:
+    import numpy as np  # noqa: PLC0415
+
+    rows, columns = np.mgrid[0 : rig.camera.image_size[0] : STEP, 0 : rig.camera.image_size[1] : STEP]
+    return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
+
+
+def _light(card: Any) -> Any:
+    """(14, N) the twin's light."""
+    import numpy as np  # noqa: PLC0415
+
+    return np.stack([card.light((k,))[::STEP, ::STEP, 0].ravel() for k in range(len(card.leds))]).astype(np.float64)
+
+
+def _model(rig: Any, height_mm: float) -> Any:
+    import numpy as np  # noqa: PLC0415
+
+    from splitknit.calibrate.card_light import CardPlane, card_light  # noqa: PLC0415
+
+    return np.stack([card_light(rig.camera, led, _pixels(rig), CardPlane(height_mm)) for led in rig.leds])
+
+
+def _directions(rig: Any, height_mm: float) -> Any:
+    """(14, N, 3) true directions to the LEDs from what the pixels see at a height."""
+    import numpy as np  # noqa: PLC0415
+
+    from splitknit.calibrate.card_light import CardPlane, rays_to_led  # noqa: PLC0415
+
+    points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
+    return np.stack([rays_to_led(led, points)[0] for led in rig.leds])
+
+
+def _directions_weight(rig: Any, height_mm: float) -> Any:
+    """(14, N) inverse squares of the true distances: LEDs all alike, without beams, and no lens."""
+    import numpy as np  # noqa: PLC0415
+
+    from splitknit.calibrate.card_light import CardPlane, rays_to_led  # noqa: PLC0415
+
+    points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
+    return np.stack([1e4 / np.pi / rays_to_led(led, points)[1] ** 2 for led in rig.leds])
+
+
+def _lean(ratio: Any, towards: Any) -> Any:
+    """(N,) angle in deg by which a facing surface leans when images are divided by light that is `ratio` too bright."""
+    import numpy as np  # noqa: PLC0415
+
+    lights = towards.transpose(1, 0, 2)  # (N, 7, 3)
+    shown = lights[..., 2] / ratio.T
+    moments = np.einsum("nlc,nld->ncd", lights, lights)
+    found = np.linalg.solve(moments, np.einsum("nlc,nl->nc", lights, shown)[..., None])[..., 0]
+    return np.rad2deg(np.arctan2(np.hypot(found[:, 0], found[:, 1]), found[:, 2]))
+
+
+def interval(values: Sequence[float]) -> dict[str, float | int] | None:
+    """Mean with its 95 % interval (Student's), and the largest value, over rigs."""
+    import numpy as np  # noqa: PLC0415
+    from scipy.stats import t  # noqa: PLC0415
+
+    if len(values) == 0:
+        return None
+    array = np.asarray(values, dtype=np.float64)
+    half = float(t.ppf(0.975, len(array) - 1) * array.std(ddof=1) / np.sqrt(len(array))) if len(array) > 1 else 0.0
+    return {
+        "mean": round(float(array.mean()), 4),
+        "half": round(half, 4),
+        "largest": round(float(array.max()), 4),
+        "count": len(array),
+    }
+
+
+def summary(results: dict[str, Any]) -> str:
+    """The figures as Markdown tables."""
+    lines = ["| case | mean error | largest error | largest of all rigs | refused |", "| --- | --- | --- | --- | --- |"]
+    for row in results["plane"]:
+        mean, worst = row["mean_percent"], row["worst_percent"]
+        cells = ("-", "-", "-") if mean is None else (_words(mean), _words(worst), f"{worst['largest']:.2f} %")
+        lines.append(f"| {row['case']} | {' | '.join(cells)} | {len(row['refused'])} |")
+    lines += [
+        "",
+        "| height mm | way | largest error | between LEDs, rms | lean, rms | lean, largest |",
+        "| --- " * 6 + "|",
+    ]
+    for row in results["heights"]:
+        worst, lights, lean, far = (row[k] for k in ("worst_percent", "lights_percent", "lean_deg", "worst_lean_deg"))
+        lines.append(
+            f"| {row['height_mm']:g} | {row['way']} | {_words(worst, 1)} | {_words(lights)} | {lean['mean']:.2f} deg | "
+            f"{far['mean']:.2f} deg |"
+        )
+    found = results["drift"]
+    errors_found = ", ".join(
+        f"{100 * (1 - float(gain)):.0f} %: {_words(v)}" for gain, v in found["gain_error_percent"].items() if v
+    )
+    lines += [
+        "",
+        f"Drift by fingers: {found['captures']} stacks, {found['false_alarms']} false alarms, the largest departure of "
+        f"calibrated LEDs {_words(found['largest_gain_percent'])}; single LEDs named {found['named']} of "
+        f"{found['asked']}; error of their gain at {errors_found}.",
+    ]
+    return "\n".join(lines)
+
+
+def _words(value: dict[str, Any], digits: int = 2) -> str:
+    return f"{value['mean']:.{digits}f} ± {value['half']:.{digits}f} %"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
