@@ -194,5 +194,6 @@ def _one_finger(
             return "go", facts
         except BadInput as error:
             if ask is None:
-                raise BadInput(f"{place.words}: {error}") from error
+                message = f"{place.words}: {error}"
+                raise (Refused(message, error.facts) if isinstance(error, Refused) else BadInput(message)) from error
             why = str(error)

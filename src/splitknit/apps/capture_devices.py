@@ -14,7 +14,7 @@ from splitknit.apps.commands import twin_settings
 from splitknit.capture.pi import open_pi
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
-from splitknit.check import BadInput, require
+from splitknit.check import require
 from splitknit.devices import Camera, LightBank
 from splitknit.io import read_rig
 from splitknit.settings import flatten, override
@@ -134,7 +134,4 @@ def opened_twin(settings: DeviceSettings, seed: int, impression: int, pattern: s
             seed=noise,
         ) as camera,
     ):
-        try:
-            yield Opened("twin", camera, lights, scene.rig, truth=scene.truth())
-        except BadInput as error:
-            raise BadInput(f"simulated finger {seed}: {error}") from error
+        yield Opened("twin", camera, lights, scene.rig, truth=scene.truth())
