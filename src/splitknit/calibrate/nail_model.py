@@ -42,7 +42,7 @@ class NailSettings:
     nail_height_sd_mm: float = 1.0
     """Of the known height."""
     free_sd_mm: float = 30.0
-    """Takes the place of `led_sd_mm` where the nail's height is known."""
+    """Takes the place of all deviations of LEDs and circle where the nail's height is known."""
     nail_seen: str = "tip"
     """What the nail's pixel is: its ``tip``, which a perspective camera sees further out than the ``base``."""
     outlier: float = 4.0
@@ -156,6 +156,8 @@ class NailModel:
     @property
     def _offset_sd(self) -> Points:
         one = self.settings
+        if self.known:
+            return np.full(4, one.free_sd_mm)
         return np.array([one.centre_sd_mm, one.centre_sd_mm, one.radius_sd_mm, one.height_sd_mm])
 
     def _seen(self, height: float) -> float:
