@@ -70,6 +70,10 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     assert _tree(tmp_path / "out") == _tree(tmp_path / "whole")
     sweep(tmp_path / "out", RIGS, STUDY)
     assert len(again.asked) == 3, "nothing is done twice"
+    stray = tmp_path / "out" / "candidates" / f"{RIGS[2].name}.json"
+    stray.write_text(stray.read_text().replace('"study_sha256": "', '"study_sha256": "of another study, '))
+    sweep(tmp_path / "out", RIGS, STUDY)
+    assert again.asked[3:] == [RIGS[2].name], "a file that was copied here from another sweep"
 
 
 def test_failed_rigs_are_tried_again_and_more_may_be_asked(tmp_path, monkeypatch):

@@ -27,6 +27,7 @@ FIGURES = {
     "hausdorff_mm": ("Hausdorff distance", "mm"),
     "hausdorff95_mm": ("95 % Hausdorff distance", "mm"),
     "rms_mm": ("rms distance", "mm"),
+    "whole_mm": ("Hausdorff distance of the whole phalange", "mm"),
     "normals_deg": ("error of the normals", "deg"),
 }
 SHORT = {

@@ -78,7 +78,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
     ----------
     records : of :func:`sweep`
     study : of the sweep
-    objective : ``hausdorff``, ``hausdorff95``, ``rms`` or ``normals``: what is minimised
+    objective : ``hausdorff``, ``hausdorff95``, ``rms``, ``whole`` or ``normals``: what is minimised
 
     Returns
     -------

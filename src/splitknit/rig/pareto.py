@@ -16,6 +16,7 @@ OBJECTIVES = {
     "hausdorff": "hausdorff_mm",
     "hausdorff95": "hausdorff95_mm",
     "rms": "rms_mm",
+    "whole": "whole_mm",
     "normals": "normals_deg",
 }
 """Names on the command line, and of the figures; all are minimised."""
