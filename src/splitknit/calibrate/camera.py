@@ -28,7 +28,7 @@ class CameraSettings:
     """... and by this factor."""
     same_px: float = 0.3
     """Views whose corners differ by less than this (rms) are one view, photographed twice."""
-    focal_refused: float = 0.02
+    focal_refused: float = 0.01
     """Relative standard deviation of the focal length from which views are refused."""
     focal_warned: float = 0.003
     """The same, from which there is a warning."""

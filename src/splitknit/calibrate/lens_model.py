@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -16,7 +16,12 @@ Points = NDArray[np.float64]
 TERMS = ("k1", "k2", "p1", "p2", "k3")
 """Of the distortion, in OpenCV's order."""
 _STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
-"""Terms are tried in this order, each beside those that were kept."""
+"""Terms are tried in this order, each beside those that were kept; k3 only beside k2."""
+
+
+_NO_CAMERA = "no camera fits them, as when all boards lie parallel to the sensor"
+_LONGEST = 40.0
+"""Focal lengths above this many image sides are the sign of a fit that ran away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +33,9 @@ class LensSettings:
     principal_limit: float = 0.05
     """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
     longer side."""
+
+    gross_aspect: float = 0.005
+    """A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
 
     def __post_init__(self) -> None:
         require(self.significance > 0, "LensSettings: significance must be positive.")
@@ -42,7 +50,7 @@ class LensFit:
     """(3, 3) in pixels."""
     distortion: tuple[float, ...]
     """k1, k2, p1, p2, k3."""
-    deviations: Mapping[str, float]
+    deviations: dict[str, float]
     """Standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted."""
     rms_px: float
     """Root of the mean squared distance between corners and their prediction."""
@@ -72,7 +80,8 @@ def fit_lens(
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
     its value differs from zero by more than `settings.significance` of the standard deviations that the fit itself
     gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
-    cannot be told.
+    cannot be told. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
+    the Jacobian promises more than those show, theirs is taken.
 
     Parameters
     ----------
@@ -104,19 +113,33 @@ def fit_lens(
         fixed["principal point"] = words.format(max(best.deviations["cx"], best.deviations["cy"]))
         kept = ()
         best = _fit(views, kept)
-    for step in (*_STEPS, ("aspect",)):
-        trial = _fit(views, kept + step, best)
-        values = dict(zip(TERMS, trial.distortion, strict=True))
-        values["aspect"] = trial.matrix[0, 0] / trial.matrix[1, 1] - 1
+    for step in (("aspect",), *_STEPS, ("aspect",)):
+        if step == ("k3",) and "k2" not in kept:
+            fixed["k3"] = "0: not tried, as even k2 cannot be told"
+            continue
+        if step[0] in kept:
+            continue
+        try:
+            trial = _fit(views, kept + step, best)
+        except BadInput:
+            fixed[_called(step)] = "the photographs do not tell it at all"
+            continue
+        values = {
+            **dict(zip(TERMS, trial.distortion, strict=True)),
+            "aspect": trial.matrix[0, 0] / trial.matrix[1, 1] - 1,
+        }
         deviations = {**trial.deviations, "aspect": _aspect_deviation(values["aspect"], best, trial, views)}
         ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
-        if ratio > settings.significance:
+        gross = step != ("aspect",) or abs(values["aspect"]) > settings.gross_aspect or "k1" in fixed or "k1" in kept
+        if ratio > settings.significance and gross:
             kept, best = kept + step, trial
+            fixed.pop(_called(step), None)
         elif step == ("aspect",):
-            fixed["fx / fy"] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
+            fixed[_called(step)] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
         else:
             told = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
-            fixed[" and ".join(step)] = f"0: the photographs give {told}"
+            fixed[_called(step)] = f"0: the photographs give {told}"
+    best.deviations.update(_focal_deviations(views, kept, best))
     return LensFit(
         best.matrix,
         best.distortion,
@@ -140,17 +163,19 @@ def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> 
     if "cx" not in kept:
         matrix[:2, 2] = (columns - 1) / 2, (rows - 1) / 2
     distortion = np.zeros(5) if start is None else np.array(start.distortion)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-7)
     try:
         found = cv2.calibrateCameraExtended(
             views.boards, views.corners, views.size, matrix, distortion, flags=flags, criteria=criteria
         )
     except cv2.error as error:
-        raise BadInput(_undetermined("no camera fits them")) from error
+        raise BadInput(_undetermined(_NO_CAMERA)) from error
     rms, turns = float(found[0]), found[3]
     matrix, distortion, deviations, each = (np.asarray(found[k], dtype=np.float64) for k in (1, 2, 5, 7))
     sound = bool(np.isfinite(matrix).all() and np.isfinite(deviations).all())
-    require(sound and matrix[0, 0] > 0 and matrix[1, 1] > 0, _undetermined("no camera fits them"))
+    longest = _LONGEST * max(views.size)
+    sound = sound and min(matrix[0, 0], matrix[1, 1]) > 0 and max(matrix[0, 0], matrix[1, 1]) < longest
+    require(sound, _undetermined(_NO_CAMERA))
     names = ("fx", "fy", "cx", "cy", *TERMS)
     spread = dict(zip(names, deviations.ravel()[: len(names)].tolist(), strict=True))
     if "aspect" not in kept:
@@ -171,6 +196,29 @@ def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views)
     return abs(value) / float(np.sqrt(fall))
 
 
+def _focal_deviations(views: _Views, kept: tuple[str, ...], best: LensFit) -> dict[str, float]:
+    """Standard deviations of fx and fy, not less than fits with other focal lengths show."""
+    shown = []
+    for factor in (0.97, 1.03):
+        matrix = best.matrix.copy()
+        matrix[0, 0] *= factor
+        matrix[1, 1] *= factor
+        try:
+            other = _fit(views, (*kept, "no focal"), replace(best, matrix=matrix))
+        except BadInput:
+            continue
+        coordinates = 2 * len(views.corners) * len(views.boards[0])
+        rise = coordinates * max(other.rms_px**2 / max(best.rms_px, 1e-12) ** 2 - 1, 1e-12)
+        shown.append(abs(factor - 1) * best.matrix[0, 0] / float(np.sqrt(rise)))
+    largest = max(shown, default=float("inf"))
+    doubtful = largest > 2 * best.deviations["fx"]
+    return {name: largest if doubtful else best.deviations[name] for name in ("fx", "fy")}
+
+
+def _called(step: tuple[str, ...]) -> str:
+    return "fx / fy" if step == ("aspect",) else " and ".join(step)
+
+
 def _flags(kept: tuple[str, ...]) -> int:
     flags = 0
     flags |= 0 if "k1" in kept else cv2.CALIB_FIX_K1
@@ -179,6 +227,7 @@ def _flags(kept: tuple[str, ...]) -> int:
     flags |= 0 if "p1" in kept else cv2.CALIB_ZERO_TANGENT_DIST
     flags |= 0 if "cx" in kept else cv2.CALIB_FIX_PRINCIPAL_POINT
     flags |= 0 if "aspect" in kept else cv2.CALIB_FIX_ASPECT_RATIO
+    flags |= cv2.CALIB_FIX_FOCAL_LENGTH if "no focal" in kept else 0
     return flags
 
 
