@@ -1,0 +1,67 @@
+"""Directions of lights from photographs of a chrome and of a grey ball, against the file that comes with them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.calibrate.sphere import ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit.check import BadInput
+
+pytestmark = pytest.mark.external
+
+
+@pytest.fixture(scope="module", params=["chrome", "gray"])
+def photographs(request, data_dir):
+    """Kind, stack, mask and directions; an 8-bit camera of unknown response, taken as linear."""
+    folder = data_dir / "psm_spheres"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    kind = request.param
+    images = [cv2.imread(str(folder / kind / f"{kind}.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)]
+    mask = cv2.imread(str(folder / kind / f"{kind}.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
+    return kind, np.stack(images).astype(np.float32) / 255, mask, np.loadtxt(folder / "lights.txt", skiprows=1)
+
+
+def errors_deg(found, truth):
+    truth = truth / np.linalg.norm(truth, axis=1, keepdims=True)
+    return np.degrees(2 * np.arcsin(np.linalg.norm(found - truth, axis=1) / 2))
+
+
+def directions(kind, stack, ball):
+    return chrome_directions(stack, ball) if kind == "chrome" else grey_directions(stack, ball)[0]
+
+
+def test_directions(photographs):
+    """The file is itself an estimate: about its first two lights both balls agree with each other and not with it."""
+    kind, stack, mask, truth = photographs
+    errors = errors_deg(directions(kind, stack, ball_of_mask(mask)), truth)
+    assert np.median(errors) < (2.2 if kind == "chrome" else 3.0)
+    assert errors.mean() < (3.2 if kind == "chrome" else 3.6)
+    assert errors.max() < 9.0
+
+
+def test_both_balls_agree(data_dir):
+    found = []
+    for kind in ("chrome", "gray"):
+        folder = data_dir / "psm_spheres" / kind
+        if not folder.is_dir():
+            pytest.skip(f"{folder} is absent")
+        images = [cv2.imread(str(folder / f"{kind}.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)]
+        mask = cv2.imread(str(folder / f"{kind}.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
+        found.append(directions(kind, np.stack(images).astype(np.float32) / 255, ball_of_mask(mask)))
+    errors = errors_deg(*found)
+    assert np.median(errors) < 2.0 and errors.mean() < 2.1 and errors.max() < 5.6
+
+
+def test_the_outline_is_found_or_asked_for(photographs):
+    """The grey ball stands out, the chrome one is black but for its highlight."""
+    kind, stack, mask, _ = photographs
+    if kind == "chrome":
+        with pytest.raises(BadInput, match="--mask"):
+            find_ball(stack)
+        return
+    given, found = ball_of_mask(mask), find_ball(stack)
+    assert found.radius_px == pytest.approx(given.radius_px, rel=0.03)
+    assert np.hypot(found.column - given.column, found.row - given.row) < 0.03 * given.radius_px
