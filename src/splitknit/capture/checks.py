@@ -81,7 +81,7 @@ class Examiner:
 
     def look(self, frame: Frame) -> Look:
         """Reduce a shot to what the checks need."""
-        step = max(1, int(self._px_per_mm / (4.0 * self.settings.working_px_per_mm)))
+        step = max(1, int(self._px_per_mm / (2.5 * self.settings.working_px_per_mm)))
         full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
         scale = min(1.0, self.settings.working_px_per_mm * step / self._px_per_mm)
         grey = reduce_image(grey_light(full, frame.black_level), scale)

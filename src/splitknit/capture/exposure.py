@@ -25,8 +25,8 @@ class ExposureSettings:
     percentile: float = 99.9
     """... in this percentile of its pixels, of the brightest channel."""
     start_s: float = 0.01
-    longest_s: float = 0.1
-    """Longer times would spoil the seven seconds; above this the gain is raised."""
+    longest_s: float = 0.066
+    """Longer times would spoil the seven seconds (see ``docs/capture.md``); above this the gain is raised."""
     clipped: float = 0.97
     """From this share of full scale on a preview says nothing but "less"."""
     tolerance: float = 0.06

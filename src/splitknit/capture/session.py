@@ -154,6 +154,7 @@ def run_session(
             shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
     finally:
         lights.off()
+    shooting.check_drift()
     verdict = list(shooting.verdict)
     judged = settings.find_finger and px_per_mm >= settings.focus.least_px_per_mm
     if judged and focus.snr < settings.focus.least_snr:

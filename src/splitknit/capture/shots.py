@@ -66,6 +66,7 @@ class Shooting:
         self.taken = 0
         self._before: tuple[str, Look] | None = None
         self._steady = True
+        self._looks: list[tuple[str, Sequence[int], list[Look], Look]] = []
 
     def band(self, band: str, leds: Sequence[int], exposure: Exposure, total: int) -> None:
         """Take a band's ambient frame and its lit ones; `total` is the number of frames of all bands."""
@@ -82,7 +83,7 @@ class Shooting:
             frames.append(Frame(frame.pixels[:0], frame.exposure_s, frame.gain, frame.black_level))
             looks.append(look)
         self._lights.off()
-        self._check_drift(band, leds, looks, dark)
+        self._looks.append((band, leds, looks, dark))
         self.bands[band] = _as_band(band, pixels, leds, frames, room)
 
     def _lit(self, led: int, dark: Look, expected: float) -> tuple[Frame, Look]:
@@ -138,16 +139,16 @@ class Shooting:
                     troubles.append(_Trouble("moved", words))
         return moved, troubles
 
-    def _check_drift(self, band: str, leds: Sequence[int], looks: Sequence[Look], dark: Look) -> None:
-        """Slow motion, which no two neighbours show."""
+    def check_drift(self) -> None:
+        """Look for slow motion, which no two neighbours show; after the last shot, because it takes time."""
         if not self._watch_motion or not self._steady:
             return
-        away = self._examiner.drift(looks, dark, self._camera.image_size[1])
-        worst = int(np.argmax(away))
-        if away[worst] > self._examiner.drifted_mm:
-            where = f"under the {band} LEDs (most at {self._names[leds[worst]]})"
-            self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
-            self._steady = False
+        for band, leds, looks, dark in self._looks:
+            away = self._examiner.drift(looks, dark, self._camera.image_size[1])
+            worst = int(np.argmax(away))
+            if away[worst] > self._examiner.drifted_mm:
+                where = f"under the {band} LEDs (most at {self._names[leds[worst]]})"
+                self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
 
     def _note(self, name: str, led: int | None, frame: Frame, look: Look, *, moved: float | None, retries: int) -> None:
         self.shots.append(
