@@ -69,6 +69,8 @@ def test_patterns_that_a_tilt_cannot_make_are_found(scene, request):
     assert np.abs(found.observable @ np.log(found.gain / gains)).max() < 0.01
     assert np.abs(np.log(found.gain) - without_first_order(gains)).max() < 0.015
     assert found.error.max() < 0.01
+    departure = np.log(found.gain)
+    assert np.abs(found.observable.T @ (found.observable @ departure) - departure).max() < 1e-9
 
 
 @pytest.mark.parametrize("scene", ["dome", "plane"])

@@ -102,7 +102,9 @@ def test_what_is_written_down(rig, found):
 
 
 def test_same_card_same_rig(rig, capture, found):
-    again = calibrate_radiometry(capture, as_placed(rig))
+    """Whatever fall-off the capture's own rig file claims."""
+    bands = {name: replace(band, shading=(-0.3, 0.1)) for name, band in capture.bands.items()}
+    again = calibrate_radiometry(replace(capture, bands=bands), as_placed(rig))
     assert canonical_json(rig_to_json(again.rig)) == canonical_json(rig_to_json(found.rig))
 
 
