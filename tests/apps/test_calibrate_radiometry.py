@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,19 @@ def test_a_rig_is_calibrated(card: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert facts["warnings"] == []
     shown = read_image(picture)
     assert shown.shape[2] == 3 and shown.shape[1] > 3 * shown.shape[0]
+
+
+def test_the_base_lies_as_the_camera_found_it(card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def tilt_of(deviation: float, *words: Any) -> Any:
+        plane = {"tilt_xy_deg": [0.3, -0.2], "tilt_deg_deviation": deviation}
+        rig = replace(as_placed(built_rig(2, scale=SCALE)), provenance={"camera": {"residuals": {"plane": plane}}})
+        write_rig(rig, tmp_path / "placed.json")
+        assert run(card, "--rig", tmp_path / "placed.json", "--out", tmp_path / "rig.json", "--json", *words) == 0
+        return json.loads(capsys.readouterr().out)["card"]["tilt_deg"]
+
+    assert tilt_of(0.1) == [0.3, -0.2]
+    assert tilt_of(0.2) == [0, 0]
+    assert tilt_of(0.1, "--card-tilt-deg", "0,0.1") == [0, 0.1]
 
 
 def test_words_for_people(card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

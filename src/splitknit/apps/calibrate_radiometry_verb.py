@@ -46,7 +46,7 @@ def add_radiometry(kinds: Any) -> None:
         type=_pair,
         default=None,
         metavar="X,Y",
-        help="turn of the card about x and y, as 'calibrate camera' finds for the base (default: 0,0)",
+        help="turn of the card about x and y (default: the base's, where 'calibrate camera' found it, else 0,0)",
     )
     verb.add_argument(
         "--residuals", type=Path, default=None, metavar="PNG", help="picture to write: residuals under every LED"
@@ -70,7 +70,7 @@ def run_radiometry(options: argparse.Namespace) -> Outcome:
             options.folder,
             options.out,
             rig_file=options.rig,
-            card=(options.card_height_mm or 0.0, options.card_tilt_deg or (0.0, 0.0)),
+            card=(options.card_height_mm or 0.0, options.card_tilt_deg),
             limit_percent=options.limit,
             residuals=options.residuals,
             progress=progress.update,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,8 +31,9 @@ from splitknit.calibrate.radiometry import (
 )
 from splitknit.check import BadInput, require
 from splitknit.io import provenance, read_capture, read_rig, write_image, write_rig
-from splitknit.types import FloatArray
+from splitknit.types import FloatArray, Rig
 
+_MOST_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0
 """Ends of the colours in the picture of residuals."""
 
@@ -41,7 +43,7 @@ def calibrate_to_file(
     out: Path,
     *,
     rig_file: Path | None = None,
-    card: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0)),
+    card: tuple[float, tuple[float, float] | None] = (0.0, None),
     limit_percent: float | None = None,
     residuals: Path | None = None,
     progress: Progress = no_progress,
@@ -53,7 +55,7 @@ def calibrate_to_file(
     folder : capture folder of the card, see :mod:`splitknit.apps.radiometry_folder`
     out : rig file to write
     rig_file : rig to calibrate; the folder's own by default
-    card : height in mm and tilt in deg of the card
+    card : height in mm and tilt in deg of the card; None for the tilt of the base that the rig file tells
     limit_percent : largest rms of an LED's residuals
     residuals : picture to write
 
@@ -71,13 +73,15 @@ def calibrate_to_file(
     plan = read_radiometry_plan(folder)
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
+    height_mm, tilt_deg = card
+    tilt_deg, told = (base_tilt_deg(rig), True) if tilt_deg is None else (tilt_deg, False)
     progress("camera", 0.3)
     camera = measure_camera(plan, capture)
     black = black_level_of(camera, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(limit_percent=limit_percent)
     progress("flat field", 0.6)
     try:
-        found = calibrate_radiometry(capture, rig, CardPlane(*card), black, settings)
+        found = calibrate_radiometry(capture, rig, CardPlane(height_mm, tilt_deg), black, settings)
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
     warnings = [*found.warnings, *black_level_warning(black, capture)]
@@ -94,7 +98,33 @@ def calibrate_to_file(
     write_rig(written, out)
     progress("done", 1.0)
     files = [str(out)] + ([str(residuals)] if residuals is not None else [])
-    return {**facts, "out": str(out), "files": files}, _lines(found, facts, files)
+    lines = _lines(found, facts, files)
+    if told and any(tilt_deg):
+        lines.insert(
+            -1,
+            f"The card is taken to lie as the camera's calibration found the base: {tilt_deg[0]:.2f}, "
+            f"{tilt_deg[1]:.2f} deg.",
+        )
+    return {**facts, "out": str(out), "files": files}, lines
+
+
+def base_tilt_deg(rig: Rig) -> tuple[float, float]:
+    """Turn of the base about x and y as ``splitknit calibrate camera`` left it in the rig, where it is certain.
+
+    A tilt that is less than twice its deviation is none: the noise that it would bring in is larger than itself.
+    """
+    found: Any = rig.provenance
+    for name in ("camera", "residuals", "plane"):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    if not isinstance(found, Mapping):
+        return 0.0, 0.0
+    try:
+        x, y = (float(value) for value in found["tilt_xy_deg"])
+        deviation = float(found["tilt_deg_deviation"])
+    except (KeyError, TypeError, ValueError):
+        return 0.0, 0.0
+    certain = math.isfinite(x) and math.isfinite(y) and 2.0 * deviation < math.hypot(x, y) <= _MOST_TILT_DEG
+    return (x, y) if certain else (0.0, 0.0)
 
 
 def check_folder(
