@@ -15,6 +15,8 @@ from splitknit.check import require
 from splitknit.types import FloatArray
 
 Points = NDArray[np.float64]
+_STARTS = 8
+"""Dots from which a grid is tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +84,9 @@ def find_dots(pixels: Any, settings: DiscSettings = DEFAULTS) -> Points:
 def number_dots(centres: Any, settings: DiscSettings = DEFAULTS) -> tuple[NDArray[np.int64], Points]:
     """Assign dots to the places of a square grid.
 
-    The grid grows from the dot nearest to the middle: each known dot expects its four neighbours one step away, with
-    the steps as they are there, so that perspective and distortion do not accumulate.
+    A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
+    they are there, so that perspective and distortion do not accumulate. Several dots and steps are tried; the grid
+    that takes in most dots is it.
 
     Parameters
     ----------
@@ -92,7 +95,7 @@ def number_dots(centres: Any, settings: DiscSettings = DEFAULTS) -> tuple[NDArra
 
     Returns
     -------
-    numbers : (M, 2) whole steps along both axes of the grid, zero at the dot nearest to the middle
+    numbers : (M, 2) whole steps along both axes of the grid, zero at a dot near the middle
     places : (M, 2) their centres
 
     Raises
@@ -102,11 +105,22 @@ def number_dots(centres: Any, settings: DiscSettings = DEFAULTS) -> tuple[NDArra
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))
-    first = int(np.argmin(np.linalg.norm(dots - dots.mean(axis=0), axis=1)))
-    apart = np.linalg.norm(dots[:, None] - dots, axis=2) + np.diag(np.full(len(dots), np.inf))
-    along = dots[int(np.argmin(apart[first]))] - dots[first]
-    if abs(along[0]) < abs(along[1]):  # the first axis runs along the columns, as near as it can
-        along = np.array([-along[1], along[0]])
+    apart = np.linalg.norm(dots[:, None] - dots, axis=2)
+    by_middle = np.argsort(np.linalg.norm(dots - dots.mean(axis=0), axis=1))
+    known: dict[tuple[int, int], int] = {}
+    for first in by_middle[:_STARTS].tolist():
+        for neighbour in np.argsort(apart[first])[1:4].tolist():
+            grown = _grown(dots, first, dots[neighbour] - dots[first], settings)
+            known = grown if len(grown) > len(known) else known
+            if len(known) == len(dots):
+                break
+    _require_grid(len(known) >= 6, len(known))
+    return np.array(list(known), dtype=np.int64), dots[list(known.values())]
+
+
+def _grown(dots: Points, first: int, step: Points, settings: DiscSettings) -> dict[tuple[int, int], int]:
+    """The grid that grows from one dot with one step to a neighbour: index of the dot at each place."""
+    along = step if abs(step[0]) >= abs(step[1]) else np.array([-step[1], step[0]])  # as near to the columns as it can
     along = along * np.sign(along[0])
     across = np.array([-along[1], along[0]])
     known: dict[tuple[int, int], int] = {(0, 0): first}
@@ -122,12 +136,11 @@ def number_dots(centres: Any, settings: DiscSettings = DEFAULTS) -> tuple[NDArra
             miss = float(np.linalg.norm(dots[nearest] - expected)) / float(np.linalg.norm(basis[axis]))
             if beyond in known or nearest in known.values() or miss > settings.near:
                 continue
-            step = sign * (dots[nearest] - here)
+            found = sign * (dots[nearest] - here)
             known[beyond] = nearest
-            steps[beyond] = (step, basis[1]) if axis == 0 else (basis[0], step)
+            steps[beyond] = (found, basis[1]) if axis == 0 else (basis[0], found)
             queue.append(beyond)
-    _require_grid(len(known) >= 6, len(known))
-    return np.array(list(known), dtype=np.int64), dots[list(known.values())]
+    return known
 
 
 def find_disc(pixels: Any, spacing_mm: float, settings: DiscSettings = DEFAULTS) -> tuple[Points, Points]:
