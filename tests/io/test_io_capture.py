@@ -413,10 +413,11 @@ RIG = {
 
 def test_rigs_round_trip(tmp_path: Path) -> None:
     matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
-    camera = Camera(75.7, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0))
+    camera = Camera(75.7, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02))
     leds = (
         Led("white", position_mm=(1 / 3, -52.5, 140.0), intensity=0.1, lobe_exponent=2.0),
         Led("nir", direction=(0.6, 0.0, 0.8)),
+        Led("nir", position_mm=(0.0, 50.0, 140.0), lobe_exponent=5.0, aim=(0.0, -0.3, -0.9)),
     )
     write_rig(Rig(camera, leds, {"by": "hand", "residuals": [1, 2.5]}), tmp_path / "rig.json")
     rig = read_rig(tmp_path / "rig.json")
@@ -424,11 +425,19 @@ def test_rigs_round_trip(tmp_path: Path) -> None:
     assert rig.provenance == {"by": "hand", "residuals": [1, 2.5]}
     assert rig.camera.matrix is not None
     np.testing.assert_array_equal(rig.camera.matrix, matrix)
-    for name in ("px_per_mm", "image_size", "height_mm", "model", "distortion"):
+    for name in ("px_per_mm", "image_size", "height_mm", "model", "distortion", "shading"):
         assert getattr(rig.camera, name) == getattr(camera, name)
     first = (tmp_path / "rig.json").read_bytes()
     write_rig(rig, tmp_path / "rig.json")
     assert (tmp_path / "rig.json").read_bytes() == first
+
+
+def test_a_lens_without_distortion_is_written_with_zeros(tmp_path: Path) -> None:
+    matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
+    write_rig(
+        Rig(Camera(75.7, (22, 32), 139.5, "perspective", matrix), (Led("white", (0.0, 1.0, 2.0)),)), tmp_path / "r"
+    )
+    assert read_rig(tmp_path / "r").camera.distortion == (0.0,) * 5
 
 
 def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
@@ -456,6 +465,10 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
         (lambda d: d["camera"].update(image_size=[10**6, 10**6]), "pixels that are read"),
         (lambda d: d["camera"].update(model="fisheye"), r"camera\.model must be"),
         (lambda d: d["camera"].update(model="perspective"), r"distortion must be given"),
+        (lambda d: d["camera"].update(shading=[-1.5]), r"shading leaves no light"),
+        (lambda d: d["camera"].update(shading="dark"), r"camera\.shading must be"),
+        (lambda d: d["leds"][0].update(aim=[0, 0, 1]), r"leds\[0\].*aim must point towards"),
+        (lambda d: d["leds"][0].update(aim=[0, 1]), r"aim must be a list of 3"),
         (lambda d: d["camera"].update(model="perspective", distortion=[0] * 5), r"camera\.matrix is missing"),
         (lambda d: d["camera"].update(distortion=[0] * 6), r"a list of 4 or 5"),
         (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0]]), "3 x 3"),

@@ -13,14 +13,14 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from splitknit import __version__
 from splitknit.apps.capture_verb import add_capture
 from splitknit.apps.verb import Outcome, Progress, Refused, add_settings, natural, new_verb, scale
-from splitknit.check import BadInput
+from splitknit.check import BadInput, require
 
 DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 PRESETS = ("metric", "snk", "pr", "ea")
@@ -71,9 +71,17 @@ def _add_demo(verbs: Any) -> None:
 
 
 def _add_simulate(verbs: Any) -> None:
-    verb = new_verb(verbs, "simulate", "photograph a simulated finger: a capture folder with truth", run_simulate)
+    verb = new_verb(
+        verbs, "simulate", "photograph a simulated finger, or what calibrates a simulated rig", run_simulate
+    )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
     verb.add_argument("--seed", type=natural, default=0, help="which finger (default: 0)")
+    verb.add_argument(
+        "--bench",
+        action="store_true",
+        help="not a finger, but all that calibrates the rig that person SEED built: board, disc, nail, white card",
+    )
+    verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file that photographs the finger")
     verb.add_argument(
         "--pattern", default=None, help="loop, whorl, arch or another master print the twin knows (default: drawn)"
     )
@@ -92,6 +100,9 @@ def _add_reconstruct(verbs: Any) -> None:
         choices=PRESETS,
         default="metric",
         help="metric (ours, the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain)",
+    )
+    verb.add_argument(
+        "--rig", type=Path, default=None, metavar="RIG", help="rig file instead of the capture's, such as a calibration"
     )
     add_settings(verb)
 
@@ -198,12 +209,15 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.options import read_changes  # noqa: PLC0415
 
     changes = read_changes(options.settings, options.assignments)
+    if options.bench:
+        return _run_bench(options, changes)
     with Progress(options) as progress:
         facts = simulate_to_folder(
             options.out,
             seed=options.seed,
             pattern=options.pattern,
             scale=options.scale,
+            rig=options.rig,
             changes=changes,
             progress=progress.update,
         )
@@ -216,6 +230,28 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
     return facts, lines
 
 
+def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outcome:
+    """Write the photographs that calibrate a simulated rig."""
+    from splitknit.apps.bench_photos import BenchPhotos, bench_to_folder  # noqa: PLC0415
+    from splitknit.settings import override  # noqa: PLC0415
+
+    unused = [name for name in ("pattern", "rig") if getattr(options, name) is not None]
+    require(not unused, f"--bench and --{unused[0] if unused else ''} do not go together: the bench has no finger.")
+    photos = override(BenchPhotos(), changes)
+    with Progress(options) as progress:
+        facts = bench_to_folder(
+            options.out, seed=options.seed, scale=options.scale or 0.5, photos=photos, progress=progress.update
+        )
+    out = options.out
+    lines = [
+        f"The bench of rig {facts['seed']} written to {out}: {facts['boards']} photographs of a board of "
+        f"{facts['board']} inner corners and {facts['square_mm']:g} mm, the nail in {facts['nails']} places, a card.",
+        f"Next: splitknit calibrate camera {out}/board --board {facts['board']} --plane {out}/plane.png "
+        f"--rig {out}/rig_drawn.json --out rig.json",
+    ]
+    return facts, lines
+
+
 def run_reconstruct(options: argparse.Namespace) -> Outcome:
     """Write a reconstruction."""
     from splitknit.apps.commands import reconstruct_to_folder  # noqa: PLC0415
@@ -224,7 +260,12 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
     changes = read_changes(options.settings, options.assignments)
     with Progress(options) as progress:
         facts = reconstruct_to_folder(
-            options.capture, options.out, preset=options.preset, changes=changes, progress=progress.update
+            options.capture,
+            options.out,
+            preset=options.preset,
+            rig=options.rig,
+            changes=changes,
+            progress=progress.update,
         )
     lines = [
         f"{facts['area_mm2']:.0f} mm² reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",

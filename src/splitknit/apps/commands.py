@@ -13,7 +13,7 @@ import numpy as np
 
 from splitknit.apps.outputs import FILES, write_files
 from splitknit.check import BadInput, require
-from splitknit.io import atomic_folder, read_capture, write_capture
+from splitknit.io import atomic_folder, read_capture, read_rig, with_rig, write_capture
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
 from splitknit.simulate.twin import TwinSettings, simulate_capture
@@ -33,10 +33,14 @@ def reconstruct_to_folder(
     out: Path,
     *,
     preset: str = "metric",
+    rig: Path | None = None,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more."""
+    """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more.
+
+    `rig` names a rig file that replaces the capture's own, such as a later calibration.
+    """
     started = time.perf_counter()
     settings = dict(changes or {})
     override(preset_settings(preset), settings)  # a wrong setting is refused before the images are read
@@ -44,6 +48,8 @@ def reconstruct_to_folder(
     with atomic_folder(out) as target:
         progress("reading", 0.0)
         capture = read_capture(capture_folder)
+        if rig is not None:
+            capture = with_rig(capture, rig)
         read_s = time.perf_counter() - started
         with _naming(capture_folder):
             result = reconstruct(
@@ -121,12 +127,16 @@ def simulate_to_folder(
     seed: int = 0,
     pattern: str | None = None,
     scale: float | None = None,
+    rig: Path | None = None,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Simulate a capture and write its folder with the truth; return what was made."""
     started = time.perf_counter()
     settings = twin_settings(scale, changes)
+    if rig is not None:
+        require(scale is None, "the rig file says how large the images are; leave out the scale.")
+        settings = replace(settings, rig=read_rig(rig))
     check_target(out, "truth.npz", "an earlier simulated capture")
     with atomic_folder(out) as target:
         progress("simulating", 0.0)

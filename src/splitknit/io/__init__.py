@@ -4,7 +4,7 @@ Nothing outside this package and the applications reads or writes a file.
 """
 
 from splitknit.io.atomic import atomic_file, atomic_folder
-from splitknit.io.capture import ReadSettings, read_capture, write_capture
+from splitknit.io.capture import ReadSettings, read_capture, with_rig, write_capture
 from splitknit.io.content import ContentSettings
 from splitknit.io.height import read_height_tiff, write_height_tiff
 from splitknit.io.images import ImageSettings, image_size, read_image, write_image
@@ -41,6 +41,7 @@ __all__ = [
     "rig_to_json",
     "settings_hash",
     "surface_mesh",
+    "with_rig",
     "write_capture",
     "write_height_tiff",
     "write_image",

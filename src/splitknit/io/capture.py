@@ -21,7 +21,7 @@ from splitknit.io.content import ContentSettings, check_content, mask_from_image
 from splitknit.io.images import ImageSettings, StackReader, encode_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, plain_json
-from splitknit.io.rig import rig_to_json
+from splitknit.io.rig import read_rig, rig_to_json
 from splitknit.types import Band, Capture, PixelArray
 
 
@@ -89,6 +89,33 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         truth=plan.truth,
         hashes={Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)},
     )
+
+
+def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
+    """Return the capture as taken by the rig of another file, such as a later calibration of the same rig.
+
+    Raises
+    ------
+    BadInput
+        If the file is not a rig's, its camera has another image size, or it lacks LEDs or has them in another band.
+    """
+    rig = read_rig(path)
+    name, size = os.fspath(path), capture.rig.camera.image_size
+    require(
+        rig.camera.image_size == size,
+        f"{name} is the rig of another camera: its images have {rig.camera.image_size[0]} x {rig.camera.image_size[1]} "
+        f"pixels (rows x columns), the capture's have {size[0]} x {size[1]}.",
+    )
+    for band in capture.bands.values():
+        for index in sorted({k for group in band.leds for k in group}):
+            require(
+                index < len(rig.leds) and rig.leds[index].band == band.name,
+                f"{name} does not fit the capture: LED {index}, which lit images of the band '{band.name}', is "
+                + (f"of the band '{rig.leds[index].band}' there." if index < len(rig.leds) else "not in it."),
+            )
+    bands = {key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()}
+    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return replace(capture, rig=rig, bands=bands, hashes={**capture.hashes, f"replaced rig: {Path(path).name}": digest})
 
 
 def write_capture(

@@ -68,12 +68,17 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             "image_size": [int(camera.image_size[0]), int(camera.image_size[1])],
             "height_mm": float(camera.height_mm),
             "matrix": plain_json(camera.matrix),
-            "distortion": plain_json(camera.distortion),
+            "distortion": plain_json(_distortion(camera)),
             **({"shading": plain_json(camera.shading)} if camera.shading else {}),
         },
         "leds": leds,
         "provenance": plain_json(rig.provenance),
     }
+
+
+def _distortion(camera: Camera) -> tuple[float, ...] | None:
+    """Zeros for a perspective camera without distortion, because the file must say so."""
+    return (0.0,) * 5 if camera.model == "perspective" and camera.distortion is None else camera.distortion
 
 
 def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
@@ -112,15 +117,15 @@ def _camera(fields: Fields) -> Camera:
     distortion = fields.numbers("distortion", _DISTORTION_COUNTS) if fields.has("distortion") else None
     if perspective and distortion is None:
         fields.refuse("distortion", "given for a perspective camera (zeros if there is none)")
-    return Camera(
-        px_per_mm=fields.number("px_per_mm", 1e-3, 1e5),
-        image_size=(size[0], size[1]),
-        height_mm=fields.number("height_mm", 1e-3, 1e6, None if perspective else 140.0),
-        model=model,
-        matrix=_matrix(fields) if perspective or fields.has("matrix") else None,
-        distortion=distortion,
-        shading=fields.numbers("shading", (0, 1, 2, 3, 4)) if fields.has("shading") else (),
-    )
+    px_per_mm, matrix = fields.number("px_per_mm", 1e-3, 1e5), None
+    height_mm = fields.number("height_mm", 1e-3, 1e6, None if perspective else 140.0)
+    if perspective or fields.has("matrix"):
+        matrix = _matrix(fields)
+    shading = fields.numbers("shading", (1, 2, 3, 4)) if fields.has("shading") else ()
+    try:
+        return Camera(px_per_mm, (size[0], size[1]), height_mm, model, matrix, distortion, shading)
+    except BadInput as error:
+        raise BadInput(f"{fields.name}: {error}") from error
 
 
 def _matrix(fields: Fields) -> np.ndarray[Any, np.dtype[np.float64]]:
