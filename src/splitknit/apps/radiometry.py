@@ -170,8 +170,7 @@ def _lines(found: RadiometricCalibration, facts: Mapping[str, Any], files: Seque
         )
     tried = ", ".join(f"{one['rms_percent']:.2f} %" for one in facts["model"]["tried"])
     lines += [
-        f"Model: brightness of every LED {flat.order.name.removeprefix('brightness of every LED')}".rstrip()
-        + f" (residuals from the simplest to the richest model: {tried}).",
+        f"Model: {flat.order.name} (residuals from the simplest to the richest model: {tried}).",
         f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's brightness.",
     ]
     for band, share in facts["ambient_percent"].items():

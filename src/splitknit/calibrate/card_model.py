@@ -44,10 +44,10 @@ class Order:
 
 LADDER = (
     Order("brightness of every LED"),
-    Order("and the lens's fall-off", lens=2),
-    Order("and one beam for the LEDs of a band", lens=2, beam="band"),
-    Order("and an aim for every LED", lens=2, beam="band", aims=True),
-    Order("and a beam of its own for every LED", lens=2, beam="led", aims=True),
+    Order("brightness of every LED, lens", lens=2),
+    Order("brightness of every LED, lens, one beam for each band", lens=2, beam="band"),
+    Order("brightness and aim of every LED, lens, one beam for each band", lens=2, beam="band", aims=True),
+    Order("brightness, aim and beam of every LED, lens", lens=2, beam="led", aims=True),
 )
 """From the simplest to the richest; each contains the one before."""
 
