@@ -1,18 +1,16 @@
-"""Devices of the twin around one small finger."""
+"""Fingers of the twin, sound and with faults."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import pytest
+from twin_bench import Devices, twin_devices
 
-from splitknit.simulate.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
 from splitknit.simulate.faults import Faults, FaultyScene
 from splitknit.simulate.finger import Pose
 from splitknit.simulate.finger_scene import FingerScene
 from splitknit.simulate.twin import TwinSettings
-
-Devices = tuple[TwinCamera, TwinLightBank, Clock]
 
 
 @pytest.fixture(scope="session")
@@ -25,13 +23,6 @@ def finger() -> FingerScene:
 def sharp_finger() -> FingerScene:
     """A finger of 550 x 800 pixels, fine enough for focus."""
     return FingerScene(1, None, TwinSettings(scale=0.25))
-
-
-def twin_devices(scene: Scene, settings: TwinDeviceSettings | None = None) -> Devices:
-    """Camera, LEDs and clock around a scene."""
-    clock = Clock()
-    lights = TwinLightBank(scene, clock, settings)
-    return TwinCamera(scene, lights, clock, settings), lights, clock
 
 
 @pytest.fixture

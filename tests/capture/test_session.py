@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from twin_bench import twin_devices
 
-from conftest import twin_devices
 from splitknit.capture.checks import CheckSettings
 from splitknit.capture.exposure import ExposureSettings
 from splitknit.capture.session import SessionSettings, check_fit, run_session

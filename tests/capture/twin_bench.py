@@ -1,0 +1,14 @@
+"""The twin's devices around a scene."""
+
+from __future__ import annotations
+
+from splitknit.simulate.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+
+Devices = tuple[TwinCamera, TwinLightBank, Clock]
+
+
+def twin_devices(scene: Scene, settings: TwinDeviceSettings | None = None) -> Devices:
+    """Camera, LEDs and clock around a scene."""
+    clock = Clock()
+    lights = TwinLightBank(scene, clock, settings)
+    return TwinCamera(scene, lights, clock, settings), lights, clock
