@@ -1,0 +1,213 @@
+"""What calibration buys: fingers photographed by rigs as people build them, reconstructed with what is known of them.
+
+Every rig is another person's (``simulate --bench``): its camera, lights and brightness are calibrated from photographs
+by the command line, as a person does it. One finger is photographed by the true rig, and reconstructed with the true
+rig, with the calibrated one, with the drawings, and with one part of the calibration left out at a time.
+
+    python validation/calibration/ablation.py [--rigs 6] [--scale 0.5] [--write docs/calibration.md]
+
+Finished parts are kept: a second call goes on. Results: ``ablation.json`` in ``validation/out/calibration`` and a table
+on stdout (with ``--write FILE`` between the marks ``<!-- ablation -->`` of a document).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.apps.cli import main as splitknit
+from splitknit.apps.compare import compare
+from splitknit.io import read_rig
+from splitknit.pipeline import reconstruct
+from splitknit.simulate.built_rig import nominal_rig
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.types import Capture, Led, Reconstruction, Rig
+
+FIRST_FINGER = 2000
+FIGURES = {
+    "surface_rms_mm": "surface rms, mm",
+    "misplaced_mm": "misplaced across, mm",
+    "scale_error": "error of size",
+    "normals_deg": "normals, deg",
+    "ridge_correlation": "ridge correlation",
+    "ridge_gain": "ridge gain",
+}
+
+
+def run(out: Path, rigs: int, scale: float) -> list[dict[str, Any]]:
+    """Calibrate, photograph and reconstruct; one record for each rig and row."""
+    records = []
+    for seed in range(rigs):
+        folder = out / f"rig_{seed}_{scale:g}"
+        record = folder / "figures.json"
+        if not record.is_file():
+            calibrated = calibrate(folder, seed, scale)
+            rows = measure(seed, read_rig(folder / "bench" / "rig_true.json"), calibrated)
+            record.write_text(json.dumps(rows, indent=1) + "\n")
+        records += json.loads(record.read_text())
+        print(f"rig {seed} done", file=sys.stderr, flush=True)
+    return records
+
+
+def calibrate(folder: Path, seed: int, scale: float) -> Rig:
+    """Take all photographs of a built rig and calibrate it by the command line."""
+    bench = folder / "bench"
+
+    def call(*words: object) -> None:
+        code = splitknit([str(word) for word in words])
+        if code != 0:
+            raise SystemExit(f"splitknit {' '.join(str(w) for w in words)} ended with {code}")
+
+    if not bench.is_dir():
+        call("simulate", "--bench", "--seed", seed, "--scale", scale, "--out", bench)
+    one, two, three = (folder / f"rig_{k}.json" for k in (1, 2, 3))
+    call(
+        "calibrate", "camera", bench / "board", "--board", "9x6", "--square-mm", 3, "--plane", bench / "plane.png",
+        "--rig", bench / "rig_drawn.json", "--out", one,
+    )  # fmt: skip
+    call("calibrate", "lights", "--images", bench / "nail", "--rig", one, "--out", two)
+    call("calibrate", "radiometry", bench / "card", "--rig", two, "--out", three)
+    return read_rig(three)
+
+
+def rows(true: Rig, found: Rig, drawn: Rig) -> dict[str, tuple[Rig, dict[str, Any]]]:
+    """Rig and settings of every row of the table."""
+
+    def lights(places: Rig, light: Rig) -> tuple[Led, ...]:
+        """LEDs of `places` with brightness, beam and aim of `light`."""
+        return tuple(
+            replace(p, intensity=b.intensity, lobe_exponent=b.lobe_exponent, aim=b.aim)
+            for p, b in zip(places.leds, light.leds, strict=True)
+        )
+
+    plain = tuple(replace(led, intensity=1.0, lobe_exponent=0.0, aim=None) for led in found.leds)
+    return {
+        "true rig": (true, {}),
+        "calibrated": (found, {}),
+        "drawings only": (drawn, {}),
+        "calibrated, but distant lights": (replace(found, leds=tuple(distant(led) for led in found.leds)), {}),
+        "calibrated, but places from the drawings": (replace(found, leds=lights(drawn, found)), {}),
+        "calibrated, but no flat field": (
+            replace(found, leds=plain, camera=replace(found.camera, shading=())),
+            {},
+        ),
+        "calibrated, but brightness alone": (
+            replace(
+                found,
+                leds=tuple(replace(led, lobe_exponent=0.0, aim=None, intensity=at_origin(led)) for led in found.leds),
+                camera=replace(found.camera, shading=()),
+            ),
+            {},
+        ),
+        "calibrated, but an orthographic camera": (found, {"camera": "orthographic"}),
+        "true rig, but an orthographic camera": (true, {"camera": "orthographic"}),
+    }
+
+
+def at_origin(led: Led) -> float:
+    """Brightness of an LED in the middle of the finger plane, its beam included."""
+    towards = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
+    return float(led.intensity * (led.axis @ towards) ** led.lobe_exponent)
+
+
+def distant(led: Led) -> Led:
+    """The same light from infinitely far: direction and brightness at the origin."""
+    place = np.asarray(led.position_mm)
+    far = float(np.linalg.norm(place))
+    x, y, z = (float(v) for v in place / far)
+    return Led(led.band, direction=(x, y, z), intensity=at_origin(led) * (140.0 / far) ** 2)
+
+
+def measure(seed: int, true: Rig, found: Rig) -> list[dict[str, Any]]:
+    """Photograph one finger with the true rig and reconstruct it in every row's way."""
+    scale = true.camera.image_size[0] / 2200
+    capture, truth = simulate_capture(FIRST_FINGER + seed, settings=TwinSettings(rig=true))
+    records = []
+    for name, (rig, settings) in rows(true, found, nominal_rig(scale)).items():
+        bands = {key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()}
+        result = reconstruct(replace(capture, rig=rig, bands=bands), settings=settings)
+        records.append({"rig": seed, "row": name, **figures(result, capture, truth)})
+    return records
+
+
+def figures(result: Reconstruction, capture: Capture, truth: dict[str, Any]) -> dict[str, float]:
+    """What `compare` gives, and where the points lie."""
+    figure = dict(compare(result, truth).figures)
+    seen = result.mask & truth["mask"] & np.isfinite(truth["height_mm"])
+    height, true = result.height_mm[seen].astype(float), truth["height_mm"][seen].astype(float)
+    above = true - true.mean()
+    rows_px, columns_px = capture.shape
+    if result.x_mm is None or result.y_mm is None:
+        x = np.broadcast_to((np.arange(columns_px) - (columns_px - 1) / 2) * result.pitch_mm, seen.shape)[seen]
+        y = np.broadcast_to(((rows_px - 1) / 2 - np.arange(rows_px))[:, None] * result.pitch_mm, seen.shape)[seen]
+    else:
+        x, y = result.x_mm[seen], result.y_mm[seen]
+    # a rig file's origin is its own principal ray: only differences of places count
+    dx, dy = x - truth["x_mm"][seen], y - truth["y_mm"][seen]
+    misplaced = np.hypot(dx - dx.mean(), dy - dy.mean())
+    return {
+        "surface_rms_mm": float(figure["surface_rms_mm"]),
+        "misplaced_mm": float(np.sqrt((misplaced**2).mean())),
+        "scale_error": float(((height - height.mean()) * above).sum() / (above**2).sum() - 1),
+        "normals_deg": float(figure["normals_mean_deg"]),
+        "ridge_correlation": float(figure["ridge_correlation"]),
+        "ridge_gain": float(figure["ridge_gain"]),
+    }
+
+
+def table(records: list[dict[str, Any]]) -> str:
+    """Means over the rigs with 95 % intervals (bootstrap over rigs), and the surface's rms over the true rig's."""
+    names = list(dict.fromkeys(record["row"] for record in records))
+    seeds = sorted({record["rig"] for record in records})
+    values = {name: {f: np.array([r[f] for r in records if r["row"] == name]) for f in FIGURES} for name in names}
+    lines = [
+        f"{len(seeds)} rigs with one finger each; means with 95 % intervals.",
+        "",
+        "| known of the rig | " + " | ".join(FIGURES.values()) + " | surface rms / true rig |",
+        "| --- |" + " --- |" * (len(FIGURES) + 1),
+    ]
+    base = values["true rig"]["surface_rms_mm"]
+    for name in names:
+        cells = [interval(values[name][f], np.mean) for f in FIGURES]
+        own = values[name]["surface_rms_mm"]
+        ratio = interval(np.stack([own, base], axis=1), lambda v: v[:, 0].mean() / v[:, 1].mean())
+        lines.append(f"| {name} | " + " | ".join([*cells, ratio]) + " |")
+    return "\n".join(lines)
+
+
+def interval(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> str:
+    """The statistic, and its interval over resampled rigs."""
+    rng = np.random.default_rng(0)
+    drawn = [float(statistic(values[rng.integers(0, len(values), len(values))])) for _ in range(2000)]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return f"{float(statistic(values)):.3f} [{low:.3f}, {high:.3f}]"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("validation/out/calibration"))
+    parser.add_argument("--rigs", type=int, default=6)
+    parser.add_argument("--scale", type=float, default=0.5)
+    parser.add_argument("--write", type=Path, default=None, help="document whose <!-- ablation --> part is replaced")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    records = run(options.out, options.rigs, options.scale)
+    (options.out / "ablation.json").write_text(json.dumps(records, indent=1) + "\n")
+    text = table(records)
+    print(text)
+    if options.write is not None:
+        page = options.write.read_text()
+        head, _, rest = page.partition("<!-- ablation -->")
+        _, _, tail = rest.partition("<!-- /ablation -->")
+        options.write.write_text(f"{head}<!-- ablation -->\n{text}\n<!-- /ablation -->{tail}")
+
+
+if __name__ == "__main__":
+    main()
