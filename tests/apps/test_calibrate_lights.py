@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.io import read_rig, write_rig
+from splitknit.io import read_image, read_rig, write_image, write_rig
+from splitknit.simulate.bench import NailScene, SphereScene, photograph_bench, well_exposed
+from splitknit.simulate.built_rig import built_rig, nominal_rig
 from splitknit.simulate.rig import default_rig
 
 THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"
@@ -176,3 +180,82 @@ def test_geometry(capsys, tmp_path):
 )
 def test_bad_input_is_one_sentence(capsys, words, expected):
     assert expected in refused(capsys, *words)
+
+
+@pytest.fixture(scope="module")
+def nail_photographs(tmp_path_factory):
+    """Two positions of the nail under a built rig's white LEDs, at a tenth of the scale; the rig file knows the camera."""
+    folder = tmp_path_factory.mktemp("nail")
+    true = built_rig(6, scale=0.1)
+    write_rig(replace(nominal_rig(0.1), camera=true.camera), folder / "nominal.json")
+    tilt = tuple(true.provenance["base_tilt_deg"])
+    for name, place in (("nail_2", (-5.0, -3.0)), ("nail_10", (5.0, 3.0))):
+        scene = NailScene(camera=true.camera, leds=true.leds, position_mm=place, tilt_deg=tilt)
+        exposure = well_exposed(scene, [[k] for k in range(7)])
+        (folder / "photographs" / name).mkdir(parents=True)
+        for k in range(7):
+            image = photograph_bench(scene, [k], k, exposure=exposure)
+            write_image(folder / "photographs" / name / f"white_{k}.png", image)
+    return folder, true
+
+
+def test_photographs_of_a_nail(capsys, tmp_path, nail_photographs):
+    folder, true = nail_photographs
+    out = tmp_path / "rig.json"
+    words = ("--images", folder / "photographs", "--rig", folder / "nominal.json", "--out", out)
+    code, said, err = run(capsys, *words, "--json")
+    assert code == 0, err
+    facts = json.loads(said)
+    assert facts["method"] == "joint" and facts["nail_positions"] == 2
+    assert len(read_rig(out).leds) == 14
+    for led, truth in zip(read_rig(out).leds[:7], true.leds[:7], strict=True):
+        found, known = (np.array(one.position_mm) / np.linalg.norm(one.position_mm) for one in (led, truth))
+        assert np.degrees(np.linalg.norm(found - known)) < 0.6
+        assert led.lobe_exponent > 0
+    assert read_image(facts["show"]).shape[2] == 3
+    # what was found goes in again as a table, and gives the same
+    again = run(capsys, "--table", facts["tips_out"], "--rig", folder / "nominal.json", "--json")
+    for one, other in zip(json.loads(again[1])["leds"], facts["leds"], strict=True):
+        assert one["direction"] == pytest.approx(other["direction"], abs=2e-3)
+
+
+def test_photographs_that_are_wrong(capsys, tmp_path, nail_photographs):
+    folder, _ = nail_photographs
+    copy = tmp_path / "copy"
+    shutil.copytree(folder / "photographs", copy)
+    words = ("--images", copy, "--rig", folder / "nominal.json", "--out", tmp_path / "rig.json")
+    lit = read_image(copy / "nail_2" / "white_4.png")
+    write_image(copy / "nail_2" / "white_4.png", np.full_like(lit, 90))
+    assert "white_4.png shows no shadow" in refused(capsys, *words)
+    (copy / "nail_2" / "white_4.png").unlink()
+    assert "lacks the image white_4" in refused(capsys, *words)
+    write_image(copy / "nail_2" / "white_4.png", lit[:-4])
+    assert "white_4.png has 216 x 320 pixels" in refused(capsys, *words)
+    assert not (tmp_path / "rig.json").exists()
+    assert "is not a folder" in refused(capsys, "--images", tmp_path / "absent", *words[2:])
+    assert "leave --nail-seen base away" in refused(capsys, *words, "--nail-seen", "base")
+    (copy / "nails.json").write_text('{"nails": [{"white": ["a.png"]}]}')
+    assert "nails[0].white" in refused(capsys, *words)
+
+
+def test_photographs_of_a_ball(capsys, tmp_path):
+    rig = default_rig(0.1)
+    scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False)
+    for k in range(7):
+        image = photograph_bench(scene, [k], k, exposure=well_exposed(scene, [[k]]))
+        write_image(tmp_path / f"white_{k}.png", image)
+    rows, columns = np.mgrid[:220, :320]
+    edge = scene.outline_px()
+    column, row = edge.mean(axis=0)
+    inside = np.hypot(columns - column, rows - row) < np.ptp(edge[:, 0]) / 2
+    write_image(tmp_path / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
+    words = ("--sphere", "grey", "--images", tmp_path, "--mask", tmp_path / "mask.png")
+    code, said, _ = run(capsys, *words, "--out", tmp_path / "rig.json", "--json")
+    facts = json.loads(said)
+    assert code == 0 and [one["led"] for one in facts["leds"]] == list(range(7))
+    for led, truth in zip(read_rig(tmp_path / "rig.json").leds, rig.leds[:7], strict=True):
+        known = np.array(truth.position_mm) - scene.middle_mm
+        known /= np.linalg.norm(known)
+        assert np.degrees(np.linalg.norm(np.array(led.direction) - known)) < 3.0
+    write_image(tmp_path / "mask.png", np.zeros((220, 320), np.uint8))
+    assert "empty" in refused(capsys, *words)

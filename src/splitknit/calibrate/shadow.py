@@ -39,7 +39,7 @@ class ShadowSettings:
     """A shadow must reach this far beyond the nail."""
     border_mm: float = 0.3
     """A shadow that comes nearer to the picture's border leaves it."""
-    max_pixels: int = 800
+    max_pixels: int = 500
     """Pixels about one shadow's outline that the fit takes, evenly spread."""
 
     def __post_init__(self) -> None:
@@ -98,23 +98,25 @@ def find_nail(
     middle = np.array([columns.mean(), rows.mean()])
     size = float(np.sqrt(rows.size / np.pi))
     near = cv2.dilate(nail.astype(np.uint8), _disc(0.25 * px_per_mm)) > 0
+    parts = [_shadow_of(shadow, near) for shadow in shadows]
+    ends = [_far_end(part, middle) for part in parts]
+    for end, name in zip(ends, names, strict=True):
+        reach = float(np.linalg.norm(end - middle)) - size if end is not None else 0.0
+        require(
+            reach >= settings.least_shadow_mm * px_per_mm,
+            f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail stands in "
+            f"the picture.",
+        )
     scale = Scale(px_per_mm, settings.max_pixels)
     first: list[Shape | None] = []
-    for ratio, shadow, name in zip(ratios, shadows, names, strict=True):
-        part = _shadow_of(shadow, near, px_per_mm)
-        end = _far_end(part, middle)
-        reach = 0.0 if end is None else float(np.linalg.norm(end - middle)) - size
-        require(
-            end is not None and reach >= settings.least_shadow_mm * px_per_mm,
-            f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail "
-            f"stands in the picture.",
-        )
-        assert end is not None
+    for ratio, part, end in zip(ratios, parts, ends, strict=True):
+        if end is None or _leaves(part, settings.border_mm * px_per_mm):
+            first.append(None)
+            continue
         start = Shape(
             tip=end, tip_radius=0.1 * px_per_mm, penumbra=0.1 * px_per_mm, base=middle, base_radius=size, depth=0.95
         )
-        leaves = _leaves(part, settings.border_mm * px_per_mm)
-        first.append(None if leaves else fit_shape(1.0 - ratio, ~near, start, scale))
+        first.append(fit_shape(1.0 - ratio, ~near, start, scale))
     shapes = _second_fit(first, [1.0 - ratio for ratio in ratios], ~near, scale)
     tips = np.array([(np.nan, np.nan) if shape is None else shape.tip for shape in shapes])
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to the base
@@ -197,7 +199,7 @@ def _nail_among(
     return np.asarray(filled > 0)
 
 
-def _shadow_of(shadow: BoolArray, near: BoolArray, px_per_mm: float) -> BoolArray:
+def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
     """The part of a shadow's pixels that hangs together with the nail."""
     opened = cv2.medianBlur(shadow.astype(np.uint8), 3)
     _, labels = cv2.connectedComponents((opened > 0).astype(np.uint8) | near.astype(np.uint8), connectivity=8)
