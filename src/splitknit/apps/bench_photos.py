@@ -77,12 +77,13 @@ def bench_to_folder(
     photos = photos or BenchPhotos()
     check_target(out, MARKER, "an earlier simulated bench")
     rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
-    jobs = list(_jobs(rig, photos, np.random.SeedSequence([seed, 0xBE])))
+    count = photos.boards + photos.nails + 3
     with atomic_folder(out) as target:
         write_rig(rig, target / MARKER)
         write_rig(drawn, target / "rig_drawn.json")
-        for k, (stage, job) in enumerate(jobs):
-            progress(stage, k / len(jobs))
+        # one scene after another: each keeps arrays of the picture's size
+        for k, (stage, job) in enumerate(_jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))):
+            progress(stage, k / count)
             job(target)
     progress("done", 1.0)
     rows, columns = rig.camera.image_size
