@@ -137,7 +137,8 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
         rms <= settings.limit_percent,
         f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
         f"rms is {rms:.1f} % (at most {settings.limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
-        f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (frosted LEDs' are).",
+        f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
+        f"is).",
     )
     shines = flat.gloss_percent > settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error
     require(
