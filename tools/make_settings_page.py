@@ -1,4 +1,4 @@
-"""Write docs/settings.md: every setting of ``reconstruct`` and ``simulate``, its default, and what it does.
+"""Write docs/settings.md: every setting of the verbs that take ``--set``, its default, and what it does.
 
     python tools/make_settings_page.py            # writes
     python tools/make_settings_page.py --check    # exit code 1 if the page is out of date
@@ -18,7 +18,14 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from splitknit.apps.bench_photos import BenchPhotos
+from splitknit.apps.calibrated_lights import LightSettings
+from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.session import SessionSettings
 from splitknit.pipeline import PRESETS
+from splitknit.rig.circuit import CircuitSettings
+from splitknit.rig.part_settings import PartSettings
+from splitknit.simulate.device import TwinDeviceSettings
 from splitknit.simulate.twin import TwinSettings
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "settings.md"
@@ -85,28 +92,49 @@ def preset_table() -> str:
     return "\n".join(lines)
 
 
-def twin_table() -> str:
-    """Settings of the twin."""
+def plain_table(settings: Any, prefix: str = "") -> str:
+    """Settings of one dataclass, its groups opened."""
     lines = ["| setting | default | what it does |", "| --- | --- | --- |"]
-    lines += [f"| `{name}` | {shown(value)} | {words} |" for name, value, words in rows(TwinSettings())]
+    lines += [
+        f"| `{name}` | {shown(value)} | {words.replace('|', ' or ')} |" for name, value, words in rows(settings, prefix)
+    ]
     return "\n".join(lines)
+
+
+SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
+    ("`splitknit simulate`", "Ranges (low, high) are drawn from, finger by finger.", (("", TwinSettings()),)),
+    ("`splitknit simulate --bench`", "How many photographs of what.", (("", BenchPhotos()),)),
+    (
+        "`splitknit capture`",
+        "With `--device twin` the settings of `simulate` as well.",
+        (("capture.", SessionSettings()), ("pi.", PiCameraSettings()), ("device.", TwinDeviceSettings())),
+    ),
+    (
+        "`splitknit calibrate lights`",
+        "Limits, and what is known beforehand of nail and circle.",
+        (("", LightSettings()),),
+    ),
+    (
+        "`splitknit rig cad`",
+        "Names may begin with `part.`; what follows from the rig file cannot be set.",
+        (("part.", PartSettings()),),
+    ),
+    ("`splitknit rig circuit`", "Names may begin with `circuit.`.", (("circuit.", CircuitSettings()),)),
+)
+"""Heading, words, and what the names begin with, for every verb but ``reconstruct``."""
 
 
 def page() -> str:
     """The whole page."""
-    return f"""{INTRODUCTION}
-## `splitknit reconstruct`
-
-Defaults are those of `metric`; in brackets, what other presets change.
-
-{preset_table()}
-
-## `splitknit simulate`
-
-Ranges (low, high) are drawn from, finger by finger.
-
-{twin_table()}
-"""
+    parts = [
+        INTRODUCTION,
+        "## `splitknit reconstruct`",
+        "Defaults are those of `metric`; in brackets, what other presets change.",
+        preset_table(),
+    ]
+    for heading, words, tables in SECTIONS:
+        parts += [f"## {heading}", words, *(plain_table(settings, prefix) for prefix, settings in tables)]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
 def main() -> int:
