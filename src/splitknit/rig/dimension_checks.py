@@ -25,13 +25,13 @@ def check_dimensions(dimensions: RigDimensions) -> None:
     """
     _check_bed(dimensions)
     _check_height(dimensions)
+    _check_finger(dimensions)
     for first, second in itertools.combinations(dimensions.holes, 2):
         _check_pair(first, second, dimensions)
     for hole in dimensions.holes:
         _check_hole(hole, dimensions)
         _check_camera(hole, dimensions)
         _check_beam(hole, dimensions)
-    _check_finger(dimensions)
 
 
 def _check_bed(dimensions: RigDimensions) -> None:
@@ -43,8 +43,7 @@ def _check_bed(dimensions: RigDimensions) -> None:
         size <= bed,
         f"the LEDs stand up to {circle:.1f} mm from the camera's axis and the picture is "
         f"{dimensions.field_mm[0]:.0f} x {dimensions.field_mm[1]:.0f} mm, so that the parts are {size:.0f} mm wide, "
-        f"more than the printer's bed of "
-        f"{bed:g} mm (printer.bed_x_mm, bed_y_mm).",
+        f"more than the printer's bed of {bed:g} mm (printer.bed_x_mm, printer.bed_y_mm).",
     )
     high = dimensions.cylinder_mm + dimensions.settings.joint.ridge_height_mm
     require(
@@ -114,6 +113,7 @@ def _check_hole(hole: LedHole, dimensions: RigDimensions) -> None:
 
 
 def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
+    """Keep LEDs clear of the camera's board and of the lens's opening, which passes the whole view."""
     camera = dimensions.settings.camera
     own = hole.pocket_radius_mm + dimensions.settings.joint.wall_mm
     away = min(float(np.hypot(*hole.at(s)[:2])) for s in (0.0, hole.back_mm))
@@ -124,15 +124,6 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
         f"LED {hole.index} is {away:.1f} mm from the camera's axis, where the camera sits; it needs {needed:.1f} mm "
         f"at least.",
     )
-    height, light = dimensions.camera_height_mm, hole.light_mm
-    if light[2] < height:
-        reach = math.hypot(*dimensions.field_mm) / 2 * (height - float(light[2])) / height
-        radius = float(np.hypot(*light[:2]))
-        require(
-            radius >= reach + hole.radius_mm + 1.0,
-            f"LED {hole.index} stands in the camera's view: {radius:.1f} mm from the axis where the view is "
-            f"{reach:.1f} mm wide; raise it or move it outwards.",
-        )
 
 
 def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,6 @@ TOLERANCE_MM = 0.01
 TOLERANCE_RAD = 0.2
 _TIMESTAMP = "2000-01-01T00:00:00"
 """In the header of every STEP file, so that the same rig gives the same bytes."""
-_COLOURS = {"black": (0.16, 0.17, 0.19), "white": (0.93, 0.93, 0.90)}
 
 
 def triangles_of(part: RigPart) -> Triangles:
@@ -43,6 +44,7 @@ def write_step(path: Path, part: RigPart) -> None:
     from build123d import export_step  # noqa: PLC0415 - large, and only parts need it
 
     export_step(_labelled(part), str(path), timestamp=_TIMESTAMP)
+    _renumber(path)
 
 
 def write_assembly(path: Path, parts: Sequence[RigPart], *, below: bool = False) -> None:
@@ -54,18 +56,30 @@ def write_assembly(path: Path, parts: Sequence[RigPart], *, below: bool = False)
         placed = [_relabelled(Rot(180, 0, 0) * shape, shape) for shape in placed]
     assembly = Compound(label="rig", children=placed)
     export_step(assembly, str(path), timestamp=_TIMESTAMP)
+    _renumber(path)
+
+
+def _renumber(path: Path) -> None:
+    """Number the uses of parts from 1: the writer goes on counting for as long as the program runs."""
+    count = itertools.count(1)
+
+    def numbered(found: re.Match[bytes]) -> bytes:
+        rest = b"".join(line.strip() for line in found.group(2).splitlines())
+        return found.group(1) + str(next(count)).encode("ascii") + rest
+
+    text = path.read_bytes()
+    use = re.compile(rb"(= NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(',.*?;)", re.DOTALL)
+    path.write_bytes(use.sub(numbered, text))
 
 
 def _labelled(part: RigPart) -> Any:
-    from build123d import Color  # noqa: PLC0415 - large, and only parts need it
-
+    """The solid under its name; without a colour, as colours are written in an order that changes."""
     part.solid.label = part.kind.name
-    part.solid.color = Color(*_COLOURS[part.kind.colour])
     return part.solid
 
 
 def _relabelled(shape: Any, source: Any) -> Any:
-    shape.label, shape.color = source.label, source.color
+    shape.label = source.label
     return shape
 
 

@@ -44,7 +44,6 @@ def base_part(dimensions: RigDimensions) -> Shape:
     middle = d.groove_z_mm + d.groove_radius_mm
     trough = rod(d.groove_radius_mm, (0.0, -_FAR_MM, middle), (0.0, d.stop_y_mm, middle))
     above = box((-d.groove_width_mm / 2, d.groove_width_mm / 2), (-_FAR_MM, d.stop_y_mm), (rim, rim + _FAR_MM))
-    trough = cut(trough, [box((-_FAR_MM, _FAR_MM), (-_FAR_MM, d.niche_y_mm - 2.0), (-_FAR_MM, _FAR_MM))])
     return cut(fused(plate, [block, stop]), [trough, above])
 
 
@@ -73,12 +72,11 @@ def window_base_part(dimensions: RigDimensions) -> Shape:
 
 
 def _ledge(dimensions: RigDimensions) -> Shape:
-    """A wedge at the window's end, where the fingertip rests and stops."""
+    """A wedge at the window's end, where the fingertip rests and stops; it hides the last 2 mm of the tip."""
     d, half, wall = dimensions, dimensions.groove_width_mm / 2, dimensions.settings.joint.wall_mm
-    deep = 3.0
-    end, top = d.stop_y_mm, -1.0
-    rest = top - deep - 1.0 - deep
-    outline = [(end + wall / 2, rest), (end, rest), (end - deep, rest + deep), (end - deep, top), (end + wall / 2, top)]
+    deep, end = 2.0, d.stop_y_mm
+    rest = -d.settings.finger.pad_height_mm / 2 * (2.0 - math.sqrt(2.0))  # a round tip touches wall and wedge
+    outline = [(end + wall / 2, rest), (end, rest), (end - deep, rest + deep), (end + wall / 2, rest + deep)]
     return prism_x(outline, -half - wall / 2, half + wall / 2)
 
 

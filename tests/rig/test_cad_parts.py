@@ -1,0 +1,270 @@
+"""The parts as solids and as triangles, for the thesis's rig and for another one. Needs build123d."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.rig import assembly, part_files
+from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
+from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of
+from splitknit.rig.mesh_checks import check_soundness
+from splitknit.rig.mirror_shape import holder_places, mirror_front
+from splitknit.rig.part_reports import report_part
+from splitknit.rig.part_settings import PartSettings
+from splitknit.settings import override
+from splitknit.simulate.rig import default_rig
+from splitknit.types import Camera, Led, Rig
+
+build123d = pytest.importorskip("build123d", reason="build123d (extra 'rig') is not installed")
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("default::DeprecationWarning"),  # of build123d and what it imports
+]
+SMALL_LEDS = {"led.nir_diameter_mm": 3.0, "led.nir_flange_mm": 3.8, "led.nir_flange_to_light_mm": 3.2}
+
+
+def other_rig():
+    azimuths = 2 * np.pi * np.arange(6) / 6
+    leds = tuple(
+        Led(band="nir" if k % 2 else "white", position_mm=(40 * math.cos(a), 40 * math.sin(a), 120.0))
+        for k, a in enumerate(azimuths)
+    )
+    return Rig(Camera(px_per_mm=75.7, image_size=(2200, 3200), height_mm=120.0), leds)
+
+
+@pytest.fixture(scope="module", params=["thesis", "other"])
+def rig(request):
+    """Dimensions and parts by name."""
+    if request.param == "thesis":
+        dimensions = dimensions_of(default_rig())
+    else:
+        dimensions = dimensions_of(other_rig(), override(PartSettings(), SMALL_LEDS))
+    return dimensions, {part.kind.name: part for part in build_parts(dimensions)}
+
+
+def shared_volume(first, second):
+    found = first.intersect(second)
+    return 0.0 if found is None else sum(solid.volume for solid in found.solids())
+
+
+def test_each_part_is_one_valid_solid_and_prints(rig):
+    dimensions, parts = rig
+    assert list(parts) == [kind.name for kind in assembly.KINDS]
+    for name, part in parts.items():
+        assert part.solid.is_valid, name
+        assert len(part.solid.solids()) == 1
+        triangles = part_files.as_printed(part, part_files.triangles_of(part))
+        sound = check_soundness(triangles)
+        assert sound.watertight, name
+        assert sound.volume_mm3 == pytest.approx(part.solid.volume, rel=1e-2)
+        assert triangles[..., 2].min() == 0
+        report = report_part(part.kind, triangles, dimensions.settings.printer)
+        verdicts = {check: verdict["ok"] for check, verdict in report["checks"].items()}
+        assert verdicts == {"watertight": True, "wall": name != "nail", "bed": True, "overhang": True}, name
+    assert "on purpose" in parts["nail"].kind.remedy
+
+
+def test_holes_of_the_step_file_look_at_the_finger(rig, tmp_path):
+    dimensions, parts = rig
+    part_files.write_step(tmp_path / "frame.step", parts["frame"])
+    frame = build123d.import_step(tmp_path / "frame.step")
+    cylinders = [face for face in frame.faces() if face.geom_type == build123d.GeomType.CYLINDER]
+    found = set()
+    for hole in dimensions.holes:
+        for face in cylinders:
+            axis = face.axis_of_rotation
+            direction = np.array([axis.direction.X, axis.direction.Y, axis.direction.Z])
+            point = np.array([axis.position.X, axis.position.Y, axis.position.Z])
+            past_origin = np.linalg.norm(np.cross(point, direction))
+            past_light = np.linalg.norm(np.cross(point - hole.light_mm, direction))
+            if past_light < 0.01 and abs(abs(direction @ hole.back) - 1) < 1e-6:
+                assert past_origin < 0.1
+                found.add((hole.index, round(face.radius, 3)))
+    for hole in dimensions.holes:
+        assert (hole.index, round(hole.radius_mm, 3)) in found
+        assert (hole.index, round(hole.pocket_radius_mm, 3)) in found
+
+
+def test_an_led_fits_its_hole_and_shines_freely(rig):
+    """A model of the LED, pushed in up to its flange, touches nothing; pushed 0.3 mm further it does."""
+    dimensions, parts = rig
+    frame = parts["frame"].solid
+    for hole in dimensions.holes[:2]:
+        small = hole.radius_mm < 2
+        body, flange = (1.5, 1.9) if small else (2.5, 2.95)
+
+        def led(further, hole=hole, body=body, flange=flange):
+            front = hole.shoulder_mm - further
+            plane = build123d.Plane(origin=tuple(hole.at(front)), z_dir=tuple(-hole.back))
+            parts = build123d.Solid.make_cylinder(body, hole.shoulder_mm, plane)
+            plane = build123d.Plane(origin=tuple(hole.at(front)), z_dir=tuple(hole.back))
+            return parts.fuse(build123d.Solid.make_cylinder(flange, 1.0, plane))
+
+        assert shared_volume(led(0.0), frame) < 1e-6
+        assert shared_volume(led(0.3), frame) > 0.5
+        beam = build123d.Solid.make_cone(
+            hole.radius_mm * 0.9,
+            20.0,
+            float(np.linalg.norm(hole.light_mm)),
+            build123d.Plane(origin=tuple(hole.light_mm), z_dir=tuple(-hole.back)),
+        )
+        for name in STACK[1:]:
+            assert shared_volume(beam, parts[name].solid) < 1e-6, name
+
+
+@pytest.mark.parametrize("stack", [STACK, STACK_BELOW])
+def test_stacked_parts_do_not_cut_each_other_and_do_hold(rig, stack):
+    _, parts = rig
+    for first, second in itertools.combinations(stack, 2):
+        assert shared_volume(parts[first].solid, parts[second].solid) < 1e-6, (first, second)
+    for lower, upper in itertools.pairwise(stack):
+        aside = build123d.Pos(0.5, 0, 0) * parts[upper].solid
+        assert shared_volume(parts[lower].solid, aside) > 0.1, (lower, upper)  # the ridge stops it
+        pressed = build123d.Pos(0, 0, -0.1) * parts[upper].solid
+        assert shared_volume(parts[lower].solid, pressed) > 10, (lower, upper)  # faces meet
+
+
+def test_screws_go_through_one_part_into_the_next(rig):
+    dimensions, parts = rig
+    joints = ((STACK, 0), (STACK, 1), (STACK, 2), (STACK, 3), (STACK_BELOW, 0))
+    heights = (dimensions.floor_z_mm, dimensions.frame_z_mm, dimensions.box_z_mm, dimensions.lid_z_mm)
+    for stack, joint in joints:
+        z = heights[joint]
+        for azimuth in SCREWS_B_DEG if joint % 2 else SCREWS_A_DEG:
+            place = build123d.Rot(0, 0, azimuth) * build123d.Pos(dimensions.screw_mm, 0, 0)
+            screw = place * build123d.Pos(0, 0, z - 4) * build123d.Solid.make_cylinder(1.5, 8.4)
+            head = place * build123d.Pos(0, 0, z + 4.41) * build123d.Solid.make_cylinder(2.75, 3.0)
+            for name in stack:
+                assert shared_volume(parts[name].solid, screw) < 1e-6, (name, azimuth)
+                assert shared_volume(parts[name].solid, head) < 1e-6, (name, azimuth)
+            wide = place * build123d.Pos(0, 0, z - 3) * build123d.Solid.make_cylinder(2.5, 6.0)
+            assert shared_volume(parts[stack[joint]].solid, wide) > 10
+            assert shared_volume(parts[stack[joint + 1]].solid, wide) > 10
+
+
+def test_only_one_turn_fits():
+    for azimuths in (SCREWS_A_DEG, SCREWS_B_DEG):
+        for turn in range(1, 360):
+            turned = {round((azimuth + turn) % 360) for azimuth in azimuths}
+            assert turned != {round(azimuth) for azimuth in azimuths}
+
+
+def test_boards_and_cable_fit(rig):
+    dimensions, parts = rig
+    board, camera = dimensions.settings.board, dimensions.settings.camera
+    floor = dimensions.box_z_mm + dimensions.settings.joint.plate_mm
+    low = floor + board.pi_post_height_mm
+    pi = build123d.Pos(-42.5, -28, low) * build123d.Solid.make_box(85 + 3, 56, 1.5 + 16)
+    over = low + 1.5 + board.pcb_over_pi_mm
+    pcb = build123d.Pos(-45, -35, over) * build123d.Solid.make_box(90, 70, 1.6 + board.pcb_parts_mm - 0.1)
+    y = -camera.lens_to_connector_mm
+    eye = build123d.Pos(-12.5, y, dimensions.board_z_mm) * build123d.Solid.make_box(25, 24, 8)
+    lens = build123d.Pos(0, 0, dimensions.frame_z_mm - 12) * build123d.Solid.make_cylinder(7.0, 30)
+    for thing in (pi, pcb, eye, lens):
+        for name in STACK:
+            assert shared_volume(thing, parts[name].solid) < 1e-6, name
+    post = build123d.Pos(*(21 / 2, 12.5), dimensions.board_z_mm - 1) * build123d.Solid.make_cylinder(2.4, 0.9)
+    assert shared_volume(post, parts["frame"].solid) > 10
+
+
+def test_what_calibrates_stands_on_the_finger_plane(rig):
+    dimensions, parts = rig
+    bounds = parts["nail"].solid.bounding_box()
+    ends = [bounds.min.Z, bounds.max.Z]
+    assert ends == pytest.approx([0.0, dimensions.nail_mm])
+    for name in ("calibration_disc", "calibration_disc_flat"):
+        disc = parts[name].solid
+        highest = disc.bounding_box().max.Z
+        assert highest == pytest.approx(0.0)
+        for other in ("base", "cylinder", "nail"):
+            assert shared_volume(disc, parts[other].solid) < 1e-6
+        aside = build123d.Pos(0.5, 0, 0) * disc
+        assert shared_volume(aside, parts["base"].solid) > 0.1  # the pocket holds it
+    centres = set()
+    for face in parts["calibration_disc"].solid.faces():
+        if face.geom_type == build123d.GeomType.CYLINDER and abs(face.radius - 0.75) < 1e-6:
+            axis = face.axis_of_rotation
+            centres.add((round(axis.position.X, 3) + 0.0, round(axis.position.Y, 3) + 0.0))
+    assert (0.0, 0.0) in centres
+    assert (10.0, -20.0) in centres
+    assert len(centres) == 21
+    assert shared_volume(parts["calibration_dots"].solid, parts["calibration_disc_flat"].solid) < 1e-6
+
+
+def test_mirrors_stand_beside_the_finger_at_45_deg(rig):
+    dimensions, parts = rig
+    holder = parts["mirror_holder"].solid
+    x, y, _ = holder_places(dimensions)[0]
+    local = build123d.Pos(-x, -y, 0) * holder
+    placed = [
+        build123d.Pos(px, py, 0) * build123d.Rot(0, 0, turn) * local for px, py, turn in holder_places(dimensions)
+    ]
+    for shape in placed:
+        assert shared_volume(shape, parts["base"].solid) < 1e-6
+        assert shared_volume(shape, parts["cylinder"].solid) < 1e-6
+        aside = build123d.Pos(0.5, 0.5, 0) * shape
+        assert shared_volume(aside, parts["base"].solid) > 0.1  # the pocket holds it
+    for first, second in itertools.combinations(placed, 2):
+        assert shared_volume(first, second) < 1e-6
+    mirror = dimensions.settings.mirror
+    u, v = mirror_front(dimensions.settings)
+    foot = dimensions.floor_z_mm - dimensions.pocket_mm
+    glass = build123d.Solid.make_box(mirror.wide_mm, mirror.long_mm, mirror.thick_mm)
+    glass = (
+        build123d.Pos(x + u, y - mirror.long_mm / 2, foot + v)
+        * build123d.Rot(0, -45, 0)
+        * (build123d.Pos(0, 0, -mirror.thick_mm) * glass)
+    )
+    assert shared_volume(glass, holder) < 1e-6
+    pressed = build123d.Pos(0.5, 0, -0.5) * glass
+    assert shared_volume(pressed, holder) > 50  # it lies on the ramp along its whole length
+
+
+def test_a_finger_goes_in_from_either_side(rig):
+    """A finger of 16 mm on its back in the groove; and pad down over the window, its pad at the finger plane."""
+    dimensions, parts = rig
+    start, end = dimensions.niche_y_mm - 30, dimensions.stop_y_mm - 7
+    radius = dimensions.settings.finger.pad_height_mm / 2
+    axis = build123d.Plane(origin=(0, start, -radius), z_dir=(0, 1, 0))
+    finger = build123d.Solid.make_cylinder(radius, end - start, axis)
+    tip = build123d.Pos(0, end, -radius) * build123d.Solid.make_sphere(radius, angle1=-90, angle2=90)
+    finger = finger.fuse(tip)
+    for name in ("base", "cylinder"):
+        assert shared_volume(finger, parts[name].solid) < 0.5
+    assert shared_volume(finger, parts["window_base"].solid) < 12  # touches: groove and ledge
+    lifted = build123d.Pos(0, 0, 0.5) * finger
+    assert shared_volume(lifted, parts["window_base"].solid) > 5  # it rests there
+    lowered = build123d.Pos(0, 0, -0.5) * finger
+    assert shared_volume(lowered, parts["base"].solid) > 5
+    picture = build123d.Pos(-8, -14, 0.05) * build123d.Solid.make_box(16, 14 + dimensions.stop_y_mm - 4, 100)
+    for name in ("base", "window_base", "cylinder"):
+        assert shared_volume(picture, parts[name].solid) < 1e-6  # nothing in front of the pad
+
+
+def test_files_are_the_same_every_time(tmp_path):
+    dimensions = dimensions_of(other_rig())
+    for run in ("a", "b"):
+        (tmp_path / run).mkdir()
+        parts = {part.kind.name: part for part in build_parts(dimensions)}
+        part_files.write_assembly(tmp_path / run / "up.step", [parts[name] for name in STACK])
+        part_files.write_assembly(tmp_path / run / "down.step", [parts[name] for name in STACK_BELOW], below=True)
+        part_files.write_step(tmp_path / run / "nail.step", parts["nail"])
+    for name in ("up.step", "down.step", "nail.step"):
+        first, second = ((tmp_path / run / name).read_bytes() for run in ("a", "b"))
+        assert first == second, name
+    up, down = (build123d.import_step(tmp_path / "a" / name) for name in ("up.step", "down.step"))
+    ends = [up.bounding_box().max.Z, down.bounding_box().min.Z]
+    assert ends == pytest.approx([dimensions.top_z_mm, -dimensions.top_z_mm])
+    assert len(up.solids()) == len(down.solids()) == 5
+
+
+def test_a_rig_that_cannot_be_built_is_not_drawn():
+    dimensions = dimensions_of(default_rig(), override(PartSettings(), {"printer.bed_x_mm": 100.0}))
+    with pytest.raises(BadInput, match="more than the printer's bed of 100 mm"):
+        build_parts(dimensions)

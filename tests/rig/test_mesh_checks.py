@@ -1,0 +1,187 @@
+"""Checks of meshes, on bodies whose answers are known; no CAD needed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.rig.assembly import PartKind
+from splitknit.rig.mesh_checks import check_soundness, thinnest_wall
+from splitknit.rig.part_reports import report_part
+from splitknit.rig.print_settings import PrinterSettings
+from splitknit.rig.printable import overhang, slice_mask
+from splitknit.rig.rays import first_hits
+from splitknit.rig.stl import read_stl, write_stl
+
+CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)
+QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+
+
+def block(low, high):
+    low, high = np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
+    corners = low + CORNERS * (high - low)
+    faces = [face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))]
+    return corners[np.array(faces)].astype(np.float32)
+
+
+def hollow(outside, wall):
+    inside = block((wall,) * 3, tuple(value - wall for value in outside))[:, ::-1]
+    return np.concatenate([block((0, 0, 0), outside), inside])
+
+
+def prism(outline, length):
+    """A polygon (x, z), convex, counter-clockwise seen from -y, extruded along y."""
+    count = len(outline)
+    front = np.array([(x, 0.0, z) for x, z in outline])
+    back = front + np.array([0.0, length, 0.0])
+    faces = [(front[0], front[k], front[k + 1]) for k in range(1, count - 1)]
+    faces += [(back[0], back[k + 1], back[k]) for k in range(1, count - 1)]
+    for k in range(count):
+        n = (k + 1) % count
+        faces += [(front[k], back[n], front[n]), (front[k], back[k], back[n])]
+    return np.array(faces, dtype=np.float32)
+
+
+def test_a_block_is_watertight():
+    sound = check_soundness(block((1, 2, 3), (4, 6, 8)))
+    assert sound.watertight
+    assert (sound.triangles, sound.edges, sound.flat_triangles) == (12, 18, 0)
+    assert sound.volume_mm3 == pytest.approx(60)
+    assert sound.area_mm2 == pytest.approx(94)
+
+
+def test_holes_and_turned_triangles_are_found():
+    mesh = block((0, 0, 0), (1, 1, 1))
+    assert check_soundness(mesh[1:]).open_edges == 3
+    assert not check_soundness(mesh[1:]).watertight
+    turned = mesh.copy()
+    turned[0] = turned[0, ::-1]
+    assert check_soundness(turned).turned_edges == 3
+    assert not check_soundness(turned).watertight
+    assert not check_soundness(mesh[:, ::-1]).watertight  # inside out
+    assert check_soundness(np.concatenate([mesh, mesh])).open_edges == 18
+    assert not check_soundness(np.zeros((0, 3, 3), dtype=np.float32)).watertight
+    with pytest.raises(BadInput, match="must be"):
+        check_soundness(np.zeros((3, 3)))
+
+
+def test_the_wall_of_a_box_is_measured():
+    wall = thinnest_wall(hollow((30, 20, 12), 1.5))
+    assert wall.thickness_mm == pytest.approx(1.5, abs=1e-3)
+    thin = hollow((30, 20, 12), 1.5)
+    thin[12:][thin[12:] == 30 - 1.5] = 30 - 0.7
+    wall = thinnest_wall(thin)
+    assert wall.thickness_mm == pytest.approx(0.7, abs=1e-3)
+    assert wall.place_mm[0] > 29
+
+
+def test_an_edge_is_no_wall():
+    wedge = prism([(0, 0), (6, 0), (0, 6)], 5.0)
+    assert check_soundness(wedge).watertight
+    assert thinnest_wall(wedge).thickness_mm > 4.9  # between its two ends, not at its 45 deg edges
+
+
+def test_rays_agree_with_solving_each_triangle():
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(40, 3, 3)) * 3
+    origins = rng.normal(size=(150, 3)) * 4
+    directions = rng.normal(size=(150, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    expected = np.full(len(origins), np.inf)
+    for ray in range(len(origins)):
+        for a, b, c in corners:
+            t, u, v = np.linalg.solve(np.stack([-directions[ray], b - a, c - a], axis=1), origins[ray] - a)
+            if t > 1e-6 and u >= 0 and v >= 0 and u + v <= 1 and t <= 6:
+                expected[ray] = min(expected[ray], t)
+    distance, triangle = first_hits(corners, origins, directions, 6.0)
+    assert np.isfinite(expected).sum() > 20
+    assert np.array_equal(np.isfinite(distance), np.isfinite(expected))
+    assert np.allclose(distance[np.isfinite(distance)], expected[np.isfinite(expected)])
+    assert np.array_equal(triangle >= 0, np.isfinite(expected))
+
+
+def test_a_slice_shows_the_inside():
+    mesh = hollow((30, 20, 12), 2.0)
+    mask = slice_mask(mesh.astype(float), 6.05, np.array([-1.0, -1.0]), (44, 64), 0.5)
+    rows, columns = np.indices(mask.shape)
+    x, y = columns * 0.5 - 1, rows * 0.5 - 1
+    outside = (x > 0) & (x < 30) & (y > 0) & (y < 20)
+    inside = (x > 2) & (x < 28) & (y > 2) & (y < 18)
+    clear = np.ones_like(mask)
+    for edge in (0, 2, 28, 30):
+        clear &= np.abs(x - edge) > 0.01
+    for edge in (0, 2, 18, 20):
+        clear &= np.abs(y - edge) > 0.01
+    assert np.array_equal(mask[clear], (outside & ~inside)[clear])
+    assert not slice_mask(mesh.astype(float), 15.0, np.array([-1.0, -1.0]), (44, 64), 0.5).any()
+
+
+def test_a_bridge_is_as_long_as_the_gap():
+    """A table with two legs: its top spans 8 mm; a ledge that is held on one side counts twice."""
+    legs = [block((0, 0, 0), (2, 10, 6)), block((10, 0, 0), (12, 10, 6))]
+    table = np.concatenate([*legs, block((0, 0, 6), (12, 10, 8))])
+    found = overhang(table)
+    assert found.bridge_mm == pytest.approx(8, abs=0.6)
+    assert found.bridge_z_mm == pytest.approx(6, abs=0.21)
+    ledge = np.concatenate([block((0, 0, 0), (4, 10, 6)), block((0, 0, 6), (7, 10, 8))])
+    assert overhang(ledge).bridge_mm == pytest.approx(6, abs=0.6)
+    assert overhang(block((0, 0, 0), (4, 4, 4))).bridge_mm == 0
+
+
+@pytest.mark.parametrize(("lean", "steep"), [(40.0, False), (45.0, False), (50.0, True)])
+def test_leaning_faces_are_judged_by_their_angle(lean, steep):
+    shift = 10 * np.tan(np.deg2rad(lean))
+    body = prism([(0, 0), (5, 0), (5 + shift, 10), (0, 10)], 20.0)
+    assert check_soundness(body).watertight
+    found = overhang(body)
+    expected = 20 * 10 / np.cos(np.deg2rad(lean)) if steep else 0.0
+    assert found.steep_mm2 == pytest.approx(expected, rel=1e-5)
+    assert overhang(body, limit_deg=60.0).steep_mm2 == 0
+
+
+def test_stl_round_trip(tmp_path):
+    mesh = block((0, 0, 0), (3, 4, 5))
+    write_stl(tmp_path / "a.stl", mesh, "block")
+    write_stl(tmp_path / "b.stl", mesh, "block")
+    assert np.array_equal(read_stl(tmp_path / "a.stl"), mesh)
+    assert (tmp_path / "a.stl").read_bytes() == (tmp_path / "b.stl").read_bytes()
+    assert (tmp_path / "a.stl").stat().st_size == 84 + 50 * 12
+    lines = ["solid block"]
+    for triangle in mesh:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"vertex {x} {y} {z}" for x, y, z in triangle]
+        lines += ["endloop", "endfacet"]
+    (tmp_path / "text.stl").write_text("\n".join([*lines, "endsolid"]))
+    assert np.array_equal(read_stl(tmp_path / "text.stl"), mesh)
+
+
+def test_files_that_are_no_stl_are_refused(tmp_path):
+    mesh = block((0, 0, 0), (1, 1, 1))
+    write_stl(tmp_path / "cut.stl", mesh)
+    (tmp_path / "cut.stl").write_bytes((tmp_path / "cut.stl").read_bytes()[:-7])
+    (tmp_path / "odd.stl").write_text("solid x\nvertex 1 2 3\nvertex 1 2\n")
+    for name, words in (("cut.stl", "not an STL file"), ("odd.stl", "do not make triangles"), ("none.stl", "read")):
+        with pytest.raises(BadInput, match=words):
+            read_stl(tmp_path / name)
+
+
+def test_what_is_outside_a_limit_is_said():
+    kind = PartKind("thing", "Thing", "nowhere", quantity=2)
+    thin = hollow((30, 20, 12), 0.5)
+    report = report_part(kind, thin, PrinterSettings(bed_x_mm=25.0))
+    assert [report["checks"][name]["ok"] for name in ("watertight", "wall", "bed", "overhang")] == [
+        True,
+        False,
+        False,
+        False,
+    ]
+    text = " ".join(report["findings"])
+    for words in ("larger than the printer's bed", "measures 0.50 mm", "print it with support"):
+        assert words in text
+    assert report["volume_cm3"] == pytest.approx(7.2 - 29 * 19 * 11 / 1000, abs=1e-3)
+    assert report["mass_g"] == pytest.approx(1.24 * report["volume_cm3"], abs=0.06)
+    good = report_part(kind, block((0, 0, 0), (10, 10, 10)), PrinterSettings())
+    assert good["findings"] == []
+    with pytest.raises(RuntimeError, match="not closed"):
+        report_part(kind, thin[1:], PrinterSettings())
