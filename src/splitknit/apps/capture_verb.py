@@ -193,11 +193,14 @@ class _FocusBar:
         share = min(focus.sharpness / watch.best, 1.0) if watch.best > 0 else 0.0
         full = round(_BAR * share)
         bar = "#" * full + "." * (_BAR - full)
-        sys.stderr.write(f"\rfocus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)")
+        text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
+        sys.stderr.write(f"\r{text}")
         sys.stderr.flush()
         done = sys.stdin.isatty() and bool(select.select([sys.stdin], [], [], 0)[0])
         if done:
             sys.stdin.readline()
+        if done or watch.ended:
+            sys.stderr.write(f"\r{' ' * len(text)}\r")
         return done
 
 

@@ -116,6 +116,8 @@ class FocusWatch:
     settings: FocusSettings = field(default_factory=FocusSettings)
     best: float = 0.0
     measured: int = 0
+    ended: bool = False
+    """Whether it is enough."""
     _idle: int = 0
 
     def add(self, focus: Focus) -> bool:
@@ -126,7 +128,8 @@ class FocusWatch:
         else:
             self._idle += 1
         self.best = max(self.best, focus.sharpness)
-        return self._idle >= self.settings.patience or self.measured >= self.settings.most
+        self.ended = self._idle >= self.settings.patience or self.measured >= self.settings.most
+        return self.ended
 
 
 def grey_light(pixels: NDArray[np.unsignedinteger], black_level: float = 0.0) -> FloatArray:
