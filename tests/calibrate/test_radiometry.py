@@ -256,3 +256,17 @@ def test_names_and_cells(rig, capture):
     assert cells.shape == (5, 8)
     rows, columns = rig.camera.image_size
     assert cells.pixels.mean(axis=0) == pytest.approx([(columns - 1) / 2, (rows - 1) / 2], abs=12)
+
+
+def test_a_mottled_card_is_not_laid_to_an_led(rig, capture):
+    rows, columns = rig.camera.image_size
+    spots = (
+        1
+        + 0.017 * np.sign(np.sin(np.arange(rows) / 6))[:, None, None] * np.sign(np.sin(np.arange(columns) / 7))[:, None]
+    )
+    bands = {
+        name: replace(band, pixels=np.round(band.pixels * spots).astype(np.uint16))
+        for name, band in capture.bands.items()
+    }
+    with pytest.raises(BadInput, match=r"the card is not uniform: it differs by 1\.\d % from place to place"):
+        calibrate_radiometry(replace(capture, bands=bands), as_placed(rig))

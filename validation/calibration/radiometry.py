@@ -1,7 +1,7 @@
 """How well a rig's light is known after ``splitknit calibrate radiometry``, on rigs as people build them.
 
-    python validation/calibration/radiometry.py                      # 20 rigs: about ten minutes of one core
-    python validation/calibration/radiometry.py --rigs 3 --scale 0.1 # quick
+    python validation/calibration/radiometry.py                      # 20 rigs: about six minutes of one core
+    python validation/calibration/radiometry.py --rigs 2 --fingers 1 --out FILE
 
 Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams and brightness of 14
 LEDs. The twin photographs a white card; the calibration knows the camera and the LEDs' places (exactly or not) and
@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
     parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--scale", type=float, default=0.15, help="of the images (default: 0.15)")
-    parser.add_argument("--fingers", type=int, default=10, help="simulated fingers for the drift (default: 10)")
+    parser.add_argument("--scale", type=float, default=0.12, help="of the images (default: 0.12)")
+    parser.add_argument("--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)")
     parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
     options = parser.parse_args(arguments)
     seeds = range(options.first_seed, options.first_seed + options.rigs)

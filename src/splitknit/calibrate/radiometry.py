@@ -132,6 +132,11 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
         f"borders.",
     )
     worst = int(np.argmax(flat.rms_percent))
+    require(
+        flat.rms_percent[worst] <= settings.limit_percent or flat.common_percent < 0.7 * flat.rms_percent[worst],
+        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs alike; "
+        f"use a clean matt white card.",
+    )
     rms = float(flat.rms_percent[worst])
     require(
         rms <= settings.limit_percent,
