@@ -184,7 +184,7 @@ def test_bad_input_is_one_sentence(capsys, words, expected):
 
 @pytest.fixture(scope="module")
 def nail_photographs(tmp_path_factory):
-    """Two positions of the nail under a built rig's white LEDs, at a tenth of the scale; the rig file knows the camera."""
+    """Two positions of the nail under white LEDs, at a tenth of the scale; the rig file knows the built camera."""
     folder = tmp_path_factory.mktemp("nail")
     true = built_rig(6, scale=0.1)
     write_rig(replace(nominal_rig(0.1), camera=true.camera), folder / "nominal.json")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.pictures import BLUE, ORANGE, SKY, ColourArray
+from splitknit.apps.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.calibrate.shadow import NailView
 from splitknit.types import FloatArray
 
@@ -53,7 +53,7 @@ def nail_tile(
         cv2.line(picture, _at(tip_px, scale), _at(nail_px + away, scale), SKY, 1, cv2.LINE_AA, 4)
         cv2.circle(picture, _at(tip_px, scale), 6 * 16, ORANGE, 1, cv2.LINE_AA, 4)
     for x, y in ((6 * 16, 0), (0, 6 * 16)):
-        cv2.line(picture, (nail[0] - x, nail[1] - y), (nail[0] + x, nail[1] + y), BLUE, 1, cv2.LINE_AA, 4)
+        cv2.line(picture, (nail[0] - x, nail[1] - y), (nail[0] + x, nail[1] + y), PAPER, 1, cv2.LINE_AA, 4)
     words = name if np.isfinite(tip_px).all() else f"{name}: out of the picture"
     cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 3, cv2.LINE_AA)
     cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
