@@ -134,7 +134,7 @@ def find_board(pixels: Any, board: Board, settings: BoardSettings = DEFAULTS) ->
     """
     image = grey(pixels)
     for small, factor in _reduced(image, settings):
-        for search in (_by_sector, _by_quads):
+        for search in (_by_quads, _by_sector):  # the quick one first; what either finds is checked and refined
             grid = search(small, board)
             if grid is None:
                 continue
