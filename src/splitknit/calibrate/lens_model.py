@@ -34,7 +34,7 @@ class LensSettings:
     """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
     longer side."""
 
-    gross_aspect: float = 0.005
+    gross_aspect: float = 0.015
     """A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
 
     def __post_init__(self) -> None:
