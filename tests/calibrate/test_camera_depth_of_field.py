@@ -49,6 +49,8 @@ def test_the_f_number_that_is_needed_is_enough():
     assert stopped.near_mm == pytest.approx(136)
     airy = 2.44 * 0.550e-3 * field.needed_f_number * (10598 * 1.12e-3 / field.focal_length_mm)
     assert field.diffraction_px == pytest.approx(airy / 1.12e-3)
+    best = depth_of_field(10598.0, 1.12, field.best_f_number, 140.0)
+    assert best.blur_px == pytest.approx(field.diffraction_px * field.best_f_number / field.needed_f_number)
 
 
 def test_binned_pixels_are_larger():

@@ -121,6 +121,7 @@ def _sharpness(found: FoundCamera) -> dict[str, Any] | None:
         "blur_px": field.blur_px,
         "needed_f_number": field.needed_f_number,
         "diffraction_px": field.diffraction_px,
+        "best_f_number": field.best_f_number,
     }
 
 

@@ -38,6 +38,11 @@ class DepthOfField:
         return self.far_mm - self.near_mm
 
     @property
+    def best_f_number(self) -> float:
+        """At which defocus at the finger's ends and diffraction blur alike: stopping down further gains nothing."""
+        return self.needed_f_number / float(np.sqrt(self.diffraction_px))
+
+    @property
     def fits(self) -> bool:
         """Whether the finger is sharp throughout."""
         return self.depth_mm >= self.finger_depth_mm
