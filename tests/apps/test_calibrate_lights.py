@@ -259,3 +259,21 @@ def test_photographs_of_a_ball(capsys, tmp_path):
         assert np.degrees(np.linalg.norm(np.array(led.direction) - known)) < 3.0
     write_image(tmp_path / "mask.png", np.zeros((220, 320), np.uint8))
     assert "empty" in refused(capsys, *words)
+
+
+def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):
+    """Two LEDs' photographs exchanged in one position: refused, and the picture says why."""
+    folder, _ = nail_photographs
+    copy = tmp_path / "copy"
+    shutil.copytree(folder / "photographs", copy)
+    first, second = copy / "nail_10" / "white_1.png", copy / "nail_10" / "white_4.png"
+    second.rename(copy / "kept.png")
+    first.rename(second)
+    (copy / "kept.png").rename(first)
+    words = ("--images", copy, "--rig", folder / "nominal.json", "--out", tmp_path / "rig.json", "--method", "circle")
+    code, said, message = run(capsys, *words, "--json")
+    assert code == 2 and message.count("\n") == 1
+    assert "white 1" in message and "white 4" in message and "white 2" not in message
+    facts = json.loads(said)
+    assert facts["show"] in message and Path(facts["show"]).is_file() and Path(facts["tips_out"]).is_file()
+    assert not (tmp_path / "rig.json").exists()

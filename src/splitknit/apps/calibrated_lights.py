@@ -93,10 +93,11 @@ def calibrate_lights(
         "leds": leds,
         "totals": _totals(judged, leds),
         "joint": None if joint is None else _joint_facts(joint, sound),
-        "warnings": _warnings(judged, joint, sound, method),
-        "refused": sentence,
+        "warnings": _warnings(judged, joint, sound, method)
+        + ([f"kept although {sentence}"] if keep and sentence else []),
+        "refused": None if keep else sentence,
     }
-    return LightCalibration(method, judged, chosen, facts, None if keep and sentence else sentence)
+    return LightCalibration(method, judged, chosen, facts, None if keep else sentence)
 
 
 def rig_of(

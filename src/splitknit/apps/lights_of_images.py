@@ -13,7 +13,7 @@ import numpy as np
 
 from splitknit.apps.light_pictures import nail_overview
 from splitknit.apps.lights_of_nail import Task, finish
-from splitknit.apps.verb import Outcome
+from splitknit.apps.verb import Outcome, Refused
 from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit.calibrate.shadow import NailView, find_nail
 from splitknit.check import BadInput, require
@@ -68,12 +68,16 @@ def lights_of_images(task: Task, progress: Callable[[str, float], None]) -> Outc
             stream.write(write_tips(tips).encode("ascii"))
     if not tips:
         raise BadInput(f"{options.images}: all shadows leave the picture; use a shorter nail or move it to the middle.")
-    facts, lines = finish(task, tips, hashes, str(options.images))
     shown: dict[str, Any] = {
         "show": None if show is None else str(show),
         "tips_out": None if table is None else str(table),
         "shadows_out_of_the_picture": lost,
     }
+    try:
+        facts, lines = finish(task, tips, hashes, str(options.images))
+    except Refused as error:
+        seen = "" if show is None else f" ({show} shows what was found)"
+        raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
     lines += [f"Please note: the shadow leaves the picture for {', '.join(lost)}."] if lost else []
     lines += [f"Please look at {show}: nail (cross), shadow tip (ring), ray to the LED (line)."] if show else []
     lines += [f"Correct {table} where it is wrong, and give it to --table."] if table else []

@@ -147,7 +147,7 @@ def refusal(judged: Sequence[Judged], limit_deg: float, stray_mm: float = 10.0) 
         return None
     return (
         f"{', and '.join(parts)}; correct the pixels or photograph the nail again under these LEDs, or keep them as "
-        f"they are with --keep."
+        f"they are (--keep)."
     )
 
 

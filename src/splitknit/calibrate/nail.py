@@ -95,7 +95,7 @@ def _solve(model: NailModel) -> tuple[Points, Points]:
     first, height = by_circle(
         model.tips, model.camera, model.circle, known_height_mm=settings.nail_height_mm, seen=settings.nail_seen
     )
-    height = float(np.clip(height, 0.6, HIGHEST * model.circle.height_mm))
+    height = float(np.clip(height, 0.6, _highest(model)))
     places = nail_points(model.camera, model.places_px, height, settings.nail_seen)
     x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
     weights = np.ones(len(model.tips))
@@ -128,9 +128,13 @@ def _least_squares(model: NailModel, x: Points, weights: Points) -> Points:
     return x
 
 
+def _highest(model: NailModel) -> float:
+    return HIGHEST * min(model.circle.height_mm, model.camera.height_mm)
+
+
 def _within(model: NailModel, x: Points) -> Points:
     """Keep the nail above the plane and below the LEDs, and the LEDs above it."""
-    top = HIGHEST * model.circle.height_mm
+    top = _highest(model)
     x = x.copy()
     x[model.at_height] = np.clip(x[model.at_height], 0.5, top)
     x[2 : 3 * len(model.names) : 3] = np.maximum(x[2 : 3 * len(model.names) : 3], 1.1 * top)
