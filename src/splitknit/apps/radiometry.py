@@ -13,13 +13,8 @@ import numpy as np
 
 from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.pictures import ColourArray, colour
-from splitknit.apps.radiometry_folder import (
-    black_level_of,
-    black_level_warning,
-    camera_json,
-    measure_camera,
-    read_radiometry_plan,
-)
+from splitknit.apps.radiometry_camera import black_level_of, black_level_warning, camera_json, measure_camera
+from splitknit.apps.radiometry_folder import read_radiometry_plan
 from splitknit.apps.verb import Outcome
 from splitknit.calibrate.card_check import check_card, check_facts
 from splitknit.calibrate.card_light import CardPlane
