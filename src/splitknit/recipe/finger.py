@@ -9,7 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from splitknit.calibrate.drift import drift_words, led_drift
 from splitknit.check import BadInput, require
 from splitknit.preprocess import (
     Upright,
@@ -154,12 +156,30 @@ def _quality(  # noqa: PLR0917
             motion = shot_motion(stack, outline, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             words += motion_warnings(motion, settings.motion)
+        if "radiometry" in capture.rig.provenance and len(stack) >= 5:
+            drift, said = _drift(capture, band, stack, lights, outline)
+            found["light_drift"] = drift
+            words += said
         return found, [f"{name} band: {text}" for text in words]
 
     with ThreadPoolExecutor(2) as pool:
         found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
     quality = {name: figures for name, (figures, _) in found.items()}
     return quality, tuple(text for _, words in found.values() for text in words)
+
+
+def _drift(
+    capture: Capture, band: Band, stack: FloatArray, lights: NDArray[np.float64], outline: BoolArray
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Whether the LEDs still are as bright as the rig's radiometric calibration found them."""
+    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.name]
+    names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in band.leds]
+    try:
+        drift = led_drift(stack, lights, outline)
+    except BadInput:  # too little of the finger is lit by all of them: nothing can be said
+        return None, []
+    facts = {"gain": [float(v) for v in drift.gain], "error": [float(v) for v in drift.error]}
+    return facts, drift_words(drift, names)
 
 
 def _ambient(band: Band, encoding: str, binning: int) -> FloatArray | None:
