@@ -155,6 +155,11 @@ def test_geometry(capsys, tmp_path):
     assert run(capsys, "--geometry", *GOOD, "--out", out)[0] == 0
     for led, truth in zip(read_rig(out).leds, default_rig().leds, strict=True):
         assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm)
+    write_rig(default_rig(seed=2), tmp_path / "old.json")
+    assert run(capsys, "--geometry", "--rig", tmp_path / "old.json", "--led-radius-cm", "5", "--out", out)[0] == 0
+    for led, old in zip(read_rig(out).leds, default_rig(seed=2).leds, strict=True):
+        assert led.intensity == old.intensity
+        assert np.hypot(*led.position_mm[:2]) == pytest.approx(50.0)
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.calibrated_lights import LightSettings
+from splitknit.apps.calibrated_lights import LightSettings, rig_of
 from splitknit.apps.options import read_changes
 from splitknit.apps.verb import Outcome
 from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND
-from splitknit.calibrate.lights import Circle
+from splitknit.calibrate.lights import Circle, combine
 from splitknit.check import require
 from splitknit.io import plain_json, provenance, read_rig, write_rig
 from splitknit.settings import override
-from splitknit.types import Camera, Led, Rig
+from splitknit.types import Camera, Rig
 from splitknit.view import plane_points
 
 
@@ -119,19 +119,19 @@ def settings_of(options: argparse.Namespace) -> LightSettings:
 def nominal_lights(options: argparse.Namespace, inputs: RigInputs) -> Outcome:
     """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
     circle = circle_of(options, inputs)
-    leds, facts = [], []
+    found, facts = {}, []
     for nir, band in enumerate(BANDS):
         for led in range(LEDS_PER_BAND):
             azimuth = math.radians(options.first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
             x = circle.centre_mm[0] + circle.radius_mm * math.cos(azimuth)
             y = circle.centre_mm[1] + circle.radius_mm * math.sin(azimuth)
-            arm = np.array([x, y, circle.height_mm]) - circle.foot_mm
-            leds.append(Led(band=band, position_mm=(x, y, circle.height_mm)))
+            place = np.array([[x, y, circle.height_mm]])
+            found[band, led] = combine(band, led, place, (), circle)
             facts.append(
                 {
                     "band": band,
                     "led": led,
-                    "direction": (arm / np.linalg.norm(arm)).tolist(),
+                    "direction": found[band, led].direction.tolist(),
                     "position_mm": [x, y, circle.height_mm],
                     "disagreement_deg": None,
                     "verdict": "nominal",
@@ -139,10 +139,9 @@ def nominal_lights(options: argparse.Namespace, inputs: RigInputs) -> Outcome:
                 }
             )
     origin = plain_json({**provenance({"circle": circle, "first_azimuth_deg": options.first_azimuth_deg})})
-    before = dict(inputs.base.provenance) if inputs.base is not None else {}
-    rig = Rig(inputs.camera, tuple(leds), {**before, "lights": {"method": "geometry", "provenance": origin}})
+    rig = rig_of(found, inputs.camera, inputs.base, {"method": "geometry", "provenance": origin})
     write_rig(rig, options.out)
-    lines = [f"{len(leds)} LEDs where the drawing has them, not measured; written to {options.out}."]
+    lines = [f"{len(found)} LEDs where the drawing has them, not measured; written to {options.out}."]
     return {"method": "geometry", "leds": facts, "written": True, "out": str(options.out)}, lines
 
 
