@@ -70,6 +70,11 @@ def test_a_finished_sweep_is_not_done_again(swept: Path, monkeypatch: pytest.Mon
     assert {path.name: path.read_bytes() for path in swept.iterdir() if path.is_file()} == before
 
 
+def test_help_is_said(capsys: Captured) -> None:
+    assert main(["rig", "optimise", "--help"]) == 0
+    assert "95 % variant" in " ".join(capsys.readouterr().out.split())
+
+
 def test_json_is_one_object(swept: Path, capsys: Captured) -> None:
     assert main(["rig", "optimise", "--out", str(swept), *SMALL, "--objective", "rms", "--json"]) == 0
     said = capsys.readouterr()
@@ -125,7 +130,7 @@ def test_heat_map_says_why_a_rig_is_missing() -> None:
     ]
     drawn = standalone(heat_map(cells, "radius", "height", "mm", title="error <of> rigs")).decode()
     ElementTree.fromstring(drawn)
-    assert "glare" in drawn and "url(#stripes)" in drawn and "2 •" in drawn and "&lt;of&gt;" in drawn
+    assert "glare" in drawn and "url(#stripes)" in drawn and "2.00 •" in drawn and "&lt;of&gt;" in drawn
     assert drawn.count('stroke-dasharray="4 3"') == 1
 
 

@@ -63,12 +63,12 @@ def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
 POWERS = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
 METRIC: dict[str, Any] = {"method": "metric", "material": "skin"}
 SWEEPS: dict[str, Sweep] = {
-    "ea_opaque": _plane(4),
+    "ea_opaque": _plane(8),
     "ea_poisson_opaque": _plane(4, method="ea-poisson"),
     "ea_skin": _plane(4, material="skin"),
-    "metric_skin": _plane(3, (100.0, 140.0, 200.0), RADII, **METRIC),
+    "metric_skin": _plane(6, (100.0, 140.0, 200.0), (35.0, 52.5, 80.0, 100.0), **METRIC),
     "near_ea_opaque": _plane(4, (50.0, 70.0, 85.0), (52.5, 65.0, 80.0, 100.0)),
-    "parallel_ea_opaque": _plane(4, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")),
+    "parallel_ea_opaque": _plane(8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")),
     "power_ea_opaque": _powers(4, POWERS),
     "power_metric_skin": _powers(3, POWERS, **METRIC),
     "tilt_ea_opaque": _tilts(4),

@@ -83,12 +83,13 @@ def _interval(row: Row, objective: str) -> str:
 
 def _axis(results: Mapping[str, Any], axis: str) -> str:
     name = {"power_w": "power", "tilt_deg": "tilt", "px_per_mm": "resolution"}[axis]
-    pair = [results.get(f"{name}_{kind}") for kind in ("ea_opaque", "metric_skin")]
-    if any(sweep is None for sweep in pair):
+    names = [f"{name}_{kind}" for kind in ("ea_opaque", "metric_skin")]
+    if any(one not in results for one in names):
         return ""
-    thesis, ours = ({_value(row, axis): row for row in sweep["rows"]} for sweep in pair if sweep is not None)
+    pair = [results[one] for one in names]
+    thesis, ours = ({_value(row, axis): row for row in sweep["rows"]} for sweep in pair)
     lines = [
-        f"At 140 mm and 52.5 mm, {AXES[axis].split(' (')[0]}:",
+        f"At 140 mm and 52.5 mm, {AXES[axis].split(' (')[0]} ({pair[0]['fingers']} and {pair[1]['fingers']} fingers):",
         "",
         f"| {AXES[axis]} | exposure | thesis's, opaque: Hausdorff | rms | ridge correlation "
         "| `metric`, skin: Hausdorff | rms | ridge correlation |",
@@ -150,7 +151,8 @@ def _renderer(results: Mapping[str, Any]) -> str:
 def _near(results: Mapping[str, Any]) -> str:
     if "near_ea_opaque" not in results or "parallel_ea_opaque" not in results:
         return ""
-    lines = ["Lower still (thesis's method, opaque finger; Hausdorff of the print in mm):", ""]
+    count = results["near_ea_opaque"]["fingers"]
+    lines = [f"Lower still (thesis's method, opaque finger, {count} fingers; Hausdorff of the print in mm):", ""]
     rows = results["near_ea_opaque"]["rows"]
     radii = sorted({row["radius_mm"] for row in rows})
     lines += ["| height (mm) | " + " | ".join(f"radius {r:g}" for r in radii) + " |"]
@@ -210,12 +212,9 @@ def _pareto(sweep: Mapping[str, Any]) -> Any:
 
 
 def _renderer_chart(sweep: Mapping[str, Any]) -> Any:
-    dots = []
-    for row in _done(sweep):
-        its = _against(row, "rms")
-        dots.append(Dot(row["power_w"], row["rms_mm"], thesis=row["power_w"] == 1.0, low=its["low"], high=its["high"]))
-    title = "One fixed exposure: the lamp's power matters (ring: the thesis's)"
-    return scatter(dots, "power of a lamp (W)", "rms distance (mm)", title=title, log_x=True)
+    dots = [Dot(row["power_w"], row["ridge_correlation"], thesis=row["power_w"] == 1.0) for row in _done(sweep)]
+    title = "One fixed exposure: power matters where it clips (ring: the thesis's)"
+    return scatter(dots, "power of a lamp (W)", "ridge correlation", title=title, log_x=True)
 
 
 def _write(name: str, picture: Any) -> None:

@@ -61,7 +61,7 @@ def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, ti
             red, green, blue = _shade(one.value, low, high)
             fill = f"rgb({red},{green},{blue})"
             ink = "#ffffff" if 0.299 * red + 0.587 * green + 0.114 * blue < 130 else INK
-            words = f"{one.value:.3g}" + (" •" if one.as_good and not one.best else "")
+            words = f"{one.value:#.3g}".rstrip(".") + (" •" if one.as_good and not one.best else "")
         parts.append(
             f'<rect x="{x}" y="{y}" width="{wide}" height="{tall}" fill="{fill}" stroke="{BORDER}" stroke-width="1.5"/>'
         )
@@ -130,7 +130,8 @@ def scatter(
             along = sorted((dot for dot in dots if dot.series == k), key=lambda dot: dot.x)
             points = " ".join(f"{to_x(dot.x):.1f},{to_y(dot.y):.1f}" for dot in along)
             parts.append(f'<polyline points="{points}" fill="none" stroke="{SERIES_COLOURS[k % 4]}" opacity="0.6"/>')
-    for dot in sorted(dots, key=lambda dot: dot.front):
+    parts += _labels([(to_x(dot.x), to_y(dot.y), dot.label) for dot in dots if dot.label], width - right)
+    for dot in sorted(dots, key=lambda dot: dot.front):  # over the words' halos
         x, y, paint = to_x(dot.x), to_y(dot.y), SERIES_COLOURS[dot.series % 4]
         if dot.low is not None and dot.high is not None:
             parts.append(_line(x, to_y(dot.low), x, to_y(dot.high), paint))
@@ -141,7 +142,6 @@ def scatter(
             parts.append(
                 f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="none" stroke="#000000" stroke-dasharray="4 3"/>'
             )
-    parts += _labels([(to_x(dot.x), to_y(dot.y), dot.label) for dot in dots if dot.label], width - right)
     return Markup("".join(parts) + "</svg>")
 
 
@@ -161,7 +161,7 @@ def _labels(wanted: Sequence[tuple[float, float, str]], right: float) -> list[st
         for level in (y + 4, y - 9, y + 17):
             if all(abs(level - other) > 11 or start > end or start + long < begin for begin, end, other in taken):
                 taken.append((start, start + long, level))
-                parts.append(_text(start, level, words, "start"))
+                parts.append(_text(start, level, words, "start", halo=True))
                 break
     return parts
 
@@ -205,8 +205,12 @@ def _stripes() -> str:
     )
 
 
-def _text(x: float, y: float, words: str, anchor: str, *, ink: str = INK, bold: bool = False) -> str:
+def _text(
+    x: float, y: float, words: str, anchor: str, *, ink: str = INK, bold: bool = False, halo: bool = False
+) -> str:
     weight = ' font-weight="600"' if bold else ""
+    if halo:  # words stay legible over points
+        weight += ' paint-order="stroke" stroke="#ffffff" stroke-width="3" stroke-linejoin="round"'
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{ink}"{weight}>{escape(words)}</text>'
 
 

@@ -66,7 +66,7 @@ def add_optimise(kinds: Any) -> None:
         "--objective",
         choices=("hausdorff", "hausdorff95", "rms", "whole", "normals"),
         default="hausdorff",
-        help="what is minimised: Hausdorff distance of the print (the default), its 95 % variant, the rms distance, "
+        help="what is minimised: Hausdorff distance of the print (the default), its 95 %% variant, the rms distance, "
         "the Hausdorff distance of the whole phalange, or the error of the normals",
     )
     study.add_argument("--f-number", type=float, default=None, metavar="N", help="of the lens (default: 4)")
