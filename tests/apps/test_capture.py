@@ -125,11 +125,28 @@ def test_json_is_one_object(tmp_path: Path, capsys: Captured):
 
 
 def test_people_are_told_what_comes_next(tmp_path: Path, capsys: Captured):
-    assert run("--out", tmp_path / "c", *SMALL, "--target") == 0
+    assert run("--out", tmp_path / "c", *SMALL) == 0
     out, _ = capsys.readouterr()
     assert "14 images of 320 x 220 pixels" in out
     assert "splitknit reconstruct" in out
-    assert read_capture(tmp_path / "c").material == "opaque"
+
+
+@pytest.mark.parametrize("what", [(), ("disc",), ("nail",), ("board",), ("sphere",)])
+def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
+    assert run("--target", *what, "--out", tmp_path / "c", "--scale", 0.1, "--seed", 2, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["verdict"] == []
+    assert len(facts["notes"]) == 1  # what stood there, and where
+    capture = read_capture(tmp_path / "c")
+    assert capture.material == "opaque"
+    assert capture.subject == {}
+    assert capture.truth is None
+    means = capture.bands["white"].pixels.mean(axis=(1, 2, 3))
+    assert (means > 2).all()
+
+
+def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):
+    assert "no target 'teapot'; it has card" in refused(capsys, "--target", "teapot", "--out", tmp_path / "c")
 
 
 def test_a_rig_file_decides_size_and_leds(tmp_path: Path):

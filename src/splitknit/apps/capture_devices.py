@@ -18,12 +18,15 @@ from splitknit.check import require
 from splitknit.devices import Camera, LightBank
 from splitknit.io import read_rig
 from splitknit.settings import flatten, override
-from splitknit.simulate.device import Clock, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulate.bench import BoardScene, CardScene, DiscScene, NailScene, SphereScene, board_poses
+from splitknit.simulate.built_rig import nominal_rig
+from splitknit.simulate.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
 from splitknit.simulate.finger_scene import FingerScene
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.twin import TwinSettings
 from splitknit.types import Rig
 
+TARGETS = ("card", "disc", "nail", "board", "sphere")
 NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by --rig"
 
 
@@ -111,15 +114,27 @@ def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
         If there is no camera, or no LEDs.
     """
     with ExitStack() as stack:
-        chosen = rig or default_rig(1.0)
+        chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
         camera, lights = open_pi(stack, chosen, settings.pi)
         yield Opened("pi", camera, lights, chosen, notes=() if rig is not None else (NOMINAL,))
 
 
 @contextmanager
-def opened_twin(settings: DeviceSettings, seed: int, impression: int, pattern: str | None = None) -> Iterator[Opened]:
-    """Open the twin's devices around a simulated finger."""
-    scene = FingerScene(seed, pattern, settings.twin, impression=impression)
+def opened_twin(
+    settings: DeviceSettings, seed: int, impression: int = 0, *, pattern: str | None = None, target: str | None = None
+) -> Iterator[Opened]:
+    """Open the twin's devices around a simulated finger, or around a calibration target."""
+    truth: Mapping[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+    if target is None:
+        finger = FingerScene(seed, pattern, settings.twin, impression=impression)
+        truth, rig = finger.truth(), finger.rig
+        scene: Scene = finger
+    else:
+        twin = settings.twin
+        rig = twin.rig or default_rig(twin.scale, twin.rig_seed, twin.intensity_spread)
+        scene, words = target_scene(target, rig, seed)
+        notes = (words,)
     clock = Clock()
     noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
     with (
@@ -134,4 +149,25 @@ def opened_twin(settings: DeviceSettings, seed: int, impression: int, pattern: s
             seed=noise,
         ) as camera,
     ):
-        yield Opened("twin", camera, lights, scene.rig, truth=scene.truth())
+        yield Opened("twin", camera, lights, rig, truth=truth, notes=notes)
+
+
+def target_scene(name: str, rig: Rig, seed: int) -> tuple[Scene, str]:
+    """Return a target under the rig, and what it is; the seed draws its place where it has one."""
+    camera, leds = rig.camera, rig.leds
+    if name == "nail":
+        x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
+        return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
+    if name == "board":
+        pose = board_poses(seed, 1, camera)[0]
+        scene = BoardScene(
+            camera=camera, leds=leds, rotation_vector=pose.rotation_vector, translation_mm=pose.translation_mm
+        )
+        return scene, "a checkerboard of 7 x 10 squares of 3 mm was held"
+    makers: dict[str, type[CardScene | DiscScene | SphereScene]] = {
+        "card": CardScene,
+        "disc": DiscScene,
+        "sphere": SphereScene,
+    }
+    require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
+    return makers[name](camera=camera, leds=leds), f"{name}, without a finger"

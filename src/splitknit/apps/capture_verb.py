@@ -28,7 +28,15 @@ def add_capture(verbs: Any) -> None:
     )
     verb.add_argument("--out", type=Path, default=None, metavar="DIR", help="capture folder to write")
     verb.add_argument("--rig", type=Path, default=None, metavar="FILE", help="rig file (default: the nominal rig)")
-    verb.add_argument("--target", action="store_true", help="photograph a calibration target: no finger is looked for")
+    verb.add_argument(
+        "--target",
+        nargs="?",
+        const="card",
+        default=None,
+        metavar="WHAT",
+        help="photograph a calibration target: no finger is looked for; the twin puts a card (default), disc, nail, "
+        "board or sphere there",
+    )
     verb.add_argument("--keep", action="store_true", help="write a capture even if it must be taken again")
     verb.add_argument("--overwrite", action="store_true", help="replace an earlier capture in DIR")
     who = verb.add_argument_group("who (ids only, never names)")
@@ -57,12 +65,12 @@ def run_capture(options: argparse.Namespace) -> Outcome:
     _check(options)
     rig = rig_of(options.rig)
     changes = read_changes(options.settings, options.assignments)
-    if options.target:
+    if options.target is not None:
         changes["capture.find_finger"] = False
     settings = read_settings(options.device, changes, rig, options.scale)
     how = CaptureOptions(
         settings,
-        material="opaque" if options.target else "skin",
+        material="opaque" if options.target is not None else "skin",
         keep=options.keep,
         overwrite=options.overwrite,
         watch_focus=_FocusBar() if sys.stderr.isatty() and not options.json else None,
@@ -97,7 +105,7 @@ def _check(options: argparse.Namespace) -> None:
         "--seed and --pattern belong to --device twin.",
     )
     require(
-        options.enrolment is None or not (options.target or options.overwrite or options.pattern),
+        options.enrolment is None or not (options.target is not None or options.overwrite or options.pattern),
         "--target, --overwrite and --pattern are for one capture; an enrolment draws fingers and replaces nothing.",
     )
 
@@ -108,7 +116,9 @@ def _run_one(options: argparse.Namespace, how: CaptureOptions, rig: Rig | None) 
 
     session = options.session or 1
     subject: dict[str, Any] = {"id": options.subject or "anonymous", "session": session}
-    if options.finger is not None or options.device == "twin":
+    if options.target is not None:
+        subject = {}
+    elif options.finger is not None or options.device == "twin":
         subject["finger"] = options.finger or "simulated"
     with ExitStack() as stack:
         progress = stack.enter_context(Progress(options))
@@ -116,7 +126,9 @@ def _run_one(options: argparse.Namespace, how: CaptureOptions, rig: Rig | None) 
         devices = stack.enter_context(
             opened_pi(rig, how.settings)
             if options.device == "pi"
-            else opened_twin(how.settings, options.seed or 0, session - 1, options.pattern)
+            else opened_twin(
+                how.settings, options.seed or 0, session - 1, pattern=options.pattern, target=options.target
+            )
         )
         facts = capture_to_folder(devices, options.out, how, subject=subject, progress=progress.update)
     rows, columns = facts["image_size"]
@@ -125,8 +137,9 @@ def _run_one(options: argparse.Namespace, how: CaptureOptions, rig: Rig | None) 
         f"({facts['seconds_per_frame']:.2f} s a frame), written to {options.out}.",
         *_exposure_lines(facts),
         *(f"Please note: {note}." for note in facts["notes"]),
-        f"Next: splitknit reconstruct {options.out} --out RESULT",
     ]
+    if options.target is None:
+        lines.append(f"Next: splitknit reconstruct {options.out} --out RESULT")
     return facts, lines
 
 

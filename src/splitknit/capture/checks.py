@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.capture.exposure import clipped_share
+from splitknit.capture.exposure import MEDIAN, clipped_share
 from splitknit.capture.focus import grey_light
 from splitknit.check import require
 from splitknit.devices import Frame
@@ -57,7 +57,7 @@ class Look:
     details: FloatArray
     """(h, w) its ridges: band-passed relative brightness, zero beside the finger."""
     level: float
-    """Median of the finger, 1 = full scale."""
+    """Median of the finger (or another percentile), 1 = full scale."""
     saturated: float
     """Share of the finger at full scale."""
 
@@ -65,7 +65,7 @@ class Look:
 class Examiner:
     """Looks at shots: knows where the finger is and how dark it is without LEDs."""
 
-    def __init__(self, region: BoolArray, px_per_mm: float, settings: CheckSettings) -> None:
+    def __init__(self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN) -> None:
         """Prepare.
 
         Parameters
@@ -73,8 +73,9 @@ class Examiner:
         region : (h, w) the finger on a grid of any size that covers the whole picture
         px_per_mm : of full-size shots
         settings : limits
+        typical : percentile of the finger's pixels that is its level
         """
-        self.settings = settings
+        self.settings, self._typical = settings, typical
         self.region = region
         self._px_per_mm = px_per_mm
         self._masks: dict[tuple[int, int], tuple[BoolArray, FloatArray]] = {}
@@ -86,7 +87,7 @@ class Examiner:
         scale = min(1.0, self.settings.working_px_per_mm * step / self._px_per_mm)
         grey = reduce_image(grey_light(full, frame.black_level), scale)
         inside, window = self._mask((grey.shape[0], grey.shape[1]))
-        level = float(np.median(grey[inside]))
+        level = float(np.percentile(grey[inside], self._typical))
         px = self.working_px_per_mm(grey.shape[1], frame.pixels.shape[1])
         local = np.maximum(blur(grey, 1.2 * px), np.float32(max(0.1 * level, 1e-6)))
         relative = np.asarray(grey / local, dtype=np.float32)

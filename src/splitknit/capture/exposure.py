@@ -15,6 +15,10 @@ from splitknit.types import BoolArray
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
 
+MEDIAN = 50.0
+BRIGHT = 99.5
+"""Percentile that stands for a target's light: most of its picture may be black."""
+
 
 @dataclass(frozen=True, slots=True)
 class ExposureSettings:
@@ -128,6 +132,7 @@ def find_exposure(
     *,
     camera: ExposureRange,
     settings: ExposureSettings,
+    typical: float = MEDIAN,
 ) -> Exposure:
     """Find the exposure of a band.
 
@@ -139,6 +144,7 @@ def find_exposure(
     dark : median level of the finger with all LEDs off, at the survey's exposure
     camera : what can be set
     settings : what is wanted
+    typical : percentile of the pixels whose level is promised to the shots
 
     Returns
     -------
@@ -174,14 +180,17 @@ def find_exposure(
             "the LEDs' current."
         )
     ratio = time_s * gain / (seen.exposure_s * seen.gain)
-    expected = {led: ratio * max(median_level(frame, region) - dark, 0.0) for led, frame in seen.frames.items()}
+    expected = {
+        led: ratio * max(typical_level(frame, region, typical) - dark, 0.0) for led, frame in seen.frames.items()
+    }
     return Exposure(time_s, gain, brightest, level, expected)
 
 
-def median_level(frame: Frame, region: BoolArray) -> float:
-    """Mean over the channels of the finger's median, as a share of full scale above the black level."""
+def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
+    """Mean over the channels of the finger's median (or percentile), as a share of full scale above the black level."""
     full = float(np.iinfo(frame.pixels.dtype).max)
-    return float(np.mean(np.median(frame.pixels[region], axis=0)) - frame.black_level) / (full - frame.black_level)
+    stored = float(np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
+    return (stored - frame.black_level) / (full - frame.black_level)
 
 
 def clipped_share(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.capture.exposure import Exposure, ExposureSettings, Survey, find_exposure, median_level, survey
+from splitknit.capture.exposure import (
+    BRIGHT,
+    MEDIAN,
+    Exposure,
+    ExposureSettings,
+    Survey,
+    find_exposure,
+    survey,
+    typical_level,
+)
 from splitknit.check import BadInput, require
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.preprocess import finger_mask
@@ -69,6 +78,7 @@ def meter(
         lights.on(led)
         return camera.preview()
 
+    typical = MEDIAN if find_finger else BRIGHT
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):
@@ -83,9 +93,16 @@ def meter(
         _check_light(band, seen, room)
         if region is None:
             region = _region(seen, room, px_per_mm, camera.image_size[1], find_finger=find_finger)
-        dark = median_level(room, region)
-        _check_lit(seen, region, dark, names, limits)
-        exposures[band] = find_exposure(look_here, seen, region, dark, camera=camera.exposures, settings=settings)
+        dark = typical_level(room, region, typical)
+        _check_lit(
+            {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()},
+            dark,
+            names,
+            limits,
+        )
+        exposures[band] = find_exposure(
+            look_here, seen, region, dark, camera=camera.exposures, settings=settings, typical=typical
+        )
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None
@@ -118,8 +135,7 @@ def _check_light(band: str, seen: Survey, room: Frame) -> None:
     )
 
 
-def _check_lit(seen: Survey, region: BoolArray, dark: float, names: Sequence[str], limits: MeteringLimits) -> None:
-    levels = {led: median_level(frame, region) - dark for led, frame in seen.frames.items()}
+def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str], limits: MeteringLimits) -> None:
     typical = float(np.median(list(levels.values())))
     unlit = [names[led] for led, level in levels.items() if level < max(limits.least_relative * typical, 0.002)]
     require(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splitknit.capture.checks import CheckSettings, Examiner, shrink_region
-from splitknit.capture.exposure import Exposure, ExposureSettings
+from splitknit.capture.exposure import BRIGHT, MEDIAN, Exposure, ExposureSettings
 from splitknit.capture.focus import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
 from splitknit.capture.metering import Metering, MeteringLimits, meter
 from splitknit.capture.pins import led_names
@@ -146,7 +146,7 @@ def run_session(
             camera,
             lights,
             names,
-            Examiner(metering.region, px_per_mm, checks),
+            Examiner(metering.region, px_per_mm, checks, MEDIAN if settings.find_finger else BRIGHT),
             watch_motion=settings.find_finger,
             progress=lambda name, share: progress(name, 0.4 + 0.6 * share),
         )
