@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.io import read_rig
+from splitknit.calibrate import Board, find_board, size_in_view
+from splitknit.io import read_image, read_rig
 
 pytestmark = pytest.mark.external
 
@@ -47,6 +48,14 @@ def test_the_left_camera(folder, tmp_path, capsys):
     assert camera.model == "perspective"
     assert camera.image_size == (480, 640)
     assert np.asarray(camera.matrix)[0, 0] == fit["focal_length_px"][0]
+
+
+def test_part_of_a_board_is_not_the_board(folder):
+    """OpenCV finds 8 x 6 corners in a board of 9 x 6; a calibration with them would be one square off in places."""
+    pixels = read_image(folder / "left01.jpg")
+    assert find_board(pixels, Board(9, 6, 25.0)) is not None
+    assert find_board(pixels, Board(8, 6, 25.0)) is None
+    assert size_in_view(pixels) == (9, 6)
 
 
 @pytest.mark.slow

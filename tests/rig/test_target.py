@@ -42,7 +42,11 @@ def test_every_board_is_found_at_true_scale(sheet):
     assert across * down >= 6
     board = Board(9, 6, 3.0)
     for column, row in ((0, 0), (across - 1, down - 1), (1, 1)):
-        corners = find_board(card(sheet[0], settings, column, row), board)
+        picture = card(sheet[0], settings, column, row)
+        rows, columns = (np.flatnonzero((picture < 128).any(axis=axis)) for axis in (1, 0))
+        rims = [rows[0], picture.shape[0] - 1 - rows[-1], columns[0], picture.shape[1] - 1 - columns[-1]]
+        assert np.abs(np.array(rims) / PX_PER_MM - (settings.card_margin_mm - 0.5)).max() < 0.15
+        corners = find_board(picture, board)
         assert corners is not None
         scale = plane_scale(board.points_mm, corners)
         assert scale.px_per_mm == pytest.approx(PX_PER_MM, rel=5e-4)
