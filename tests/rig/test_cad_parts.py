@@ -16,6 +16,7 @@ from splitknit.rig.mesh_checks import check_soundness
 from splitknit.rig.mirror_shape import holder_places, mirror_front
 from splitknit.rig.part_reports import report_part
 from splitknit.rig.part_settings import PartSettings
+from splitknit.rig.rays import first_hits
 from splitknit.settings import override
 from splitknit.simulate.rig import default_rig
 from splitknit.types import Camera, Led, Rig
@@ -160,13 +161,15 @@ def test_boards_and_cable_fit(rig):
     board, camera = dimensions.settings.board, dimensions.settings.camera
     floor = dimensions.box_z_mm + dimensions.settings.joint.plate_mm
     low = floor + board.pi_post_height_mm
-    pi = build123d.Pos(-42.5, -28, low) * build123d.Solid.make_box(85 + 3, 56, 1.5 + 16)
+    pi = build123d.Pos(-42.5 - 3, -28, low) * build123d.Solid.make_box(3 + 85, 56, 1.5 + 16)
+    plug = build123d.Rot(0, 0, 70) * build123d.Pos(40, 0, dimensions.lid_z_mm - 20.3)
+    plug = plug * build123d.Rot(0, 90, 0) * build123d.Solid.make_cylinder(6.3, 60)  # 12.4 mm wide, through the wall
     over = low + 1.5 + board.pcb_over_pi_mm
     pcb = build123d.Pos(-45, -35, over) * build123d.Solid.make_box(90, 70, 1.6 + board.pcb_parts_mm - 0.1)
     y = -camera.lens_to_connector_mm
     eye = build123d.Pos(-12.5, y, dimensions.board_z_mm) * build123d.Solid.make_box(25, 24, 8)
     lens = build123d.Pos(0, 0, dimensions.frame_z_mm - 12) * build123d.Solid.make_cylinder(7.0, 30)
-    for thing in (pi, pcb, eye, lens):
+    for thing in (pi, pcb, eye, lens, plug):
         for name in STACK:
             assert shared_volume(thing, parts[name].solid) < 1e-6, name
     post = build123d.Pos(*(21 / 2, 12.5), dimensions.board_z_mm - 1) * build123d.Solid.make_cylinder(2.4, 0.9)
@@ -245,6 +248,22 @@ def test_a_finger_goes_in_from_either_side(rig):
     picture = build123d.Pos(-8, -14, 0.05) * build123d.Solid.make_box(16, 14 + dimensions.stop_y_mm - 4, 100)
     for name in ("base", "window_base", "cylinder"):
         assert shared_volume(picture, parts[name].solid) < 1e-6  # nothing in front of the pad
+
+
+def test_every_led_lights_the_whole_pad(rig):
+    """Straight lines from all LEDs to the finger plane, between the picture's border and the fingertip."""
+    dimensions, parts = rig
+    y = np.arange(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - 2, 1.0)
+    places = np.stack(np.meshgrid(np.arange(-8.0, 9.0, 4.0), y), axis=-1).reshape(-1, 2)
+    pad = np.column_stack([places, np.zeros(len(places))])
+    for base in ("base", "window_base"):
+        names = (base, "cylinder", "frame")
+        mesh = np.concatenate([part_files.triangles_of(parts[name]) for name in names]).astype(float)
+        for hole in dimensions.holes:
+            way = hole.light_mm - pad
+            length = np.linalg.norm(way, axis=1)
+            distance, _ = first_hits(mesh, pad, way / length[:, None], 200.0)
+            assert np.all(distance > length - 0.1), (base, hole.index)
 
 
 def test_files_are_the_same_every_time(tmp_path):

@@ -35,7 +35,10 @@ _TITLES = {
 }
 _GAP_MM = 32.0
 _EXPLODED = View(-58.0, 24.0)
+_EXPLODED_BELOW = View(58.0, 24.0)
+"""Turned over, the hand's side is +y."""
 _SECTION = View(-28.0, 12.0)
+_SECTION_BELOW = View(28.0, 12.0)
 
 
 def write_pictures(
@@ -73,24 +76,27 @@ def write_pictures(
 def part_picture(triangles: Triangles, colour: str) -> ColourArray:
     """Return a part seen from above, and from below beside it."""
     body = Body(triangles, _PALE if colour == "white" else _DARK)
-    return np.hstack([draw([body], View(-60.0, 32.0), (480, 600)), draw([body], View(-60.0, -35.0), (480, 600))])
+    return np.hstack([draw([body], View(-60.0, 42.0), (480, 600)), draw([body], View(-60.0, -35.0), (480, 600))])
 
 
 def exploded_picture(placed: Mapping[str, Triangles], stack: Sequence[str], *, below: bool) -> ColourArray:
     """Return the stack with gaps between its parts, and their names."""
+    view = _EXPLODED_BELOW if below else _EXPLODED
+    azimuth = np.deg2rad(view.azimuth_deg + 40.0)
     bodies = []
     for place, name in enumerate(stack):
         triangles = _turned(placed[name] + np.array([0.0, 0.0, _GAP_MM * place], dtype=np.float32), below)
         low, high = triangles.reshape(-1, 3).min(axis=0), triangles.reshape(-1, 3).max(axis=0)
-        middle = (float(high[0]) * 0.62, float(low[1]) * 0.62, float(low[2] + high[2]) / 2)
+        radius = 0.88 * float(high[0])
+        middle = (radius * np.cos(azimuth), radius * np.sin(azimuth), float(low[2] + high[2]) / 2)
         bodies.append(Body(triangles, _COLOURS[name], _TITLES[name], middle))
-    return draw(bodies, _EXPLODED, (1000, 860), labels=0.26)
+    return draw(bodies, view, (1000, 860), labels=0.26)
 
 
 def section_picture(cut: Mapping[str, Triangles], *, below: bool) -> ColourArray:
     """Return the assembled rig cut open along the finger."""
     bodies = [Body(_turned(triangles, below), _COLOURS[name]) for name, triangles in cut.items()]
-    return draw(bodies, _SECTION, (900, 640))
+    return draw(bodies, _SECTION_BELOW if below else _SECTION, (900, 640))
 
 
 def _turned(triangles: Triangles, below: bool) -> NDArray[np.float32]:

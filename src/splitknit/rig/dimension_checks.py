@@ -13,6 +13,8 @@ from splitknit.rig.dimensions import RigDimensions
 from splitknit.rig.led_holes import LedHole
 
 _SAMPLES = 400
+_LEAST_SEAT_MM = 0.6
+"""An LED's flange rests on three layers at least."""
 
 
 def check_dimensions(dimensions: RigDimensions) -> None:
@@ -104,11 +106,11 @@ def _check_hole(hole: LedHole, dimensions: RigDimensions) -> None:
     )
     lean = hole.radius_mm * math.tan(math.radians(hole.tilt_deg))
     land = hole.shoulder_mm - (dimensions.frame_z_mm - float(hole.light_mm[2])) / float(hole.back[2]) - lean
-    least = dimensions.settings.printer.least_wall_mm
     require(
-        land >= least,
+        land >= _LEAST_SEAT_MM,
         f"LED {hole.index} at {hole.light_mm[2]:.1f} mm would rest on {max(land, 0):.1f} mm of plastic instead of "
-        f"{least:g} mm, as the frame's lower face is at {dimensions.frame_z_mm:.1f} mm; bring all LEDs to one height.",
+        f"{_LEAST_SEAT_MM:g} mm, as the frame's lower face is at {dimensions.frame_z_mm:.1f} mm; bring all LEDs to one "
+        f"height.",
     )
 
 
@@ -127,17 +129,17 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
 
 
 def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
-    """Nothing may stand between the LED and any point of the picture on the finger plane."""
-    half_x, half_y = dimensions.field_mm[0] / 2, dimensions.field_mm[1] / 2
-    half_x = min(half_x, dimensions.disc_radius_mm)
-    half_y = min(half_y, -dimensions.niche_inner_y_mm - 1.0)
-    corners = np.array([(x, y, 0.0) for x in (-half_x, 0.0, half_x) for y in (-half_y, 0.0, half_y)])
+    """Nothing may stand between the LED and the last phalanx, as far as the picture shows it."""
+    half = min(dimensions.field_mm[0] / 2, dimensions.disc_radius_mm)
+    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - dimensions.settings.finger.phalanx_mm)
+    ends = (start, (start + dimensions.stop_y_mm) / 2, dimensions.field_mm[1] / 2)
+    corners = np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
     share = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
     way = hole.light_mm + share * (corners - hole.light_mm)  # (samples, corners, 3)
     require(
         not bool(_in_niche(way, dimensions).any()),
-        f"the light of LED {hole.index} would be cut by the roof of the hand's niche; set finger.hand_width_mm or "
-        f"finger.hand_height_mm smaller.",
+        f"the light of LED {hole.index} would be cut by the roof of the hand's niche; set finger.reach_mm larger, "
+        f"or finger.hand_width_mm or finger.hand_height_mm smaller.",
     )
     camera = dimensions.settings.camera
     lens = (np.hypot(way[..., 0], way[..., 1]) < camera.barrel_mm / 2) & (

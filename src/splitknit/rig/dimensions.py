@@ -182,7 +182,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     lug_room = 2 * joint.lug_mm + joint.insert_depth_mm + _gusset(settings)
     box_z = max(highest + settings.board.wire_room_mm, frame_z + lug_room)
     lid_z = max(box_z + joint.plate_mm + _boards_high(settings), box_z + lug_room)
-    stop_y = field[1] / 2 - finger.tip_margin_mm
+    stop_y = min(field[1] / 2 - finger.tip_margin_mm, finger.phalanx_mm / 2)
     return RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),

@@ -19,7 +19,7 @@ class LedSettings:
 
     white_diameter_mm: float = 5.0
     nir_diameter_mm: float = 5.0
-    """3 for the small NIR LEDs (then also `nir_flange_mm` 3.8, `nir_flange_to_light_mm` 3.2)."""
+    """3 for the small NIR LEDs (then also `nir_flange_mm` 3.8, `nir_flange_to_light_mm` 2.9)."""
     white_flange_mm: float = 5.9
     nir_flange_mm: float = 5.9
     white_flange_to_light_mm: float = 5.2
@@ -62,7 +62,9 @@ class FingerSettings:
     hand_height_mm: float = 16.0
     """Height of the niche at its sides; its roof then rises at 45 deg."""
     tip_margin_mm: float = 3.0
-    """From the fingertip at the stop to the upper border of the picture."""
+    """From the fingertip at the stop to the upper border of the picture, at least."""
+    phalanx_mm: float = 30.0
+    """From the tip backwards what must be lit by every LED; in a large picture it lies in the middle."""
     stop_height_mm: float = 9.0
     """Of the stop over the groove's bottom; lower than the tip's pad, so that it throws no shadow on it."""
 
@@ -117,7 +119,8 @@ class BoardSettings:
     pcb_parts_mm: float = 16.0
     """Room above the circuit's board."""
     post_mm: float = 7.0
-    cable_hole_mm: float = 12.0
+    cable_hole_mm: float = 16.0
+    """Passes a USB-C plug and the LEDs' supply."""
     slot_x_mm: float = 24.0
     slot_y_mm: float = 8.0
     """Openings of the floor for flat cable and LED wires."""

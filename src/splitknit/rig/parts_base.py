@@ -68,7 +68,16 @@ def window_base_part(dimensions: RigDimensions) -> Shape:
     cavity = prism_y(groove, -_FAR_MM, start + 0.1)
     window = box((-half, half), (start, d.stop_y_mm), (low - 1.0, _FAR_MM))
     ledge = _ledge(d)
-    return fused(cut(body, [cavity, window]), [ledge])
+    return fused(cut(body, [cavity, window, _free_light(d, start, apex + wall)]), [ledge])
+
+
+def _free_light(dimensions: RigDimensions, start: float, height: float) -> Shape:
+    """Cut the plug down from the opening towards the window, so that it throws no shadow on the pad."""
+    d, far = dimensions, dimensions.bore_mm
+    top, near = d.floor_z_mm + d.opening_radius_mm + 1.0, d.niche_inner_y_mm + 0.5
+    end = min(start, near + top - height)
+    slope = [(near, top), (end, top - (end - near)), (start + 1.0, top - (end - near)), (start + 1.0, top)]
+    return prism_x(slope, -far, far)
 
 
 def _ledge(dimensions: RigDimensions) -> Shape:

@@ -28,6 +28,8 @@ from splitknit.rig.solids import (
 )
 
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
+_CABLE_DEG = 70.0
+"""Azimuth of the cable hole: at the back, on the side of the Pi's power socket, beside lugs and boards."""
 
 
 def cylinder_part(dimensions: RigDimensions) -> Shape:
@@ -137,11 +139,11 @@ def box_part(dimensions: RigDimensions) -> Shape:
 
 
 def pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
-    """Return x and y of the Raspberry Pi's holes; the board lies in the middle, its USB sockets at +x."""
+    """Return x and y of the Raspberry Pi's holes: the board in the middle, USB sockets at -x, power socket at +y."""
     board = dimensions.settings.board
-    first = -board.pi_x_mm / 2 + board.pi_hole_edge_mm
+    first = board.pi_x_mm / 2 - board.pi_hole_edge_mm
     y = board.pi_hole_y_mm / 2
-    return [(x, side * y) for x in (first, first + board.pi_hole_x_mm) for side in (-1, 1)]
+    return [(x, side * y) for x in (first, first - board.pi_hole_x_mm) for side in (-1, 1)]
 
 
 def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
@@ -158,7 +160,7 @@ def _cable_hole(dimensions: RigDimensions) -> Shape:
     near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
     half = radius * math.sqrt(0.5)
     point = prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
-    return turned_to(135.0 - 90.0, fused(rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
+    return turned_to(_CABLE_DEG - 90.0, fused(rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
 
 
 def lid_part(dimensions: RigDimensions) -> Shape:
