@@ -35,6 +35,19 @@ def test_the_nearer_surface_hides_the_farther():
     assert share(picture, "green") == 0  # from below
 
 
+def test_small_triangles_hide_each_other_too():
+    n = 60
+    x, y = (grid.ravel() * 10 / n for grid in np.meshgrid(np.arange(n), np.arange(n)))
+    for high, low in ((5.0, 0.0), (0.0, 5.0)):
+        first, second = (
+            np.concatenate([square(a, b, z, 10 / n) for a, b in zip(x, y, strict=True)]) for z in (high, low)
+        )
+        picture = draw(
+            [Body(first, (1.0, 0.1, 0.1)), Body(second, (0.1, 1.0, 0.1))], FROM_ABOVE, (120, 120), margin=0.0
+        )
+        assert share(picture, "red") == pytest.approx(float(high > low), abs=0.05)
+
+
 def test_turning_the_viewer_shows_another_side():
     body = Body(np.concatenate([square(0, 0, 0, 10), square(0, 0, 0, 10)[..., [0, 2, 1]]]), (1.0, 0.1, 0.1))
     flat = draw([body], View(-90.0, 0.0), (100, 100), margin=0.0)  # along +y: the upright square fills it

@@ -183,5 +183,6 @@ def test_what_is_outside_a_limit_is_said():
     assert report["mass_g"] == pytest.approx(1.24 * report["volume_cm3"], abs=0.06)
     good = report_part(kind, block((0, 0, 0), (10, 10, 10)), PrinterSettings())
     assert good["findings"] == []
+    assert good["checks"]["wall"]["smallest_mm"] == 8
     with pytest.raises(RuntimeError, match="not closed"):
         report_part(kind, thin[1:], PrinterSettings())

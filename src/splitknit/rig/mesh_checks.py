@@ -75,6 +75,7 @@ class Wall:
     """The thinnest place that was found."""
 
     thickness_mm: float
+    """8 where no wall is thinner than that."""
     place_mm: NDArray[np.float64]
     """(3,) on the surface."""
     samples: int
@@ -99,7 +100,7 @@ def thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> W
     distance, hit = first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
     met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
     if not bool(met.any()):
-        return Wall(float("inf"), np.zeros(3), len(points))
+        return Wall(_REACH_MM, points[0], len(points))
     thickness = np.where(met, distance, np.inf)
     thinnest = int(np.argmin(thickness))
     return Wall(float(thickness[thinnest]) + 1e-4, points[thinnest], len(points))
