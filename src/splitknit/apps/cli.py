@@ -19,6 +19,7 @@ from typing import Any
 
 from splitknit import __version__
 from splitknit.apps.capture_verb import add_capture
+from splitknit.apps.evaluate_verb import add_evaluate
 from splitknit.apps.verb import Outcome, Progress, Refused, add_settings, natural, new_verb, scale
 from splitknit.check import BadInput, require
 
@@ -58,6 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_capture(verbs)
     _add_calibrate(verbs)
     _add_rig(verbs)
+    add_evaluate(verbs)
     return parser
 
 

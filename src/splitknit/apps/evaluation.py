@@ -1,0 +1,199 @@
+"""From score files to the facts of an evaluation, and to its folder: ``report.html`` and ``report.json``."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from splitknit.apps.evaluation_facts import Result, difference_facts, notes_of, system_facts
+from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
+from splitknit.check import require
+from splitknit.evaluate.intervals import BootstrapSettings, Interval, bootstrap, differences
+from splitknit.evaluate.pairing import pair_up
+from splitknit.evaluate.protocol import Exclusion, average_sessions, exclude
+from splitknit.evaluate.scores import Scores
+from splitknit.io import atomic_folder, plain_json
+
+Progress = Callable[[str, float], None]
+FILES = ("report.html", "report.json")
+MOST_SYSTEMS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationSettings:
+    """What is asked of an evaluation."""
+
+    dissimilarity: bool = False
+    """Whether a lower score means more alike; scores are then turned round when they are read."""
+    cluster: str = "auto"
+    """What intervals are drawn by: ``plain``, ``finger``, ``subject``; ``auto``: fingers, else subjects, else plain."""
+    average: bool = False
+    """Whether scores are averaged over sessions as well."""
+    bootstrap: BootstrapSettings = BootstrapSettings()  # noqa: RUF009 - frozen
+
+    def __post_init__(self) -> None:
+        known = ("auto", "plain", "finger", "subject")
+        require(self.cluster in known, f"cluster is one of {', '.join(known)}, but it is '{self.cluster}'.")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One system minus another."""
+
+    first: str
+    second: str
+    method: str
+    figures: dict[str, Interval]
+
+
+def evaluate_to_folder(
+    files: Sequence[Path],
+    out: Path,
+    settings: EvaluationSettings,
+    *,
+    exclusions: Path | None = None,
+    progress: Progress = lambda stage, share: None,
+) -> dict[str, Any]:
+    """Evaluate score files and write the report.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used; nothing is written then.
+    """
+    started = time.perf_counter()
+    progress("reading", 0.0)
+    systems, hashes, ignored = read_systems(files, turn=settings.dissimilarity)
+    listed: list[Exclusion] = []
+    if exclusions is not None:
+        listed, hashes[str(exclusions)] = read_exclusion_list(exclusions, systems[0])
+    notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
+    groups, said = _variants(systems, listed, settings.average)
+    count = sum(map(len, groups))
+    require(
+        count <= MOST_SYSTEMS,
+        f"one report shows {MOST_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
+    )
+    notes += said
+    read_s = time.perf_counter() - started
+    results, compared = _figures(groups, settings, progress)
+    for result in results:
+        notes += notes_of(result, variant=all(result.scores is not one for one in systems))
+    notes += [f"{a} and {b} did not score the same pairs, so that they are not compared." for a, b in compared[1]]
+    facts = _facts(results, compared[0], settings, notes)
+    facts["inputs_sha256"] = dict(sorted(hashes.items()))
+    facts["timings_s"] = {"read": read_s, "total": time.perf_counter() - started}
+    progress("report", 1.0)
+    _write(out, facts, results)
+    return facts
+
+
+def _variants(systems: list[Scores], listed: list[Exclusion], average: bool) -> tuple[list[list[Scores]], list[str]]:
+    """Groups to compare within: all comparisons, without the excluded ones, and both averaged over sessions."""
+    groups, notes = [systems], []
+    if listed:
+        left = [exclude(one, listed) for one in systems]
+        groups.append([one.scores for one in left])
+        for before, one in zip(systems, left, strict=True):
+            went = f"{one.comparisons} of {before.label.size} comparisons of {before.name}"
+            notes.append(f"{len(listed) - len(one.unknown)} entries of the list of exclusions left out {went}.")
+            if one.unknown:
+                shown = ", ".join(entry.finger for entry in one.unknown[:5])
+                notes.append(f"{len(one.unknown)} entries of the list are in no comparison of {before.name}: {shown}.")
+        reasons = sorted({entry.reason for entry in listed if entry.reason})
+        notes += [f"{sum(entry.reason == why for entry in listed)} entries were listed for '{why}'." for why in reasons]
+    if average:
+        groups += [[average_sessions(one) for one in group] for group in groups]
+    return groups, notes
+
+
+def _figures(
+    groups: list[list[Scores]], settings: EvaluationSettings, progress: Progress
+) -> tuple[list[Result], tuple[list[Difference], list[tuple[str, str]]]]:
+    """All intervals, and all differences between systems of a group (of many: to the first)."""
+    results: list[Result] = []
+    found: list[Difference] = []
+    apart: list[tuple[str, str]] = []
+    steps = sum(len(_methods(one)) + len(group) - 1 for group in groups for one in group)
+    done = 0
+
+    def step(share: float) -> None:
+        progress("resampling", (done + share) / max(steps, 1))
+
+    for group in groups:
+        for one in group:
+            methods = _methods(one)
+            wanted = settings.cluster
+            require(
+                wanted == "auto" or wanted in methods,
+                f"--cluster {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
+                f"{one.name} does not have.",
+            )
+            by_method = {}
+            for method in methods:
+                by_method[method] = bootstrap(one, method, settings.bootstrap, step)
+                done += 1
+            primary = wanted if wanted != "auto" else ([*methods[1:], "plain"])[0]
+            results.append(Result(one, primary, by_method))
+        pairs = list(combinations(group, 2)) if len(group) <= 4 else [(group[0], other) for other in group[1:]]
+        for first, second in pairs:
+            paired = pair_up(first, second)
+            if paired is None:
+                apart.append((first.name, second.name))
+                continue
+            method = next(result.primary for result in results if result.scores is first)
+            settings_of = replace(settings.bootstrap, curve_points=0)
+            found.append(Difference(first.name, second.name, method, differences(first, paired, method, settings_of)))
+            done += 1
+            step(0.0)
+    return results, (found, apart)
+
+
+def _methods(scores: Scores) -> list[str]:
+    """Ways of drawing that the ids allow, the plain one first."""
+    allowed = ["plain"]
+    for method, ids in (("finger", scores.finger), ("subject", scores.subject)):
+        if ids is not None and len(set(ids.codes.ravel().tolist())) >= 3:
+            allowed.append(method)
+    return allowed
+
+
+def _facts(
+    results: list[Result], compared: list[Difference], settings: EvaluationSettings, notes: list[str]
+) -> dict[str, Any]:
+    import datetime  # noqa: PLC0415
+
+    import splitknit  # noqa: PLC0415 - the version, without an import cycle
+
+    systems = {result.scores.name: system_facts(result, settings.bootstrap) for result in results}
+    first = results[0]
+    return {
+        "format": "splitknit-evaluation",
+        "version": 1,
+        "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
+        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "system": first.scores.name,
+        "eer": systems[first.scores.name]["eer"],
+        "gar_at_far": systems[first.scores.name]["gar_at_far"],
+        "systems": systems,
+        "differences": [difference_facts(one, settings.bootstrap) for one in compared],
+        "notes": list(dict.fromkeys(notes)),
+        "settings": plain_json(settings),
+        "files": list(FILES),
+    }
+
+
+def _write(out: Path, facts: dict[str, Any], results: list[Result]) -> None:
+    from splitknit.apps.evaluation_page import page  # noqa: PLC0415
+
+    html = page(facts, results)
+    with atomic_folder(out) as folder:
+        (folder / "report.html").write_text(html, encoding="utf-8")
+        document = json.dumps(plain_json(facts), indent=1, allow_nan=False)
+        (folder / "report.json").write_text(document + "\n", encoding="utf-8")

@@ -1,0 +1,186 @@
+"""What the report says of each system, as plain facts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from splitknit.evaluate import rates
+from splitknit.evaluate.identification import Cmc, cmc, rank_one_interval
+from splitknit.evaluate.intervals import BootstrapSettings, Interval, Intervals
+from splitknit.evaluate.protocol import by_session_pair
+from splitknit.evaluate.scores import Scores
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One system with its intervals."""
+
+    scores: Scores
+    primary: str
+    """The way of drawing whose intervals stand in the first place."""
+    by_method: Mapping[str, Intervals]
+
+    @property
+    def intervals(self) -> Intervals:
+        """Those of the primary way."""
+        return self.by_method[self.primary]
+
+
+def system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
+    """Everything that is known of a system, ready for JSON."""
+    scores, figures = result.scores, result.intervals.figures
+    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
+    targets = settings.targets
+    missing = [int(np.isnan(side).sum()) for side in (genuine, impostor)]
+    equal = rates.equal_error(genuine, impostor)
+    facts: dict[str, Any] = {
+        "eer": asdict(figures["eer"]),
+        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in targets},
+        "fnmr_at_fmr": {f"{far:g}": asdict(turned(figures[f"gar@{far:g}_made"])) for far in targets},
+        "eer_of_fmr_and_fnmr": asdict(figures["eer_made"]),
+        "auc": asdict(figures["auc"]),
+        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
+        "comparisons": {"genuine": genuine.size, "impostor": impostor.size},
+        "failures_to_acquire": {
+            "genuine": missing[0],
+            "impostor": missing[1],
+            "rate_genuine": missing[0] / genuine.size,
+            "rate_impostor": missing[1] / impostor.size,
+            "rate": sum(missing) / scores.score.size,
+        },
+        "equal_error": asdict(equal),
+        "operating_points": {f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far)) for far in targets},
+        "operating_points_made": {
+            f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far, counting="made")) for far in targets
+        },
+        "bootstrap": {
+            "method": result.primary,
+            "drawn": result.intervals.drawn,
+            "replicates": settings.replicates,
+            "confidence": settings.confidence,
+            "seed": settings.seed,
+        },
+        "intervals": {
+            method: {
+                "drawn": found.drawn,
+                "eer": asdict(found.figures["eer"]),
+                "gar_at_far": {f"{far:g}": asdict(found.figures[f"gar@{far:g}"]) for far in targets},
+            }
+            for method, found in result.by_method.items()
+        },
+        "roc": _curve(result),
+        "session_pairs": [_session_pair(names, part, settings) for names, part in by_session_pair(scores).items()],
+        "cmc": cmc_facts(cmc(scores), settings),
+    }
+    return facts
+
+
+def difference_facts(one: Any, settings: BootstrapSettings) -> dict[str, Any]:
+    """First minus second, with intervals."""
+    figures = one.figures
+    return {
+        "first": one.first,
+        "second": one.second,
+        "method": one.method,
+        "eer": asdict(figures["eer"]),
+        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in settings.targets},
+        "auc": asdict(figures["auc"]),
+        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
+    }
+
+
+def cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
+    """Rank one and the curve, up to rank 100."""
+    if found is None:
+        return None
+    low, high = rank_one_interval(
+        found, replicates=settings.replicates, confidence=settings.confidence, seed=settings.seed
+    )
+    return {
+        "gallery": found.gallery,
+        "probes": found.rank.size,
+        "probes_left_out": found.left_out,
+        "rank_1": {"value": float(found.rate[0]), "low": low, "high": high},
+        "rate": found.rate[:100].tolist(),
+    }
+
+
+def notes_of(result: Result, *, variant: bool) -> list[str]:
+    """What a reader of a system's figures has to know; of a variant, only what its system's notes do not say."""
+    scores, name = result.scores, result.scores.name
+    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
+    notes = []
+    missing = int(np.isnan(scores.score).sum())
+    if missing and not variant:
+        notes.append(
+            f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count them as "
+            "rejections, FMR and FNMR leave them out."
+        )
+    points = {
+        key: rates.gar_at_far(genuine, impostor, float(key[4:]))
+        for key in result.intervals.figures
+        if key.startswith("gar@") and not key.endswith("_made")
+    }
+    lost = [point.target for point in points.values() if not point.resolved]
+    if lost:
+        fars = " or ".join(f"{100 * target:g} %" for target in lost)
+        needed = " or ".join(f"{int(np.ceil(1 / target)):,}" for target in lost)
+        notes.append(
+            f"{name}: {impostor.size} impostor comparisons cannot resolve a FAR of {fars} ({needed} are needed for one "
+            "false accept). The GAR is that at FAR 0, where the FAR may in truth be up to "
+            f"{100 * rates.rule_of_three(impostor.size):.2g} % (95 %, rule of three)."
+        )
+    if variant:
+        return notes
+    if rates.auc(genuine, impostor) < 0.5:
+        notes.append(
+            f"{name}: genuine scores are lower than impostor ones; if they are distances, use --dissimilarity."
+        )
+    notes += _width_note(result)
+    drawn = result.intervals.drawn
+    if drawn < 20:
+        notes.append(f"{name}: only {drawn} to draw from ({result.primary}), so that its intervals are rough.")
+    return notes
+
+
+def _width_note(result: Result) -> list[str]:
+    """Whether drawing by subject is less certain by far than what stands in the first place."""
+    other = result.by_method.get("subject")
+    if other is None or result.primary == "subject":
+        return []
+    widths = [found.figures["eer"].high - found.figures["eer"].low for found in (other, result.intervals)]
+    if result.intervals.figures["eer"].value == 0 or widths[1] <= 0 or widths[0] < 1.3 * widths[1]:
+        return []
+    return [
+        f"{result.scores.name}: drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide, "
+        "so that fingers of one subject are alike in how hard they are; trust the wider one."
+    ]
+
+
+def _session_pair(names: tuple[str, str], part: Scores, settings: BootstrapSettings) -> dict[str, Any]:
+    genuine, impostor = np.sort(part.genuine), np.sort(part.impostor)
+    return {
+        "sessions": list(names),
+        "genuine": genuine.size,
+        "impostor": impostor.size,
+        "eer": rates.equal_error(genuine, impostor).value,
+        "gar_at_far": {f"{far:g}": rates.gar_at_far(genuine, impostor, far).gar for far in settings.targets},
+    }
+
+
+def _curve(result: Result) -> dict[str, Any]:
+    """The GAR at some FARs with its band; the whole staircase is in the page."""
+    found, scores = result.intervals, result.scores
+    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
+    gar = [rates.gar_at_far(genuine, impostor, float(far)).gar for far in found.curve_far]
+    low, high = np.minimum(found.curve_low, gar), np.maximum(found.curve_high, gar)
+    return {"far": found.curve_far.tolist(), "gar": gar, "low": low.tolist(), "high": high.tolist()}
+
+
+def turned(interval: Interval) -> Interval:
+    """One minus a rate."""
+    return Interval(1.0 - interval.value, 1.0 - interval.high, 1.0 - interval.low)

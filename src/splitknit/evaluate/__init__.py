@@ -1,0 +1,48 @@
+"""How well scores tell fingers apart: rates, confidence intervals, identification, protocols."""
+
+from splitknit.evaluate.histograms import Histograms, histograms
+from splitknit.evaluate.identification import Cmc, cmc
+from splitknit.evaluate.intervals import BootstrapSettings, Interval, Intervals, bootstrap, differences
+from splitknit.evaluate.protocol import (
+    Comparisons,
+    Exclusion,
+    average_sessions,
+    by_session_pair,
+    comparisons,
+    exclude,
+    scores_of_comparisons,
+    session_pairs,
+)
+from splitknit.evaluate.rates import EqualError, OperatingPoint, Roc, auc, d_prime, equal_error, gar_at_far, roc
+from splitknit.evaluate.scores import Ids, Scores, ids_of
+
+__all__ = [
+    "BootstrapSettings",
+    "Cmc",
+    "Comparisons",
+    "EqualError",
+    "Exclusion",
+    "Histograms",
+    "Ids",
+    "Interval",
+    "Intervals",
+    "OperatingPoint",
+    "Roc",
+    "Scores",
+    "auc",
+    "average_sessions",
+    "bootstrap",
+    "by_session_pair",
+    "cmc",
+    "comparisons",
+    "d_prime",
+    "differences",
+    "equal_error",
+    "exclude",
+    "gar_at_far",
+    "histograms",
+    "ids_of",
+    "roc",
+    "scores_of_comparisons",
+    "session_pairs",
+]
