@@ -181,6 +181,7 @@ def test_light_that_comes_on_later_overexposes(finger, faulty):
     assert any("white 3 is overexposed on " in words for words in session.verdict)
 
 
+@pytest.mark.slow
 def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
     camera, lights, _ = twin_devices(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})))
     with lights, camera:

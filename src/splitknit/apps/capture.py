@@ -19,7 +19,7 @@ from splitknit.apps.commands import Progress, check_target, no_progress
 from splitknit.apps.verb import Refused
 from splitknit.capture.enrolment import Enrolment, Place
 from splitknit.capture.session import Session, WatchFocus, run_session
-from splitknit.check import BadInput
+from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder, plain_json, provenance, write_capture
 
 MARKER = "session.json"
@@ -40,6 +40,21 @@ class CaptureOptions:
     watch_focus: WatchFocus | None = None
 
 
+def check_out(out: Path, options: CaptureOptions) -> None:
+    """Refuse a folder that must not be replaced, before any device is opened.
+
+    Raises
+    ------
+    BadInput
+        If it holds anything, and is not an earlier capture that may be overwritten.
+    """
+    if options.overwrite:
+        check_target(out, MARKER, "an earlier capture")
+    else:
+        empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
+        require(empty, f"'{out}' exists and is not empty; name another folder, or say --overwrite.")
+
+
 def capture_to_folder(
     devices: Opened,
     out: Path,
@@ -55,8 +70,7 @@ def capture_to_folder(
     BadInput
         If the finger must be captured again, with the verdict: nothing is written then unless `options.keep`.
     """
-    if options.overwrite:
-        check_target(out, MARKER, "an earlier capture")
+    check_out(out, options)
     with atomic_folder(out, overwrite=options.overwrite) as target:
         session = run_session(
             devices.camera,

@@ -111,9 +111,10 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _run_one(options: argparse.Namespace, how: CaptureOptions, rig: Rig | None) -> Outcome:
-    from splitknit.apps.capture import capture_to_folder  # noqa: PLC0415
+    from splitknit.apps.capture import capture_to_folder, check_out  # noqa: PLC0415
     from splitknit.apps.capture_devices import opened_pi, opened_twin  # noqa: PLC0415
 
+    check_out(options.out, how)
     session = options.session or 1
     subject: dict[str, Any] = {"id": options.subject or "anonymous", "session": session}
     if options.target is not None:
