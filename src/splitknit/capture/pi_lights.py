@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from splitknit.devices import GuardedLights
+from splitknit.devices.guard import GuardedLights
 
 SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 
 from splitknit.check import require
-from splitknit.devices import ExposureRange, Frame, GuardedLights
+from splitknit.devices import ExposureRange, Frame
+from splitknit.devices.guard import GuardedLights
 from splitknit.simulate.sensor import RESPONSE, SensorSettings, binning_scale, record
 from splitknit.types import Camera, FloatArray, Led
 
