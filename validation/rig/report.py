@@ -27,7 +27,7 @@ def write_report(results: Mapping[str, Any]) -> str:
     parts += [_axis(results, axis) for axis in ("power_w", "tilt_deg", "px_per_mm")]
     parts += [_renderer(results), _near(results)]
     for name, words in PLANES.items():
-        if name in results:
+        if name in ("ea_opaque", "metric_skin") and name in results:
             _write(f"heat-{name.replace('_', '-')}", _heat(results[name], "hausdorff", words))
     if "ea_opaque" in results:
         _write("heat-whole", _heat(results["ea_opaque"], "whole", "whole phalange, thesis's method, opaque finger"))
