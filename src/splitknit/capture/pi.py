@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import ExitStack
 from typing import Any
 
@@ -29,7 +30,9 @@ def open_lights(rig: Rig) -> PiLightBank:
     except ImportError as error:
         raise BadInput(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}.") from error
     try:
-        return PiLightBank(pins, gpiozero.DigitalOutputDevice)
+        with warnings.catch_warnings():  # it tells of every library that it tries; one sentence is enough
+            warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)
+            return PiLightBank(pins, gpiozero.DigitalOutputDevice)
     except gpiozero.BadPinFactory as error:
         raise BadInput(
             "the LEDs cannot be switched: this computer has no GPIO lines that gpiozero can use; run this on the "
