@@ -130,7 +130,8 @@ def scatter(
             along = sorted((dot for dot in dots if dot.series == k), key=lambda dot: dot.x)
             points = " ".join(f"{to_x(dot.x):.1f},{to_y(dot.y):.1f}" for dot in along)
             parts.append(f'<polyline points="{points}" fill="none" stroke="{SERIES_COLOURS[k % 4]}" opacity="0.6"/>')
-    parts += _labels([(to_x(dot.x), to_y(dot.y), dot.label) for dot in dots if dot.label], width - right)
+    places = [(to_x(dot.x), to_y(dot.y), dot.label) for dot in dots]
+    parts += _labels([place for place in places if place[2]], [place[:2] for place in places], width - right)
     for dot in sorted(dots, key=lambda dot: dot.front):  # over the words' halos
         x, y, paint = to_x(dot.x), to_y(dot.y), SERIES_COLOURS[dot.series % 4]
         if dot.low is not None and dot.high is not None:
@@ -151,15 +152,17 @@ def standalone(chart: Markup) -> bytes:
     return text.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).encode()
 
 
-def _labels(wanted: Sequence[tuple[float, float, str]], right: float) -> list[str]:
-    """Labels beside their points; one that would cover another is left out."""
-    taken: list[tuple[float, float, float]] = []
+def _labels(
+    wanted: Sequence[tuple[float, float, str]], points: Sequence[tuple[float, float]], right: float
+) -> list[str]:
+    """Labels beside their points; one that would cover another, or a point, is left out."""
+    taken = [(x - 4.0, x + 4.0, y + 4.0) for x, y in points]
     parts = []
     for x, y, words in wanted:
         long = 6.0 * len(words)
-        start = x + 8 if x + 8 + long < right else x - 8 - long
-        for level in (y + 4, y - 9, y + 17):
-            if all(abs(level - other) > 11 or start > end or start + long < begin for begin, end, other in taken):
+        sides = [start for start in (x + 8, x - 8 - long) if start >= 60 and start + long < right]
+        for start, level in ((side, y + shift) for side in sides for shift in (4, -9, 17)):
+            if all(abs(level - other) > 9 or start > end or start + long < begin for begin, end, other in taken):
                 taken.append((start, start + long, level))
                 parts.append(_text(start, level, words, "start", halo=True))
                 break
