@@ -205,6 +205,19 @@ def test_a_height_that_was_not_measured_is_said(photos, tmp_path, capsys):
     assert any("was not measured" in words for words in facts["warnings"])
 
 
+def test_photographs_in_capture_folders_are_taken_by_their_pattern(photos, tmp_path, capsys):
+    place, _ = photos
+    for k, file in enumerate(sorted((place / "boards").glob("*.png"))):
+        (tmp_path / f"board_{k}").mkdir()
+        shutil.copy(file, tmp_path / f"board_{k}" / "white_0.png")
+        shutil.copy(place / "boards" / "0.png", tmp_path / f"board_{k}" / "white_1.png")
+    plain, inside = tmp_path / "plain.json", tmp_path / "inside.json"
+    run(capsys, place / "boards", "--out", plain, "--json")
+    _, printed, _ = run(capsys, tmp_path, "--pattern", "board_*/white_0.png", "--out", inside, "--json")
+    np.testing.assert_array_equal(read_rig(inside).camera.matrix, read_rig(plain).camera.matrix)
+    assert "board_3/white_0.png" in printed
+
+
 def test_folders_that_do_not_do(photos, tmp_path, capsys):
     place, _ = photos
     out = tmp_path / "rig.json"

@@ -19,7 +19,10 @@ def add_camera(kinds: Any) -> None:
     verb.add_argument("--out", type=Path, required=True, metavar="FILE", help="rig file to write")
     verb.add_argument("--rig", type=Path, default=None, metavar="FILE", help="rig file whose other parts are kept")
     verb.add_argument(
-        "--pattern", default=None, metavar="GLOB", help="only files of this name, such as 'left*.jpg' (default: all)"
+        "--pattern",
+        default=None,
+        metavar="GLOB",
+        help="only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders (default: all)",
     )
     board = verb.add_argument_group("the printed target ('splitknit rig target' makes it)")
     board.add_argument("--board", default="9x6", metavar="CxR", help="inner corners each way (default: 9x6)")

@@ -97,7 +97,9 @@ def find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCa
     expected_by = str(job.rig)
     if job.folder is not None:
         files = image_files(job.folder, job.pattern)
-        photos = board_photos(files, board, size, expected_by, lambda share: progress("finding corners", 0.85 * share))
+        photos = board_photos(
+            job.folder, files, board, size, expected_by, lambda share: progress("finding corners", 0.85 * share)
+        )
         size, expected_by, hashes = photos.image_size, files[0].name, dict(photos.hashes)
         progress("fitting", 0.86)
         names, corners = list(photos.corners), list(photos.corners.values())

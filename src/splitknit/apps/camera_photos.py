@@ -40,20 +40,29 @@ class BoardPhotos:
 
 
 def image_files(folder: Path, pattern: str | None = None) -> list[Path]:
-    """Images in `folder`, in the order that people count, only those whose name fits the glob `pattern` if given."""
+    """Images in `folder`, in the order that people count, only those whose name fits the glob `pattern` if given.
+
+    A pattern such as ``board_*/white_0.png`` takes images of capture folders inside `folder`.
+    """
     require(folder.is_dir(), f"'{folder}' is not a folder; name the folder of checkerboard photographs.")
-    files = [file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES]
+    levels = "/".join("*" * (1 if pattern is None else 1 + pattern.count("/")))
+    files = [file for file in folder.glob(levels) if file.is_file() and file.suffix.lower() in SUFFIXES]
     files = [file for file in files if not file.name.startswith(".")]
     count = len(files)
     if pattern is not None:
-        files = [file for file in files if fnmatch.fnmatchcase(file.name, pattern)]
+        files = [file for file in files if fnmatch.fnmatchcase(_label(file, folder), pattern)]
         require(
             bool(files),
             f"no image in '{folder}' fits the pattern '{pattern}' ({count} images are there); "
             "quote the pattern and compare it with the files' names.",
         )
     require(bool(files), f"'{folder}' holds no images (PNG, JPEG or TIFF); put the checkerboard photographs there.")
-    return sorted(files, key=lambda file: [(len(part), part) for part in re.findall(r"\d+|\D+", file.name)])
+    return sorted(files, key=lambda file: [(len(p), p) for p in re.findall(r"\d+|\D+", _label(file, folder))])
+
+
+def _label(file: Path, folder: Path) -> str:
+    """How a photograph is called: its path in the folder."""
+    return file.relative_to(folder).as_posix()
 
 
 def read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tuple[PixelArray, str]:
@@ -69,7 +78,8 @@ def read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tu
     return pixels, hashlib.sha256(data).hexdigest()
 
 
-def board_photos(
+def board_photos(  # noqa: PLR0917
+    folder: Path,
     files: Sequence[Path],
     board: Board,
     size: tuple[int, int] | None,
@@ -89,28 +99,27 @@ def board_photos(
     without: list[Path] = []
     for k, file in enumerate(files):
         progress(k / len(files))
-        pixels, hashes[file.name] = read_photo(file, size, expected_by)
+        pixels, hashes[_label(file, folder)] = read_photo(file, size, expected_by)
         if size is None:
-            size, expected_by = (pixels.shape[0], pixels.shape[1]), file.name
+            size, expected_by = (pixels.shape[0], pixels.shape[1]), _label(file, folder)
         found = _found(file, find_board, pixels, board)
         if found is None:
             without.append(file)
         else:
-            corners[file.name] = found
+            corners[_label(file, folder)] = found
         if not corners and len(without) == _LOOKED_AT:
             _refuse_other_size(without, board)
     assert size is not None
     if len(corners) < LEAST:
         _refuse_other_size(without, board)
-        folder = files[0].parent
-        named = ", ".join(file.name for file in without[:4]) + (" and more" if len(without) > 4 else "")
+        named = ", ".join(_label(file, folder) for file in without[:4]) + (" and more" if len(without) > 4 else "")
         missing = f" (not in {named})" if without else ""
         raise BadInput(
             f"{folder}: a checkerboard of {board.columns} x {board.rows} inner corners is in full view in "
             f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
             "take more, the board tilted differently in each."
         )
-    return BoardPhotos(size, corners, tuple(file.name for file in without), hashes)
+    return BoardPhotos(size, corners, tuple(_label(file, folder) for file in without), hashes)
 
 
 def plane_marks(

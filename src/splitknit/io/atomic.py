@@ -39,8 +39,8 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     _check_replaceable(target, overwrite)
     with _parents(target), _refuse_os_errors(target):
         temporary = _sibling(target)
-        temporary.mkdir()
         try:
+            temporary.mkdir()
             yield temporary
             _write_manifest(temporary)
             _swap(temporary, target, overwrite)
