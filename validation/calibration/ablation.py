@@ -13,6 +13,8 @@ on stdout (with ``--write FILE`` between the marks ``<!-- ablation -->`` of a do
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import sys
 from collections.abc import Callable
@@ -61,7 +63,8 @@ def calibrate(folder: Path, seed: int, scale: float) -> Rig:
     bench = folder / "bench"
 
     def call(*words: object) -> None:
-        code = splitknit([str(word) for word in words])
+        with contextlib.redirect_stdout(io.StringIO()):
+            code = splitknit([str(word) for word in words])
         if code != 0:
             raise SystemExit(f"splitknit {' '.join(str(w) for w in words)} ended with {code}")
 
