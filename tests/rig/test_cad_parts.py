@@ -32,8 +32,9 @@ SMALL_LEDS = {"led.nir_diameter_mm": 3.0, "led.nir_flange_mm": 3.8, "led.nir_fla
 
 def other_rig():
     azimuths = 2 * np.pi * np.arange(6) / 6
+    heights = (123.0, 120.0, 120.0, 121.5, 120.0, 130.0)
     leds = tuple(
-        Led(band="nir" if k % 2 else "white", position_mm=(40 * math.cos(a), 40 * math.sin(a), 120.0))
+        Led(band="nir" if k % 2 else "white", position_mm=(40 * math.cos(a), 40 * math.sin(a), heights[k]))
         for k, a in enumerate(azimuths)
     )
     return Rig(Camera(px_per_mm=75.7, image_size=(2200, 3200), height_mm=120.0), leds)
@@ -96,7 +97,7 @@ def test_an_led_fits_its_hole_and_shines_freely(rig):
     """A model of the LED, pushed in up to its flange, touches nothing; pushed 0.3 mm further it does."""
     dimensions, parts = rig
     frame = parts["frame"].solid
-    for hole in dimensions.holes[:2]:
+    for hole in (*dimensions.holes[:2], dimensions.holes[3], dimensions.holes[5]):
         small = hole.radius_mm < 2
         body, flange = (1.5, 1.9) if small else (2.5, 2.95)
 

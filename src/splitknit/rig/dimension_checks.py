@@ -104,13 +104,13 @@ def _check_hole(hole: LedHole, dimensions: RigDimensions) -> None:
         f"LED {hole.index} is tilted by {hole.tilt_deg:.0f} deg, but its hole can be printed up to 45 deg; raise the "
         f"LEDs, bring them nearer to the axis, or give them another aim.",
     )
-    lean = hole.radius_mm * math.tan(math.radians(hole.tilt_deg))
-    land = hole.shoulder_mm - (dimensions.frame_z_mm - float(hole.light_mm[2])) / float(hole.back[2]) - lean
+    start = max(hole.level_mm(dimensions.frame_z_mm) + hole.lean_mm, dimensions.settings.led.tip_free_mm)
+    land = hole.shoulder_mm - start
     require(
         land >= _LEAST_SEAT_MM,
         f"LED {hole.index} at {hole.light_mm[2]:.1f} mm would rest on {max(land, 0):.1f} mm of plastic instead of "
-        f"{_LEAST_SEAT_MM:g} mm, as the frame's lower face is at {dimensions.frame_z_mm:.1f} mm; bring all LEDs to one "
-        f"height.",
+        f"{_LEAST_SEAT_MM:g} mm, as the frame's lower face is at {dimensions.frame_z_mm:.1f} mm; take LEDs with a "
+        f"longer body (led.white_flange_to_light_mm, led.nir_flange_to_light_mm) or smaller ones.",
     )
 
 

@@ -172,7 +172,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     field = (columns / camera.px_per_mm, rows / camera.px_per_mm)
     holes = tuple(led_hole(index, led, settings.led) for index, led in enumerate(rig.leds))
     require(len(holes) > 0, "the rig has no LEDs; parts cannot be drawn for it.")
-    frame_z = max(
+    frame_z = min(  # the lowest LED's dome stands free below the frame, those of higher ones in funnels
         float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + settings.led.tip_free_mm
         for hole in holes
     )

@@ -40,6 +40,15 @@ class LedHole:
         return np.asarray(self.light_mm + distance_mm * self.back)
 
     @property
+    def lean_mm(self) -> float:
+        """How much farther along the axis a level face meets the hole's one side than its axis."""
+        return self.radius_mm * math.tan(math.radians(self.tilt_deg))
+
+    def level_mm(self, z: float) -> float:
+        """Where the axis meets a level face at the height `z`."""
+        return (z - float(self.light_mm[2])) / float(self.back[2])
+
+    @property
     def radius_taken_mm(self) -> float:
         """How far from the camera's axis the LED reaches while it is pushed in from behind."""
         tilted = self.pocket_radius_mm * float(self.back[2])

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, RigDimensions
+from splitknit.rig.led_holes import LedHole
 from splitknit.rig.solids import (
     Shape,
     box,
@@ -70,15 +71,14 @@ def frame_part(dimensions: RigDimensions) -> Shape:
     joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
     body = tube(dimensions, low, high, joint.plate_mm)
     lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_B_DEG) + insert_lugs(dimensions, high, SCREWS_A_DEG)
-    bosses = [
-        rod(hole.pocket_radius_mm + joint.wall_mm, hole.at(-2.0), hole.at(hole.back_mm)) for hole in dimensions.holes
-    ]
+    bosses = [_boss(hole, dimensions) for hole in dimensions.holes]
     inside = cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)  # cuts what stands out of frame and wall
     bosses = [common(boss, inside) for boss in bosses]
     body = fused(body, [*lugs, *bosses, *_camera_posts(dimensions)])
     holes = [cylinder(dimensions.lens_hole_mm, low - 1.0, dimensions.board_z_mm + 1.0)]
     for hole in dimensions.holes:
-        holes.append(rod(hole.radius_mm, hole.at(-8.0), hole.at(hole.shoulder_mm + 0.5)))
+        holes.append(rod(hole.radius_mm, hole.at(hole.level_mm(low) - 8.0), hole.at(hole.shoulder_mm + 0.5)))
+        holes += _funnel(hole, dimensions)
         holes.append(rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
     holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
     holes += head_holes(dimensions, low, SCREWS_B_DEG)
@@ -104,6 +104,23 @@ def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + 1.2
     radius = dimensions.settings.camera.post_hole_mm / 2
     return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in camera_holes(dimensions)]
+
+
+def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
+    """The wall around one LED's hole, from below the frame's lower face to the pocket's end."""
+    start = hole.at(hole.level_mm(dimensions.frame_z_mm) - 3.0)
+    return rod(hole.pocket_radius_mm + dimensions.settings.joint.wall_mm, start, hole.at(hole.back_mm))
+
+
+def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
+    """Free the dome of an LED that lies higher than the lowest one; the funnel's roof leans by 45 deg at most."""
+    start = dimensions.settings.led.tip_free_mm
+    near = hole.level_mm(dimensions.frame_z_mm) - hole.lean_mm
+    if near >= start:
+        return []
+    long = start - near + 2 * hole.lean_mm + 2.0
+    wider = long * math.tan(math.radians(max(44.0 - hole.tilt_deg, 5.0)))
+    return [rod(hole.radius_mm, hole.at(start - long), hole.at(start), hole.radius_mm + wider)]
 
 
 def _first_led_mark(dimensions: RigDimensions) -> Shape:

@@ -22,11 +22,14 @@ def cylinder(radius: float, low: float, high: float, x: float = 0.0, y: float = 
     return Pos(x, y, low) * Solid.make_cylinder(radius, high - low)
 
 
-def rod(radius: float, start: Point, end: Point) -> Shape:
-    """Return a cylinder between two points."""
+def rod(radius: float, start: Point, end: Point, start_radius: float | None = None) -> Shape:
+    """Return a cylinder between two points, or a cone if it starts with another radius."""
     first, last = (Vector(*(float(value) for value in point)) for point in (start, end))
     way = last - first
-    return Solid.make_cylinder(radius, way.length, Plane(origin=first, z_dir=way))
+    plane = Plane(origin=first, z_dir=way)
+    if start_radius is not None:
+        return Solid.make_cone(start_radius, radius, way.length, plane)
+    return Solid.make_cylinder(radius, way.length, plane)
 
 
 def cone(low_radius: float, high_radius: float, low: float, high: float) -> Shape:
