@@ -6,23 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.background import background_albedo, hand_shadow
-from splitknit.simulate.defocus import blur_sigma_px, defocus
+from splitknit.simulate.defocus import defocus
 from splitknit.simulate.diffusion import WalkTable, load_walks
-from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface
-from splitknit.simulate.lens import fall_off, px_per_mm_at
-from splitknit.simulate.lighting import finger_window, white_card
-from splitknit.simulate.renderer import RenderSettings, render_ambient, render_band
-from splitknit.simulate.rig import default_rig
+from splitknit.simulate.finger import Finger
+from splitknit.simulate.lens import fall_off
+from splitknit.simulate.lighting import white_card
+from splitknit.simulate.renderer import render_band
 from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulate.surface import Surface
 from splitknit.simulate.truth import optics_truth, surface_truth
-from splitknit.simulate.twin import TwinSettings
+from splitknit.simulate.twin import TwinSettings, lay_down
+from splitknit.simulate.twin_scene import finger_blur, room_level, room_light
 from splitknit.types import Camera, FloatArray, Led, Rig
 
 HalfArray = NDArray[np.float16]
@@ -70,24 +69,12 @@ class FingerScene:
             If no part of the finger is in the picture.
         """
         settings = settings or TwinSettings()
-        require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
+        laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         self.settings = settings
-        self.rig: Rig = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
-        person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
-        pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
-        self.skin: SkinSettings = (
-            settings.skin if isinstance(settings.skin, SkinSettings) else settings.skin.draw(person)
-        )
-        pose = (
-            settings.pose
-            if isinstance(settings.pose, Pose)
-            else settings.pose.draw(np.random.default_rng(pose_seed), self.rig.camera)
-        )
-        workers = settings.render.workers
-        self.surface: Surface = finger_surface(
-            finger or draw_finger(seed, pattern), pose, self.rig.camera, workers=workers
-        )
-        rng = np.random.default_rng(photo_seed.spawn(1)[0])
+        self.rig: Rig = laid.rig
+        self.skin: SkinSettings = laid.skin
+        self.surface: Surface = laid.surface
+        rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
         albedo = background_albedo(self.rig.camera, settings.background, rng)
         self._albedo = np.where(self.surface.mask, 0, albedo)
         self._shade = hand_shadow(self.rig.camera, settings.background)
@@ -171,32 +158,13 @@ class FingerScene:
     def _room_light(self) -> FloatArray:
         """(H, W, 3) radiance with all LEDs off."""
         if self._room is None:
-            share = self.settings.background.ambient
-            level = share * float(np.mean([white_card(self.camera, led, step=10**6).mean() for led in self.leds]))
-            frame = np.repeat((np.float32(level) * self._albedo)[..., None], 3, axis=2)
-            if level > 0.0:
-                skin = render_ambient(
-                    self.surface,
-                    level,
-                    [self.skin.channel(channel) for channel in BAND_CHANNELS["white"]],
-                    roughness=self.skin.roughness,
-                    walks=self._walks,
-                    settings=self.settings.render,
-                )
-                frame[finger_window(self.surface)] += np.moveaxis(skin, 0, -1)
-            self._room = np.asarray(frame, dtype=np.float32)
+            self._room = room_light(
+                self.surface,
+                self._albedo,
+                room_level(self.camera, self.leds, self.settings.background.ambient),
+                [self.skin.channel(channel) for channel in BAND_CHANNELS["white"]],
+                self.skin.roughness,
+                walks=self._walks,
+                render=self.settings.render,
+            )
         return self._room
-
-
-def finger_blur(surface: Surface, settings: RenderSettings) -> FloatArray | None:
-    """(H, W) defocus in pixels (standard deviation) by the finger's depth, or None where it is switched off."""
-    if settings.aperture_mm == 0.0:
-        return None
-    camera = surface.camera
-    z = np.where(surface.mask, surface.shape_mm, 0).astype(np.float32)
-    focus = float(z[surface.mask].max()) - settings.focus_depth_mm
-    # beyond the outline the blur of the outline itself goes on: the dark background shows no blur of its own
-    weight, size = surface.mask.astype(np.float32), 0.5 * camera.px_per_mm
-    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
-    depth = np.where(surface.mask, z, near)
-    return blur_sigma_px(depth, focus, camera.height_mm, settings.aperture_mm, px_per_mm_at(camera, focus))

@@ -82,6 +82,33 @@ def simulate_capture(
     The same arguments give the same bytes, whatever the number of workers.
     """
     settings = settings or TwinSettings()
+    laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+    capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
+    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
+    return replace(capture, subject=subject), truth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaidDown:
+    """A finger under a rig."""
+
+    surface: Surface
+    rig: Rig
+    skin: SkinSettings
+    photo_seed: np.random.SeedSequence
+    """Of background and noise."""
+
+
+def lay_down(
+    seed: int,
+    pattern: str | None = None,
+    settings: TwinSettings | None = None,
+    *,
+    impression: int = 0,
+    finger: Finger | None = None,
+) -> LaidDown:
+    """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
+    settings = settings or TwinSettings()
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
     rig = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
     finger = finger or draw_finger(seed, pattern)
@@ -93,9 +120,7 @@ def simulate_capture(
     else:
         pose = settings.pose.draw(np.random.default_rng(pose_seed), rig.camera)
     surface = finger_surface(finger, pose, rig.camera, workers=settings.render.workers)
-    capture, truth = photograph(surface, rig, skin, photo_seed, settings=settings)
-    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
-    return replace(capture, subject=subject), truth
+    return LaidDown(surface, rig, skin, photo_seed)
 
 
 def photograph(

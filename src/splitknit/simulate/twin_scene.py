@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +15,11 @@ from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.diffusion import WalkTable
 from splitknit.simulate.lens import fall_off, px_per_mm_at
 from splitknit.simulate.lighting import finger_window, white_card
-from splitknit.simulate.renderer import BandLight, render_ambient, render_band
+from splitknit.simulate.renderer import BandLight, RenderSettings, render_ambient, render_band
 from splitknit.simulate.sensor import binning_scale, record
-from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulate.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
 from splitknit.simulate.surface import Surface
-from splitknit.types import Band, FloatArray, Led, PixelArray, Rig
+from splitknit.types import Band, Camera, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulate.twin import TwinSettings
@@ -41,7 +42,7 @@ class Scene:
         self.shade = hand_shadow(rig.camera, settings.background)
         self.scale = settings.sensor_scale or binning_scale(rig.camera)
         self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
-        self.blur = self._blur()
+        self.blur = finger_blur(surface, settings.render)
 
     def photograph(self, name: str, seed: np.random.SeedSequence) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
         """Images of one band, the glare (L, H, W) in the images' units, and the exposure (one number).
@@ -95,38 +96,11 @@ class Scene:
 
     def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
         """(H, W, 3) radiance of the frame with all LEDs off."""
-        settings = self.settings.background
-        level = settings.ambient * float(np.mean([white_card(self.rig.camera, led, step=10**6).mean() for led in leds]))
-        frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
-        if level > 0.0:
-            optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
-            skin = render_ambient(
-                self.surface,
-                level,
-                optics,
-                roughness=self.skin.roughness,
-                walks=self.walks,
-                settings=self.settings.render,
-            )
-            light = BandLight(finger_window(self.surface), skin[None], np.zeros_like(skin[:1]))
-            for c in range(3):
-                frame[light.window][..., c] += light.diffuse[0, min(c, skin.shape[0] - 1)]
-        return frame
-
-    def _blur(self) -> FloatArray | None:
-        """(H, W) defocus in pixels, or None where it is switched off."""
-        render, camera = self.settings.render, self.rig.camera
-        if render.aperture_mm == 0.0:
-            return None
-        z = np.where(self.surface.mask, self.surface.shape_mm, 0).astype(np.float32)
-        top = float(z[self.surface.mask].max())
-        # beyond the outline the blur of the outline itself goes on: the dark background shows no blur of its own
-        weight = self.surface.mask.astype(np.float32)
-        size = 0.5 * camera.px_per_mm
-        near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
-        z = np.where(self.surface.mask, z, near)
-        focus = top - render.focus_depth_mm
-        return blur_sigma_px(z, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
+        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+        level = room_level(self.rig.camera, leds, self.settings.background.ambient)
+        return room_light(
+            self.surface, self.albedo, level, optics, self.skin.roughness, walks=self.walks, render=self.settings.render
+        )
 
     def _record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
         if self.blur is not None:
@@ -134,6 +108,45 @@ class Scene:
         if self.fall_off is not None:
             frame = frame * self.fall_off[..., None]
         return record(frame, name, seed, self.settings.sensor, self.scale)
+
+
+def room_level(camera: Camera, leds: Sequence[Led], share: float) -> float:
+    """Radiance of a white card under the room's light: `share` of that under one LED (mean of all)."""
+    return share * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
+
+
+def room_light(
+    surface: Surface,
+    albedo: FloatArray,
+    level: float,
+    optics: Sequence[ChannelOptics],
+    roughness: float,
+    *,
+    walks: WalkTable,
+    render: RenderSettings,
+) -> FloatArray:
+    """(H, W, 3) radiance of finger and background `albedo` (H, W) under a room that gives a white card `level`."""
+    frame = np.repeat((np.float32(level) * albedo)[..., None], 3, axis=2)
+    if level > 0.0:
+        skin = render_ambient(surface, level, optics, roughness=roughness, walks=walks, settings=render)
+        window = frame[finger_window(surface)]
+        for c in range(3):
+            window[..., c] += skin[min(c, skin.shape[0] - 1)]
+    return np.asarray(frame, dtype=np.float32)
+
+
+def finger_blur(surface: Surface, settings: RenderSettings) -> FloatArray | None:
+    """(H, W) defocus in pixels (standard deviation) by the finger's depth, or None where it is switched off."""
+    if settings.aperture_mm == 0.0:
+        return None
+    camera = surface.camera
+    z = np.where(surface.mask, surface.shape_mm, 0).astype(np.float32)
+    focus = float(z[surface.mask].max()) - settings.focus_depth_mm
+    # beyond the outline the blur of the outline itself goes on: the dark background shows no blur of its own
+    weight, size = surface.mask.astype(np.float32), 0.5 * camera.px_per_mm
+    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
+    depth = np.where(surface.mask, z, near)
+    return blur_sigma_px(depth, focus, camera.height_mm, settings.aperture_mm, px_per_mm_at(camera, focus))
 
 
 def _stack(images: list[PixelArray]) -> PixelArray:
