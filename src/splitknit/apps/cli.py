@@ -73,11 +73,23 @@ def _add_demo(verbs: Any) -> None:
 
 
 def _add_simulate(verbs: Any) -> None:
+    from splitknit.apps.simulate_population_verb import add_population_options  # noqa: PLC0415
+
     verb = new_verb(
-        verbs, "simulate", "photograph a simulated finger, or what calibrates a simulated rig", run_simulate
+        verbs,
+        "simulate",
+        "photograph a simulated finger, a population of them, or what calibrates a simulated rig",
+        run_simulate,
+    )
+    verb.add_argument(
+        "what",
+        nargs="?",
+        choices=("finger", "population"),
+        default="finger",
+        help="one capture (finger, the default), or many people's fingers in several sessions",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
-    verb.add_argument("--seed", type=natural, default=0, help="which finger (default: 0)")
+    verb.add_argument("--seed", type=natural, default=0, help="which finger, or which population (default: 0)")
     verb.add_argument(
         "--bench",
         action="store_true",
@@ -91,6 +103,7 @@ def _add_simulate(verbs: Any) -> None:
         "--scale", type=scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
     )
     add_settings(verb)
+    add_population_options(verb)
 
 
 def _add_reconstruct(verbs: Any) -> None:
@@ -209,7 +222,11 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
     """Write a simulated capture."""
     from splitknit.apps.commands import simulate_to_folder  # noqa: PLC0415
     from splitknit.apps.options import read_changes  # noqa: PLC0415
+    from splitknit.apps.simulate_population_verb import refuse_population_options, run_population  # noqa: PLC0415
 
+    if options.what == "population":
+        return run_population(options)
+    refuse_population_options(options)
     changes = read_changes(options.settings, options.assignments)
     if options.bench:
         return _run_bench(options, changes)
