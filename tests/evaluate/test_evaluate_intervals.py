@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
-from scipy.special import ndtr
+from scipy.special import betainc, ndtr
 
 from splitknit.check import BadInput
 from splitknit.evaluate import (
@@ -27,6 +27,7 @@ from splitknit.evaluate import (
     scores_of_comparisons,
 )
 from splitknit.evaluate.cells import make_cells
+from splitknit.evaluate.rates import error_bound
 from splitknit.evaluate.replicate_figures import Layout, figures_of
 from splitknit.evaluate.replicates import cell_weights, cluster_units, pair_units, plain_units
 
@@ -100,6 +101,22 @@ def test_few_cells_are_good_enough(limit: int) -> None:
     for name in LAYOUT.names:  # all genuine scores are cells of their own: only the crossing's place is rough
         assert row[name] == pytest.approx(truth[name], abs=2e-4 if name.startswith("eer") else 1e-3), name
     assert cells.crowded.any()
+
+
+def test_a_crossing_among_many_impostors_is_not_biased() -> None:
+    genuine, impostor = np.array([-5.0, -4.0, 0.0, 9.0]), np.linspace(-1, 1, 4001)  # FRR is 1/2 from -4 to 0
+    cells = make_cells(genuine, impostor + 0.01, 12)
+    weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
+    assert figures_of(cells, *weights, LAYOUT)[0] == pytest.approx(
+        equal_error(genuine, impostor + 0.01).value, abs=1e-3
+    )
+
+
+def test_the_highest_impostors_are_cells_of_their_own() -> None:
+    impostor = np.arange(100_000.0)
+    cells = make_cells(np.array([5.0, 99_990.0]), impostor, 1200)
+    top = cells.impostor[-100:]
+    assert np.unique(top).size == 100 and not cells.crowded[top].any()
 
 
 def test_cells_fall_and_failures_come_last() -> None:
@@ -218,6 +235,19 @@ def test_no_error_is_not_certainty() -> None:
     by_finger = population(1, fingers=30, spread=0.0)
     easy = Scores(by_finger.label, by_finger.score + 50 * by_finger.label, finger=by_finger.finger)
     assert bootstrap(easy, "finger", FEW).figures["eer"].high == pytest.approx(0.1)  # 30 fingers, not 90 pairs
+
+
+def test_few_errors_are_no_certainty_either() -> None:
+    generator = np.random.default_rng(3)
+    genuine = np.append(generator.normal(50, 1, 59), -50.0)
+    found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures["gar@0.01"]
+    assert found.value == pytest.approx(59 / 60)
+    assert betainc(2, 59, 1 - found.low) == pytest.approx(0.95)  # one error of 60, Clopper and Pearson
+    assert error_bound(0.0, 300) == 0.01 and error_bound(1.0, 5) == 1.0
+    assert error_bound(1e-12, 300) == pytest.approx(0.01, rel=0.01)  # it starts at the rule of three
+    many = plain_scores(np.append(generator.normal(50, 1, 300), np.full(100, -50.0)), generator.normal(0, 1, 300))
+    found = bootstrap(many, "plain", FEW).figures["gar@0.01"]
+    assert found.high - found.low == pytest.approx(2 * 1.96 * np.sqrt(0.25 * 0.75 / 400), rel=0.3)
 
 
 def test_failures_widen_nothing_but_count() -> None:

@@ -30,7 +30,7 @@ class Cells:
     crowded: NDArray[np.bool_]
     """(count,) whether a cell holds several distinct impostor scores, and no genuine one."""
     moments: NDArray[np.float64]
-    """(2, 2, count): genuine, impostor; mean of the standardised scores of a cell, and of their squares."""
+    """(2, 2, count): genuine, impostor; mean and variance of the standardised scores of a cell."""
 
 
 def make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limit: int = CELLS) -> Cells:
@@ -42,7 +42,6 @@ def make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limi
     used, codes = np.unique(np.concatenate([_code(side, edges) for side in sides]), return_inverse=True)
     codes = used.size - 1 - codes
     parts = codes[: sides[0].size], codes[sides[0].size :]
-    crowded = np.zeros(used.size, dtype=np.bool_)
     values = np.bincount(used.size - 1 - np.searchsorted(used, _code(distinct[1], edges)), minlength=used.size)
     crowded = (values > 1) & (np.bincount(parts[0], minlength=used.size) == 0)
     middle, scale = float(np.mean(sides[1])), float(np.ptp(every)) or 1.0
@@ -73,4 +72,5 @@ def _code(scores: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np
 
 def _moments(cell: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     number = np.maximum(np.bincount(cell, minlength=count), 1)
-    return np.stack([np.bincount(cell, weights=values**power, minlength=count) / number for power in (1, 2)])
+    mean = np.bincount(cell, weights=values, minlength=count) / number
+    return np.stack([mean, np.bincount(cell, weights=(values - mean[cell]) ** 2, minlength=count) / number])

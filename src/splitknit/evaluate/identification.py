@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.evaluate.rates import FEW, error_bound
 from splitknit.evaluate.scores import Scores
 
 
@@ -86,7 +87,8 @@ def rank_one_interval(
     tail = (1 - confidence) / 2
     low, high = np.quantile((drawn @ found) / (drawn @ number), [tail, 1 - tail])
     value = float(np.mean(result.rank == 1))
-    if value in (0.0, 1.0):  # no replicate can tell
-        reach = min(1.0, 3.0 / fingers)
-        low, high = (1 - reach, 1.0) if value == 1.0 else (0.0, reach)
+    if (1.0 - value) * fingers < FEW:
+        low = min(float(low), 1.0 - error_bound(1.0 - value, fingers))
+    if value * fingers < FEW:
+        high = max(float(high), error_bound(value, fingers))
     return min(float(low), value), max(float(high), value)

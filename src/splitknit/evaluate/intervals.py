@@ -85,9 +85,10 @@ def bootstrap(
     Returns
     -------
     Intervals
-        Percentile intervals, widened so as to hold the value itself. Where no genuine comparison failed (or all did)
-        no replicate can tell, and the bound comes from the rule of three over the number of genuine comparisons
-        (fingers, subjects).
+        Percentile intervals, widened so as to hold the value itself. Where less than five fingers' (subjects',
+        comparisons') worth of genuine comparisons failed, replicates of them tell too little, and the limit on the
+        side of more errors is at least that of :func:`splitknit.evaluate.rates.error_bound` with so many independent
+        trials as there are fingers (subjects, comparisons).
 
     Raises
     ------
@@ -141,10 +142,7 @@ def differences(
     values = [figure_values(one, settings.targets) for one in (first, second)]
     both = [name for name in layout.names if name in values[0] and name in values[1]]
     places = {name: layout.names.index(name) for name in both}
-    return {
-        name: _holding(values[0][name] - values[1][name], lows[places[name]], highs[places[name]], None)
-        for name in both
-    }
+    return {name: _holding(values[0][name] - values[1][name], lows[places[name]], highs[places[name]]) for name in both}
 
 
 def figure_values(scores: Scores, targets: Sequence[float]) -> dict[str, float]:
@@ -207,14 +205,16 @@ def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.fl
     return limits[0], limits[1]
 
 
-def _possible(name: str, value: float, independent: int) -> tuple[float, float] | None:
-    """Bounds by the rule of three where all genuine comparisons went one way."""
-    reach = rates.rule_of_three(independent)
-    if name.startswith("gar@"):
-        return (1.0 - reach, 1.0) if value == 1.0 else (0.0, reach) if value == 0.0 else None
-    return (0.0, reach) if name.startswith("eer") and value == 0.0 else None
+def _possible(name: str, value: float, independent: int) -> tuple[float, float]:
+    """How far a rate may lie off where errors (or accepts) are too few for the bootstrap."""
+    low = high = value
+    if name.startswith(("gar@", "eer")) and value * independent < rates.FEW:
+        high = rates.error_bound(value, independent)
+    if name.startswith("gar@") and (1.0 - value) * independent < rates.FEW:
+        low = 1.0 - rates.error_bound(1.0 - value, independent)
+    return low, high
 
 
-def _holding(value: float, low: float, high: float, possible: tuple[float, float] | None) -> Interval:
-    limits = [value, *(float(limit) for limit in (low, high) if np.isfinite(limit)), *(possible or ())]
+def _holding(value: float, low: float, high: float, possible: tuple[float, ...] = ()) -> Interval:
+    limits = [value, *(float(limit) for limit in (low, high) if np.isfinite(limit)), *possible]
     return Interval(value, min(limits), max(limits))

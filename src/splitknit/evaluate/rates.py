@@ -20,11 +20,14 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv
 
 from splitknit.check import require
 
 Scores1D = NDArray[np.float64]
 Counting = Literal["all", "made"]
+FEW = 5
+"""Errors below which percentiles of replicates are not trusted alone, counted in what is drawn."""
 SLACK = 1e-12
 """Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 says."""
 
@@ -224,13 +227,30 @@ def d_prime(genuine: Any, impostor: Any) -> float | None:
     if min(g[0], i[0]) == max(g[-1], i[-1]) or largest == 0:
         return None
     g, i = g / largest, i / largest
-    spread = float(np.sqrt((np.var(g) + np.var(i)) / 2))
+    variances = [0.0 if side[0] == side[-1] else float(np.var(side)) for side in (g, i)]
+    spread = float(np.sqrt(sum(variances) / 2))
     return float((np.mean(g) - np.mean(i)) / spread) if spread > 0 else None
 
 
 def rule_of_three(trials: int) -> float:
     """95 % upper bound of the rate of what never happened in so many independent trials, 3 / n."""
     return min(1.0, 3.0 / max(trials, 1))
+
+
+def error_bound(rate: float, trials: int, confidence: float = 0.95) -> float:
+    """Upper bound of a rate from a few errors in independent trials: the rule of three, continued.
+
+    ``rate * trials`` errors were seen, not necessarily a whole number. The bound is that of Clopper and Pearson.
+
+    References
+    ----------
+    C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
+    Biometrika 26(4), 1934.
+    """
+    errors = rate * trials
+    if errors >= trials:
+        return 1.0
+    return rule_of_three(trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, confidence))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -80,9 +80,9 @@ def _equal_error(gar: Row, far: Row, crowded: NDArray[np.bool_]) -> float:
 
 def _d_prime(cells: Cells, genuine: Row, impostor: Row) -> float:
     means, spreads = [], []
-    for share, (first, second) in zip((genuine, impostor), cells.moments, strict=True):
-        means.append(_dot(share, first))
-        spreads.append(max(_dot(share, second) - means[-1] ** 2, 0.0))
+    for share, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
+        means.append(_dot(share, mean))
+        spreads.append(_dot(share, variance + (mean - means[-1]) ** 2))
     spread = float(np.sqrt(sum(spreads) / 2))
     return (means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
 

@@ -18,7 +18,7 @@ recognition systems - the subsets bootstrap", Computer Vision and Image Understa
 finger of a pair, which is too narrow for impostors). N. Poh, A. Martin, S. Bengio, "Performance generalization in
 biometric authentication using joint user-specific and sample bootstraps", IEEE PAMI 29(3), 2007.
 R. Fogliato, P. Patil, P. Perona, "Confidence intervals for error rates in 1:1 matching tasks", International Journal
-of Computer Vision 132, 2024 (compares them; the vertex bootstrap covers).
+of Computer Vision, 2024 (a review: bootstraps cover too often or too rarely where errors are few).
 """
 
 from __future__ import annotations

@@ -1,0 +1,119 @@
+"""ROC, figures and bootstrap of 20,000 genuine and 1,000,000 impostor scores, and the thesis's 173,400 comparisons.
+
+Peers: numpy's way of the textbook (sort all scores with their labels, cumulate), and a bootstrap that draws scores and
+sorts them anew. ``--file`` also writes and reads a score file of a million lines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.evaluate import (
+    BootstrapSettings,
+    Scores,
+    auc,
+    bootstrap,
+    comparisons,
+    equal_error,
+    gar_at_far,
+    roc,
+    scores_of_comparisons,
+)
+from timing import machine, print_table, race
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--replicates", type=int, default=100, help="timed; the table gives seconds for 1,000")
+    parser.add_argument("--file", action="store_true", help="a score file of a million lines as well")
+    options = parser.parse_args()
+    generator = np.random.default_rng(0)
+    genuine, impostor = generator.normal(2.5, 1, 20_000), generator.normal(0, 1, 1_000_000)
+    print(f"20,000 genuine and 1,000,000 impostor scores, {machine()}")
+    contenders = {
+        "roc": lambda: roc(genuine, impostor).far.size,
+        "roc, EER, GAR at three FARs, AUC": lambda: figures(genuine, impostor),
+        "argsort of all scores, cumulated": lambda: textbook(genuine, impostor).size,
+    }
+    print_table("ROC", race(contenders, options.rounds), lambda size: f"{size:,}", "points")
+    started = time.process_time()
+    roc(genuine, impostor)
+    print(f"\nroc: {1000 * (time.process_time() - started):.0f} ms of processor time")
+    label = np.repeat([True, False], [genuine.size, impostor.size])
+    resampling(Scores(label, np.concatenate([genuine, impostor])), ("plain",), options.replicates)
+    resampling(thesis(generator), ("plain", "finger", "subject"), options.replicates)
+    naive(genuine, impostor)
+    print(f"\n{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB at the peak")
+    if options.file:
+        score_file(impostor)
+
+
+def figures(genuine: np.ndarray, impostor: np.ndarray) -> int:
+    g, i = np.sort(genuine), np.sort(impostor)
+    equal_error(g, i), auc(g, i)
+    for far in (0.01, 0.001, 0.0001):
+        gar_at_far(g, i, far)
+    return roc(g, i).far.size
+
+
+def textbook(genuine: np.ndarray, impostor: np.ndarray) -> np.ndarray:
+    scores = np.concatenate([genuine, impostor])
+    order = np.argsort(-scores)
+    label = np.repeat([True, False], [genuine.size, impostor.size])[order]
+    gar, far = np.cumsum(label) / genuine.size, np.cumsum(~label) / impostor.size
+    last = np.append(np.diff(scores[order]) != 0, True)
+    return np.stack([far[last], gar[last]], axis=1)[:, 0]
+
+
+def thesis(generator: np.random.Generator) -> Scores:
+    """17 subjects, 10 fingers, 4 sessions, all six pairs."""
+    finger, session = np.tile(np.arange(170), 4), np.repeat(np.arange(4), 170)
+    pairs = comparisons(finger, session)
+    score = 3 * pairs.genuine + generator.normal(size=pairs.a.size)
+    return scores_of_comparisons(pairs, score, finger, session, finger // 10)
+
+
+def resampling(scores: Scores, methods: tuple[str, ...], replicates: int) -> None:
+    counts = f"{int(scores.label.sum()):,} genuine and {int((~scores.label).sum()):,} impostor comparisons"
+    print(f"\n### Bootstrap of {counts}: seconds for 1,000 replicates\n\n| drawn | seconds | of the processor |")
+    print("| --- | --- | --- |")
+    bootstrap(scores, "plain", BootstrapSettings(replicates=20))
+    for method in methods:
+        started, busy = time.perf_counter(), time.process_time()
+        bootstrap(scores, method, BootstrapSettings(replicates=replicates))
+        factor = 1000 / replicates
+        wall, used = factor * (time.perf_counter() - started), factor * (time.process_time() - busy)
+        print(f"| {method} | {wall:.1f} | {used:.1f} |")
+
+
+def naive(genuine: np.ndarray, impostor: np.ndarray) -> None:
+    generator = np.random.default_rng(0)
+    started = time.process_time()
+    for _ in range(3):
+        figures(generator.choice(genuine, genuine.size), generator.choice(impostor, impostor.size))
+    used = 1000 / 3 * (time.process_time() - started)
+    print(f"\nDrawing and sorting scores anew: {used:.0f} s of processor time for 1,000 replicates.")
+
+
+def score_file(impostor: np.ndarray) -> Any:
+    from splitknit.io.scores import read_scores  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scores.csv"
+        rows = "".join(f"0,{value:.6f},f{k % 997},f{k % 991}\n" for k, value in enumerate(impostor))
+        path.write_text("label,score,finger_a,finger_b\n1,3,f1,f1\n" + rows)
+        started = time.process_time()
+        found = read_scores(path)
+        print(f"\nA file of {found.score.size:,} lines with fingers: read in {time.process_time() - started:.1f} s.")
+
+
+if __name__ == "__main__":
+    main()
