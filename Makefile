@@ -5,7 +5,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PYTEST_ARGS ?=
+# two processes; PYTEST_ARGS="-n 0 -k name" for one
+PYTEST_ARGS ?= -n 2
 
 # Both names: pip reads the first for everything it installs (older pip for build tools too), the second for build tools.
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt

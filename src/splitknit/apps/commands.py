@@ -94,12 +94,15 @@ def check_target(out: Path, marker: str, words: str, keep: Path | None = None) -
     another, such as a result a capture.
     """
     out = out.expanduser()
-    if keep is not None and out.exists():
-        source = keep.expanduser().resolve()
-        inside = out.resolve() in (source, *source.parents)
-        require(not inside, f"'{out}' holds the capture itself; name another folder to write into.")
-    if out.is_dir() and any(out.iterdir()):
-        require((out / marker).is_file(), f"'{out}' is not empty and holds not {words}; name another folder.")
+    try:
+        if keep is not None and out.exists():
+            source = keep.expanduser().resolve()
+            inside = out.resolve() in (source, *source.parents)
+            require(not inside, f"'{out}' holds the capture itself; name another folder to write into.")
+        if out.is_dir() and any(out.iterdir()):
+            require((out / marker).is_file(), f"'{out}' is not empty and holds not {words}; name another folder.")
+    except OSError as error:
+        raise BadInput(f"'{out}' cannot be written ({error.strerror}); name another folder.") from error
 
 
 def truth_of(capture: Capture) -> dict[str, Any] | None:

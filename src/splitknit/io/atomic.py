@@ -60,7 +60,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         If `path` is a folder or cannot be written.
     """
     target = _resolved(path)
-    require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
+    with _refuse_os_errors(target):
+        require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
     with _parents(target), _refuse_os_errors(target):
         temporary = _sibling(target)
         try:
