@@ -50,6 +50,9 @@ class FingerShape:
     """How far the axis bends to the side over 25 mm."""
     skew: float = 0.0
     """Shear of the sections: the pad's top lies off the middle by this fraction of the height."""
+    tip_drop_mm: float = 0.0
+    """How far the rounded cap bends away from the camera, towards the nail: the outline's tip lies that much lower
+    than its sides, so that a roll moves it sideways."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -60,6 +63,7 @@ class FingerShape:
             ("tip_length_mm", 4.0, 14.0),
             ("tip_squareness", 0.0, 0.6),
             ("pad_center", 0.2, 0.8),
+            ("tip_drop_mm", 0.0, 4.0),
         ):
             value = getattr(self, name)
             require(low <= value <= high, f"finger.{name} must lie in [{low}, {high}], but it is {value}.")
@@ -174,12 +178,13 @@ class FingerBody:
         lean = y - 8.0
         width = 0.12 * s.tip_length_mm
         cap, cap_slope = _softplus(y - s.length_mm + s.tip_length_mm - width * width / s.tip_length_mm, width)
+        drop, drop_slope = -0.5 * s.arching_per_mm * lean * lean, -s.arching_per_mm * lean
+        if s.tip_drop_mm:
+            bend = s.tip_drop_mm / s.tip_length_mm**2
+            drop, drop_slope = drop - bend * cap * cap, drop_slope - 2.0 * bend * cap * cap_slope
         return _Sections(
-            half, half_slope, rise, rise_slope,
-            turn * y * y, 2.0 * turn * y,
-            -0.5 * s.arching_per_mm * lean * lean, -s.arching_per_mm * lean,
-            cap, cap_slope,
-        )  # fmt: skip
+            half, half_slope, rise, rise_slope, turn * y * y, 2.0 * turn * y, drop, drop_slope, cap, cap_slope
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

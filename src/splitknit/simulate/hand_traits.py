@@ -30,6 +30,7 @@ TRAITS: Mapping[str, Trait] = {
     "arching_per_mm": Trait(0.0015, 0.0010, -0.0005, 0.004),
     "sideways_mm": Trait(0.0, 0.35, -0.9, 0.9, sided=True),
     "skew": Trait(0.0, 0.03, -0.08, 0.08, sided=True),
+    "tip_drop": Trait(2.0, 0.5, 0.8, 3.2),
     "ridge_depth": Trait(65.0, 13.0, 40.0, 95.0),
     "depth_variation": Trait(0.12, 0.03, 0.05, 0.2),
     "pore_depth": Trait(25.0, 6.0, 10.0, 45.0),
@@ -47,4 +48,5 @@ TRAITS: Mapping[str, Trait] = {
     "second_reach": Trait(11.5, 1.2, 8.0, 14.0),
     "second_darkening": Trait(0.25, 0.06, 0.08, 0.4),
 }
-"""Means, spreads and limits are those of :func:`splitknit.simulate.finger.draw_finger`, where their sources stand."""
+"""Means, spreads and limits are those of :func:`splitknit.simulate.finger.draw_finger`, where their sources stand; the tip's drop
+(for a finger of 13.5 mm) is ours: a fingertip ends near its nail, not half-way down."""

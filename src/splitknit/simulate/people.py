@@ -10,31 +10,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from splitknit.check import require
 from splitknit.simulate.finger import Finger
 from splitknit.simulate.finger_shape import FingerShape
 from splitknit.simulate.hand_traits import TRAITS
 from splitknit.simulate.master_print import MasterPrintSettings
+from splitknit.simulate.pattern_classes import DIGITS, SIDES, pattern_class
 from splitknit.simulate.skin import SkinRanges, SkinSettings
 from splitknit.simulate.skin_map import Crease
 from splitknit.simulate.skin_map import SkinSettings as ReliefSettings
 
 Five = tuple[float, float, float, float, float]
 
-DIGITS = ("thumb", "index", "middle", "ring", "little")
-SIDES = ("right", "left")
 FINGERS = tuple(f"{side}_{digit}" for side in SIDES for digit in DIGITS)
-
-ARCHES: Mapping[str, Five] = {"right": (0.03, 0.17, 0.07, 0.02, 0.01), "left": (0.05, 0.17, 0.08, 0.03, 0.02)}
-"""Share of arches by digit, thumb to little finger (Galton 1892, chapter VIII, 5000 digits of 500 persons)."""
-WHORLS: Mapping[str, Five] = {"right": (0.44, 0.30, 0.15, 0.45, 0.13), "left": (0.30, 0.28, 0.16, 0.31, 0.08)}
-"""Share of whorls; the rest are loops (the same table)."""
-RADIAL: Five = (0.01, 0.39, 0.04, 0.02, 0.01)
-"""Share of the loops that open to the thumb's side: 39 % on fore-fingers (Galton), rare elsewhere."""
-TENTED, TWIN = 0.44, 0.18
-"""Tented ones among arches and twin loops among whorls, as in :data:`splitknit.simulate.finger.FREQUENCIES`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +141,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
     for place, name in enumerate(FINGERS):
         own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
         side, digit = divmod(place, len(DIGITS))
-        pattern = _pattern(own, hand.pattern_score(place, ranges), SIDES[side], digit)
+        pattern = pattern_class(own, hand.pattern_score(place, ranges), SIDES[side], DIGITS[digit])
         settings = _print_settings(own, hand, place, man, ranges)
         shape, relief = _shape_and_relief(own, hand, place, man, ranges)
         settings = _large_enough(settings, shape)
@@ -198,19 +187,6 @@ class _Hand:
         return -value if trait.sided and place >= len(DIGITS) else value
 
 
-def _pattern(rng: np.random.Generator, score: float, side: str, digit: int) -> str:
-    """Class of a print: arches where the score is low, whorls where it is high; frequencies are the digit's."""
-    quantile = float(ndtr(score))
-    details = rng.random(2)
-    if quantile < ARCHES[side][digit]:
-        return "tented_arch" if details[0] < TENTED else "arch"
-    if quantile > 1.0 - WHORLS[side][digit]:
-        return "twin_loop" if details[0] < TWIN else "whorl"
-    radial = details[1] < RADIAL[digit]
-    # on the print of a right hand the little finger's side is to the right: ulnar loops open there
-    return "right_loop" if radial != (side == "right") else "left_loop"
-
-
 def _print_settings(
     rng: np.random.Generator, hand: _Hand, place: int, man: bool, ranges: PeopleRanges
 ) -> MasterPrintSettings:
@@ -236,11 +212,11 @@ def _shape_and_relief(
 
     width = size("width", ranges.width_mm, ranges.width_sex_ratio, ranges.width_spread)
     length = size("length", ranges.length_mm, ranges.length_sex_ratio, ranges.length_spread)
-    flat_thumb = 0.93 if digit == 0 else 1.0
+    thickness = width * trait("thickness") * (0.93 if digit == 0 else 1.0)
     shape = FingerShape(
         length_mm=length,
         width_mm=width,
-        thickness_mm=width * trait("thickness") * flat_thumb,
+        thickness_mm=thickness,
         squareness=trait("squareness"),
         tip_length_mm=min(0.5 * width * trait("tip_length"), 13.8),
         tip_squareness=trait("tip_squareness"),
@@ -251,6 +227,7 @@ def _shape_and_relief(
         arching_per_mm=trait("arching_per_mm"),
         sideways_mm=trait("sideways_mm"),
         skew=trait("skew"),
+        tip_drop_mm=trait("tip_drop") * min(thickness / 13.5, 1.25),
     )
     broad = width / 16.8
     first, second = (

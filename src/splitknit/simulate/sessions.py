@@ -52,6 +52,8 @@ class SessionRanges:
     """Depth of ridges and pores relative to the finger's own, dry and moist."""
     blood_sd: float = 0.25
     """Logarithmic standard deviation of the blood content (warmth, pressure)."""
+    blood_common: float = 0.8
+    """Share of its variance that a person's fingers have in common."""
     oxygenation: Range = (0.6, 0.85)
     exposure: Range = (0.5, 0.8)
     """Share of full scale that the brightest skin reaches."""
@@ -62,14 +64,14 @@ class SessionRanges:
     """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
     ambient: Range = (0.0005, 0.004)
     """Room light relative to one LED."""
-    hand_shadow: Range = (0.0, 0.25)
+    hand_shadow: Range = (0.0, 0.15)
     dust_per_cm2: Range = (0.0, 0.6)
 
     def __post_init__(self) -> None:
         for name, least, most in (
             ("yaw_sd_deg", 0, 10), ("pitch_sd_deg", 0, 4), ("roll_sd_deg", 0, 12), ("partial_share", 0, 1),
             ("swelling_sd", 0, 0.03), ("swelling_common", 0, 1), ("deformation_smooth_mm", 3, 20),
-            ("moisture_common", 0, 1), ("blood_sd", 0, 0.6), ("led_drift_sd", 0, 0.05),
+            ("moisture_common", 0, 1), ("blood_sd", 0, 0.6), ("blood_common", 0, 1), ("led_drift_sd", 0, 0.05),
         ):  # fmt: skip
             value = getattr(self, name)
             require(
@@ -170,8 +172,8 @@ def draw_impression(
         glare=by_moisture(ranges.glare),
         roughness=by_moisture(ranges.roughness),
         ridge_contrast=by_moisture(ranges.ridge_contrast),
-        blood_factor=float(np.exp(ranges.blood_sd * normal())),
-        oxygenation=even(ranges.oxygenation),
+        blood_factor=float(np.exp(ranges.blood_sd * shared(ranges.blood_common))),
+        oxygenation=even(ranges.oxygenation, day),
         exposure=even(ranges.exposure),
         full_well_e=full_well,
         read_noise_e=read_noise,
