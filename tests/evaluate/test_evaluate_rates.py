@@ -196,6 +196,7 @@ def test_d_prime_by_hand() -> None:
     assert d_prime([0.0, 2.0], [4.0, 6.0]) == pytest.approx(-4.0)
     assert d_prime([1.0, 1.0], [1.0]) is None
     assert d_prime([2.0], [1.0]) is None
+    assert d_prime([0.1] * 3, [0.3] * 3) is None  # whose variances are not quite zero in floating point
     assert d_prime([4e300, 6e300], [0.0, 2e300]) == pytest.approx(4.0)
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate.rates import FEW, error_bound
+from splitknit.evaluate.few_errors import FEW
+from splitknit.evaluate.rates import error_bound
 from splitknit.evaluate.scores import Scores
 
 
@@ -87,8 +88,8 @@ def rank_one_interval(
     tail = (1 - confidence) / 2
     low, high = np.quantile((drawn @ found) / (drawn @ number), [tail, 1 - tail])
     value = float(np.mean(result.rank == 1))
-    if (1.0 - value) * fingers < FEW:
+    if int(np.sum(found < number)) < FEW:  # fingers that were missed
         low = min(float(low), 1.0 - error_bound(1.0 - value, fingers))
-    if value * fingers < FEW:
+    if int(np.sum(found > 0)) < FEW:
         high = max(float(high), error_bound(value, fingers))
     return min(float(low), value), max(float(high), value)

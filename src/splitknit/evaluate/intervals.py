@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from splitknit.check import BadInput, require
 from splitknit.evaluate import rates
 from splitknit.evaluate.cells import Cells, make_cells
+from splitknit.evaluate.few_errors import bounds
 from splitknit.evaluate.replicate_figures import Layout, figures_of
 from splitknit.evaluate.replicates import Units, cell_weights, cluster_units, pair_units, plain_units
 from splitknit.evaluate.scores import Ids, Scores
@@ -85,10 +86,8 @@ def bootstrap(
     Returns
     -------
     Intervals
-        Percentile intervals, widened so as to hold the value itself. Where less than five fingers' (subjects',
-        comparisons') worth of genuine comparisons failed, replicates of them tell too little, and the limit on the
-        side of more errors is at least that of :func:`splitknit.evaluate.rates.error_bound` with so many independent
-        trials as there are fingers (subjects, comparisons).
+        Percentile intervals, widened so as to hold the value itself, and where it rests on less than five fingers
+        (subjects, comparisons): see :mod:`splitknit.evaluate.few_errors`.
 
     Raises
     ------
@@ -100,10 +99,10 @@ def bootstrap(
     cells = make_cells(scores.genuine, scores.impostor)
     units = plain_units(cells) if method == "plain" else _clusters(scores, method)
     rows = _rows(units, [cells], layout, settings, progress)[0]
-    independent = int(np.sum(scores.label)) if units.cluster is None else int(units.cluster.size)
+    possible = bounds(scores, method, settings.targets)
     lows, highs = _limits(rows, settings.confidence)
     figures = {
-        name: _holding(values[name], lows[k], highs[k], _possible(name, values[name], independent))
+        name: _holding(values[name], lows[k], highs[k], possible.get(name, ()))
         for k, name in enumerate(layout.names)
         if name in values
     }
@@ -203,16 +202,6 @@ def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.fl
         if known.size:
             limits[:, k] = np.quantile(known, [tail, 1 - tail])
     return limits[0], limits[1]
-
-
-def _possible(name: str, value: float, independent: int) -> tuple[float, float]:
-    """How far a rate may lie off where errors (or accepts) are too few for the bootstrap."""
-    low = high = value
-    if name.startswith(("gar@", "eer")) and value * independent < rates.FEW:
-        high = rates.error_bound(value, independent)
-    if name.startswith("gar@") and (1.0 - value) * independent < rates.FEW:
-        low = 1.0 - rates.error_bound(1.0 - value, independent)
-    return low, high
 
 
 def _holding(value: float, low: float, high: float, possible: tuple[float, ...] = ()) -> Interval:

@@ -26,8 +26,6 @@ from splitknit.check import require
 
 Scores1D = NDArray[np.float64]
 Counting = Literal["all", "made"]
-FEW = 5
-"""Errors below which percentiles of replicates are not trusted alone, counted in what is drawn."""
 SLACK = 1e-12
 """Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 says."""
 
