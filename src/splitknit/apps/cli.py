@@ -20,6 +20,7 @@ from typing import Any
 from splitknit import __version__
 from splitknit.apps.capture_verb import add_capture
 from splitknit.apps.evaluate_verb import add_evaluate
+from splitknit.apps.match_verb import add_match
 from splitknit.apps.verb import Outcome, Progress, Refused, add_settings, natural, new_verb, scale
 from splitknit.check import BadInput, require
 
@@ -60,6 +61,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_calibrate(verbs)
     _add_rig(verbs)
     add_evaluate(verbs)
+    add_match(verbs)
     return parser
 
 
@@ -153,9 +155,9 @@ def _add_separate(verbs: Any) -> None:
 
 
 def _add_train(verbs: Any) -> None:
-    from splitknit.apps.train_relief_verb import add_relief_options  # noqa: PLC0415
-    from splitknit.apps.train_shape_verb import add_shape_options  # noqa: PLC0415
-    from splitknit.apps.train_verb import add_separation_options  # noqa: PLC0415
+    from splitknit.apps.training.train_relief_verb import add_relief_options  # noqa: PLC0415
+    from splitknit.apps.training.train_shape_verb import add_shape_options  # noqa: PLC0415
+    from splitknit.apps.training.train_verb import add_separation_options  # noqa: PLC0415
 
     kinds = _group(verbs, "train", "train a network on simulated skin (needs torch)")
     verb = new_verb(kinds, "separation", "the thesis's U-Net, which separates direct light", run_train_separation)
@@ -167,9 +169,9 @@ def _add_train(verbs: Any) -> None:
 
 
 def _add_calibrate(verbs: Any) -> None:
-    from splitknit.apps.calibrate_camera_verb import add_camera  # noqa: PLC0415
-    from splitknit.apps.calibrate_lights_verb import add_lights  # noqa: PLC0415
-    from splitknit.apps.calibrate_radiometry_verb import add_radiometry  # noqa: PLC0415
+    from splitknit.apps.calibration.calibrate_camera_verb import add_camera  # noqa: PLC0415
+    from splitknit.apps.calibration.calibrate_lights_verb import add_lights  # noqa: PLC0415
+    from splitknit.apps.calibration.calibrate_radiometry_verb import add_radiometry  # noqa: PLC0415
 
     kinds = _group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
     # one line a kind: from splitknit.apps.calibrate_KIND_verb import add_KIND; add_KIND(kinds)
@@ -179,10 +181,10 @@ def _add_calibrate(verbs: Any) -> None:
 
 
 def _add_rig(verbs: Any) -> None:
-    from splitknit.apps.rig_cad_verb import add_cad  # noqa: PLC0415
-    from splitknit.apps.rig_circuit_verb import add_circuit  # noqa: PLC0415
-    from splitknit.apps.rig_optimise_verb import add_optimise  # noqa: PLC0415
-    from splitknit.apps.rig_target_verb import add_target  # noqa: PLC0415
+    from splitknit.apps.building.rig_cad_verb import add_cad  # noqa: PLC0415
+    from splitknit.apps.building.rig_circuit_verb import add_circuit  # noqa: PLC0415
+    from splitknit.apps.building.rig_optimise_verb import add_optimise  # noqa: PLC0415
+    from splitknit.apps.building.rig_target_verb import add_target  # noqa: PLC0415
 
     kinds = _group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
     # one line a kind: from splitknit.apps.rig_KIND_verb import add_KIND; add_KIND(kinds)
@@ -251,7 +253,7 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
 
 def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outcome:
     """Write the photographs that calibrate a simulated rig."""
-    from splitknit.apps.bench_photos import BenchPhotos, bench_to_folder  # noqa: PLC0415
+    from splitknit.apps.calibration.bench_photos import BenchPhotos, bench_to_folder  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
 
     unused = [name for name in ("pattern", "rig") if getattr(options, name) is not None]
@@ -326,7 +328,7 @@ def run_separate(options: argparse.Namespace) -> Outcome:
 
 def run_train_separation(options: argparse.Namespace) -> Outcome:
     """Build the data set and train the network for direct light."""
-    from splitknit.apps.train_verb import run_separation  # noqa: PLC0415
+    from splitknit.apps.training.train_verb import run_separation  # noqa: PLC0415
 
     with Progress(options) as progress:
         return run_separation(options, progress.update)
@@ -334,7 +336,7 @@ def run_train_separation(options: argparse.Namespace) -> Outcome:
 
 def run_train_relief(options: argparse.Namespace) -> Outcome:
     """Simulate the fingers and train the network for relief and glare."""
-    from splitknit.apps.train_relief_verb import run_relief  # noqa: PLC0415
+    from splitknit.apps.training.train_relief_verb import run_relief  # noqa: PLC0415
 
     with Progress(options) as progress:
         return run_relief(options, progress.update)
@@ -342,7 +344,7 @@ def run_train_relief(options: argparse.Namespace) -> Outcome:
 
 def run_train_shape(options: argparse.Namespace) -> Outcome:
     """Simulate and reconstruct the fingers, and train the network that mends the shape."""
-    from splitknit.apps.train_shape_verb import run_shape  # noqa: PLC0415
+    from splitknit.apps.training.train_shape_verb import run_shape  # noqa: PLC0415
 
     with Progress(options) as progress:
         return run_shape(options, progress.update)

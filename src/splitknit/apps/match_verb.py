@@ -1,0 +1,87 @@
+"""``splitknit match A B``: how alike two fingers are."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.apps.verb import Outcome, Progress, add_settings, new_verb
+
+
+def add_match(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "match", "say how alike two fingers are", run_match)
+    what = "capture folder, result folder, template (.skt) or 500-ppi print"
+    verb.add_argument("a", type=Path, metavar="A", help=what)
+    verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
+    verb.add_argument(
+        "--method",
+        choices=("ridge", "thesis"),
+        default="ridge",
+        help="ridge (ours, the default) or thesis (local binary patterns; needs captures or results)",
+    )
+    verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
+    verb.add_argument(
+        "--preset",
+        choices=("metric", "snk", "pr", "ea"),
+        default="metric",
+        help="how captures are reconstructed (default: metric)",
+    )
+    add_settings(verb)
+
+
+def run_match(options: argparse.Namespace) -> Outcome:
+    """Compare."""
+    from splitknit.apps.matching import match_files  # noqa: PLC0415 - verbs import what they need
+    from splitknit.apps.options import read_changes  # noqa: PLC0415
+
+    changes = read_changes(options.settings, options.assignments)
+    with Progress(options) as progress:
+        facts = match_files(
+            options.a,
+            options.b,
+            method=options.method,
+            template=options.template,
+            preset=options.preset,
+            settings=changes,
+            progress=progress.update,
+        )
+    return facts, _words(facts)
+
+
+def _words(facts: dict[str, Any]) -> list[str]:
+    lines = []
+    if "similarity" in facts:
+        lines.append(f"similarity {facts['similarity']:.4f} ({_meaning(facts)})")
+        if facts["fmr"] is not None:
+            lines.append(f"fmr {facts['fmr']:.2g}")
+        if facts["method"] == "thesis":
+            lines.append(
+                f"overlap {facts['overlap']:.3f} of both outlines (intersection over union), "
+                f"B shifted {abs(facts['alignment']['right_mm']):.2f} mm to the {_side(facts)}"
+            )
+        elif facts["compared"]:
+            laid = facts["alignment"]
+            lines.append(
+                f"overlap {facts['overlap_mm2']:.0f} mm² of skin; A turned by {laid['rotation_deg']:.1f} deg, its "
+                f"middle {laid['right_mm']:+.2f} mm right and {laid['up_mm']:+.2f} mm up of B's"
+            )
+    for name in ("a", "b"):
+        if name in facts and not facts[name]["acquired"]:
+            lines.append(f"Please note: {facts[name]['path']} holds no ridges (failure to acquire).")
+    if "template" in facts:
+        made = facts["template"]
+        lines.append(f"Template of {made['bytes']} bytes (version {made['version']}) written to {made['file']}.")
+    return lines
+
+
+def _meaning(facts: dict[str, Any]) -> str:
+    if not facts["compared"]:
+        why = "too little overlap" if facts["method"] == "thesis" else "failure to acquire"
+        return f"not compared: {why}"
+    return "1 = the same picture" if facts["method"] == "ridge" else "1 = equal, 0 = as unlike as can be"
+
+
+def _side(facts: dict[str, Any]) -> str:
+    return "right" if facts["alignment"]["right_mm"] >= 0 else "left"

@@ -1,0 +1,106 @@
+"""Template files (``.skt``): what a gallery keeps of a finger, with a header that tells damage from age.
+
+Header, little-endian: 8 bytes ``SKTMPL`` CR LF (a transfer as text destroys it and is noticed), version (uint16), two
+bytes of zero, size of the payload (uint32), SHA-256 of the payload (32 bytes). A file of zero bytes is a finger that
+could not be acquired, and is no error.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import struct
+from pathlib import Path
+
+from splitknit.check import BadInput, require
+from splitknit.io.atomic import atomic_file
+
+MAGIC = b"SKTMPL\r\n"
+_HEAD = struct.Struct("<8sHHI32s")
+HEADER_BYTES = _HEAD.size
+_LARGEST = 16_000_000
+
+
+def encode_template(payload: bytes, version: int) -> bytes:
+    """Content of a template file: header and `payload`; nothing for an empty payload (failure to acquire).
+
+    `version` is that of the payload, 0 to 65535.
+    """
+    require(0 <= version <= 65535, f"a template's version must lie between 0 and 65535, but it is {version}.")
+    require(len(payload) <= _LARGEST, f"a template of {len(payload)} bytes is larger than any finger's.")
+    if not payload:
+        return b""
+    return _HEAD.pack(MAGIC, version, 0, len(payload), hashlib.sha256(payload).digest()) + payload
+
+
+def decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
+    """Payload of a template file's content, empty for a failure to acquire.
+
+    Parameters
+    ----------
+    data : the whole file
+    version : the only one that is accepted
+    name : of the file, for errors
+
+    Raises
+    ------
+    BadInput
+        If it is no template, of another version, incomplete or damaged.
+
+    Examples
+    --------
+    >>> decode_template(encode_template(b"ridges", 1), 1)
+    b'ridges'
+    """
+    if not data:
+        return b""
+    remedy = "make the template again"
+    if data[: len(MAGIC)] != MAGIC[: len(data)]:
+        raise BadInput(f"{name} is not a template of splitknit (it does not begin with 'SKTMPL'); name a .skt file.")
+    require(
+        len(data) >= HEADER_BYTES,
+        f"{name} ends after {len(data)} bytes, within its header of {HEADER_BYTES}; {remedy}.",
+    )
+    _, found, reserved, size, digest = _HEAD.unpack_from(data)
+    require(
+        found == version,
+        f"{name} is a template of version {found}, but this program reads version {version}; {remedy}.",
+    )
+    require(reserved == 0, f"{name} has a damaged header; {remedy}.")
+    payload = data[HEADER_BYTES:]
+    require(
+        len(payload) == size,
+        f"{name} holds {len(payload)} bytes after its header, but the header says {size}; {remedy}.",
+    )
+    require(hashlib.sha256(payload).digest() == digest, f"{name} is damaged (its hash does not fit); {remedy}.")
+    require(size > 0, f"{name} has a header but no content; {remedy}, or leave a failure to acquire a file of 0 bytes.")
+    return payload
+
+
+def read_template(path: str | os.PathLike[str], version: int) -> bytes:
+    """Payload of a template file.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read, or as :func:`decode_template`.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            data = stream.read(_LARGEST + HEADER_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{os.fspath(path)} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+    return decode_template(data, version, os.fspath(path))
+
+
+def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:
+    """Write a template file, whole or not at all; zero bytes for an empty payload.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written.
+    """
+    data = encode_template(payload, version)
+    with atomic_file(path) as stream:
+        stream.write(data)

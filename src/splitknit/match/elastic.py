@@ -1,0 +1,245 @@
+"""Local comparison of two ridge bands that lie about on each other: patches, each with its own small shift.
+
+Patches lie on a grid on B. The warped A is searched around each; a shift counts only as far as the patches around agree
+with it, because skin stretches smoothly, while ridges of different fingers fit better anywhere by chance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import BoolArray, FloatArray
+
+Affine = NDArray[np.float64]
+"""(2, 3): place (column, row, 1) in B to place in A."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatchSettings:
+    """Patches and their search."""
+
+    patch_mm: float = 2.4
+    """Side of a patch."""
+    step_mm: float = 1.6
+    """Between the middles of two patches."""
+    search_mm: float = 0.4
+    """Largest shift of a patch, along either axis."""
+    least_share: float = 0.6
+    """Share of a patch that must be valid on both sides."""
+
+    def __post_init__(self) -> None:
+        require(self.patch_mm > 0 and self.step_mm > 0, "patches.patch_mm and patches.step_mm must be positive.")
+        require(self.search_mm >= 0, "patches.search_mm must not be negative.")
+        require(0 < self.least_share <= 1, "patches.least_share must lie in (0, 1].")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchGrid:
+    """The patches of B with their spectra."""
+
+    rows: NDArray[np.int64]
+    """(P,) first row of each."""
+    columns: NDArray[np.int64]
+    """(P,) first column of each."""
+    place: NDArray[np.int64]
+    """(P, 2) place in the grid."""
+    grid: tuple[int, int]
+    """Rows and columns of the grid of patches."""
+    spectrum: NDArray[np.complex64]
+    """(P, window, window // 2 + 1)."""
+    side: int
+    reach: int
+    """Pixels."""
+    energy: FloatArray
+    """(P,) sum of squares."""
+    share: FloatArray
+    """(P,) that is valid."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """What the patches say."""
+
+    used: NDArray[np.int64]
+    """(N,) numbers of the patches that lie on both."""
+    correlation: FloatArray
+    """(N,) at the supported shift, -1 to 1."""
+    shift: NDArray[np.float64]
+    """(N, 2) columns and rows by which A's content must still move."""
+    weight: FloatArray
+    """(N,) valid share of both."""
+
+    @property
+    def mean(self) -> float:
+        """Mean correlation; 0 where nothing overlaps."""
+        return float(np.average(self.correlation, weights=self.weight)) if len(self.used) else 0.0
+
+
+def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PatchSettings) -> PatchGrid:
+    """Cut the band (H, W) into patches; those with too little valid skin are left out."""
+    side = max(4, round(settings.patch_mm / pitch_mm))
+    step = max(1, round(settings.step_mm / pitch_mm))
+    reach = max(1, round(settings.search_mm / pitch_mm))
+    shape = value.shape
+    starts = [_starts(length, side, step) for length in shape]
+    rows, columns = (part.ravel() for part in np.meshgrid(*starts, indexing="ij"))
+    places = np.stack([part.ravel() for part in np.meshgrid(*(np.arange(len(s)) for s in starts), indexing="ij")], 1)
+    padded = np.zeros((max(shape[0], side), max(shape[1], side)), dtype=np.float32)
+    padded[: shape[0], : shape[1]] = value
+    known = np.zeros_like(padded)
+    known[: shape[0], : shape[1]] = valid
+    share = sliding_window_view(known, (side, side))[rows, columns].mean(axis=(1, 2))
+    kept = share >= settings.least_share
+    rows, columns, places, share = rows[kept], columns[kept], places[kept], share[kept]
+    patches = sliding_window_view(padded, (side, side))[rows, columns]
+    window = side + 2 * reach
+    return PatchGrid(
+        rows=rows,
+        columns=columns,
+        place=places,
+        grid=(len(starts[0]), len(starts[1])),
+        spectrum=np.asarray(scipy.fft.rfft2(patches, s=(window, window)), dtype=np.complex64).conj(),
+        side=side,
+        reach=reach,
+        energy=np.asarray((patches * patches).sum(axis=(1, 2)), dtype=np.float32),
+        share=np.asarray(share, dtype=np.float32),
+    )
+
+
+def compare_patches(
+    patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine, settings: PatchSettings
+) -> Agreement:
+    """Lay A (H, W) on B's patches by `b_from` and search around each."""
+    reach, side = patches.reach, patches.side
+    if not len(patches.rows):
+        return _nothing()
+    bottom, right = int(patches.rows.max()) + side + 2 * reach, int(patches.columns.max()) + side + 2 * reach
+    moved = b_from.copy()
+    moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])  # a border of the search's reach around B
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    value = np.asarray(cv2.warpAffine(a_value, moved, (right, bottom), flags=flags))
+    valid = np.asarray(cv2.warpAffine(a_valid.astype(np.float32), moved, (right, bottom), flags=flags))
+    share = _sums(valid, side) / np.float32(side * side)
+    seen = np.minimum(share[patches.rows + reach, patches.columns + reach], patches.share)
+    used = np.flatnonzero(seen >= settings.least_share)
+    if not len(used):
+        return _nothing()
+    rows, columns = patches.rows[used], patches.columns[used]
+    window = side + 2 * reach
+    parts = sliding_window_view(value, (window, window))[rows, columns]
+    surface = scipy.fft.irfft2(scipy.fft.rfft2(parts) * patches.spectrum[used], s=(window, window))
+    count = 2 * reach + 1
+    energy = _sums(value * value, side)
+    around = sliding_window_view(energy, (count, count))[rows, columns]
+    floor = np.float32(0.05 * side * side)
+    surface = surface[:, :count, :count] / np.sqrt(
+        np.maximum(around, floor) * np.maximum(patches.energy[used], floor)[:, None, None]
+    )
+    support = _supported(surface, patches.place[used], patches.grid, seen[used])
+    shift, correlation = _peak(support, surface)
+    return Agreement(used, correlation, shift, seen[used].astype(np.float32))
+
+
+def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> Affine:
+    """Affine map that follows the patches' shifts, robustly; patches that correlate weakly count little."""
+    weight = np.maximum(agreement.correlation - 0.2, 0.0) ** 2 * agreement.weight
+    if int((weight > 0.01).sum()) < 6:
+        return b_from
+    middle = (patches.side - 1) / 2
+    place = np.stack([patches.columns[agreement.used] + middle, patches.rows[agreement.used] + middle], axis=1)
+    centre = place.mean(axis=0)
+    design = np.column_stack([(place - centre) / 50.0, np.ones(len(place))])
+    robust = weight.astype(np.float64)
+    solution = np.zeros((3, 2))
+    for _ in range(4):
+        root = np.sqrt(robust)[:, None]
+        # the linear part is held back: a few patches must not shear the finger
+        ridge = np.diag([0.3, 0.3, 0.0]) * np.sqrt(robust.sum())
+        solution = np.linalg.lstsq(
+            np.vstack([root * design, ridge]), np.vstack([root * agreement.shift, np.zeros((3, 2))]), rcond=None
+        )[0]
+        miss = np.linalg.norm(design @ solution - agreement.shift, axis=1)
+        robust = weight / (1.0 + (miss / 2.0) ** 2)
+    # A's content must move by s(p): B's place p then shows A at b_from(p - s(p))
+    linear = solution[:2].T / 50.0
+    offset = solution[2] - linear @ centre
+    back = np.eye(2) - linear
+    return np.hstack([b_from[:, :2] @ back, (b_from[:, 2] - b_from[:, :2] @ offset)[:, None]])
+
+
+def rigid(
+    a_shape: tuple[int, int], b_shape: tuple[int, int], angle_rad: float, shift_px: tuple[float, float]
+) -> Affine:
+    """B's place to A's, when A is turned counter-clockwise about its middle and its middle put beside B's.
+
+    `shift_px` : columns, rows from B's middle to A's.
+    """
+    a = np.array([(a_shape[1] - 1) / 2, (a_shape[0] - 1) / 2])
+    b = np.array([(b_shape[1] - 1) / 2, (b_shape[0] - 1) / 2]) + np.asarray(shift_px)
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    return np.hstack([turn, (a - turn @ b)[:, None]])
+
+
+def _starts(length: int, side: int, step: int) -> NDArray[np.int64]:
+    """First pixels of patches, centred on the length."""
+    count = max(1, (length - side) // step + 1)
+    left = max(0, (length - side - (count - 1) * step) // 2)
+    return left + step * np.arange(count, dtype=np.int64)
+
+
+def _supported(surface: FloatArray, place: NDArray[np.int64], grid: tuple[int, int], weight: FloatArray) -> FloatArray:
+    """Correlation of each patch and, half as much, of its eight neighbours, for each shift."""
+    count = surface.shape[1]
+    board = np.zeros((grid[0] + 2, grid[1] + 2, count, count), dtype=np.float32)
+    board[place[:, 0] + 1, place[:, 1] + 1] = surface * weight[:, None, None]
+    lines = board[:-2] + 2 * board[1:-1] + board[2:]
+    total = lines[:, :-2] + 2 * lines[:, 1:-1] + lines[:, 2:]
+    return np.asarray(total[place[:, 0], place[:, 1]])
+
+
+def _peak(support: FloatArray, surface: FloatArray) -> tuple[NDArray[np.float64], FloatArray]:
+    """Shift (columns, rows) of the best support, to a fraction of a pixel, and the own correlation there."""
+    count = surface.shape[1]
+    reach = count // 2
+    number = np.arange(len(surface))
+    row, column = np.divmod(support.reshape(len(surface), -1).argmax(axis=1), count)
+    best = surface[number, row, column].astype(np.float64)
+    shift = np.stack([column - reach, row - reach], axis=1).astype(np.float64)
+    for axis, (down, right) in enumerate(((0, 1), (1, 0))):
+        at = (column, row)[axis]
+        inner = (at > 0) & (at < count - 1)
+        r0, c0 = row - down * inner, column - right * inner
+        r1, c1 = row + down * inner, column + right * inner
+        low, middle, high = (support[number, r, c] for r, c in ((r0, c0), (row, column), (r1, c1)))
+        bend = low - 2 * middle + high
+        fraction = np.where(inner & (bend < 0), 0.5 * (low - high) / np.where(bend < 0, bend, -1.0), 0.0)
+        fraction = np.clip(fraction, -0.5, 0.5)
+        shift[:, axis] += fraction
+        own = (surface[number, r0, c0], surface[number, row, column], surface[number, r1, c1])
+        best += np.where(
+            inner, 0.5 * fraction * (own[2] - own[0]) + 0.5 * fraction**2 * (own[0] - 2 * own[1] + own[2]), 0.0
+        )
+    # the search moved B's patch over A's content: A must move the other way
+    return -shift, np.clip(best, -1.0, 1.0).astype(np.float32)
+
+
+def _sums(image: NDArray[Any], side: int) -> FloatArray:
+    """Sum over the square of `side` pixels that begins at each pixel."""
+    total = cv2.boxFilter(
+        image, cv2.CV_32F, (side, side), anchor=(0, 0), normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
+    return np.asarray(total, dtype=np.float32)
+
+
+def _nothing() -> Agreement:
+    none = np.zeros(0, dtype=np.float32)
+    return Agreement(np.zeros(0, dtype=np.int64), none, np.zeros((0, 2)), none)

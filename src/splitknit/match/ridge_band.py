@@ -1,0 +1,285 @@
+"""The ridge band: what two impressions of one finger have in common, on a grid of fixed pitch, lying flat.
+
+The relief is brought upright, unrolled across the finger (a step along a row is a step along the skin), low-passed,
+freed from everything wider than a ridge, and made even in contrast. Roll then shifts ridges more than it bends them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import check_mask, require
+from splitknit.types import BoolArray, FloatArray
+
+MM_PER_INCH = 25.4
+AnyArray = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RidgeBandSettings:
+    """How the ridge band is made."""
+
+    pitch_mm: float = 0.1
+    """Side of a pixel of the band."""
+    ridge_mm: float = 0.32
+    """Sigma of the Gaussian mean that is taken away: what is wider than a ridge."""
+    noise_mm: float = 0.05
+    """Sigma of the low-pass before sampling."""
+    window_mm: float = 0.6
+    """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
+    floor: float = 0.3
+    """Contrast below this share of the finger's median is not raised further; half of it is no ridge at all."""
+    coherence: float = 0.2
+    """Skin whose ridges agree less on a direction (0 none, 1 parallel) is left out."""
+    slant_deg: float = 60.0
+    """Skin seen at a steeper slant is left out."""
+    unroll: bool = True
+    """Whether distances across the finger are measured along the skin, where the shape is known."""
+
+    def __post_init__(self) -> None:
+        for name in ("pitch_mm", "ridge_mm", "noise_mm", "window_mm"):
+            value = getattr(self, name)
+            require(np.isfinite(value) and value > 0, f"ridge_band.{name} must be positive, but it is {value}.")
+        require(0 <= self.floor <= 1, "ridge_band.floor must lie in [0, 1].")
+        require(0 <= self.coherence < 1, "ridge_band.coherence must lie in [0, 1).")
+        require(0 < self.slant_deg < 85, "ridge_band.slant_deg must lie in (0, 85).")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RidgeBand:
+    """Ridges of even contrast, as the camera sees them (not mirrored), tip up."""
+
+    value: FloatArray
+    """(H, W) about unit variance, ridges positive, zero where not `valid`."""
+    valid: BoolArray
+    """(H, W) where ridges were found."""
+    orientation_rad: FloatArray
+    """(H, W) direction across which the ridges run (of their normal), counter-clockwise from x, in (-pi/2, pi/2]."""
+    coherence: FloatArray
+    """(H, W) 0 to 1: how well that direction is held in the window."""
+    pitch_mm: float
+
+    @property
+    def area_mm2(self) -> float:
+        """Skin with ridges."""
+        return float(self.valid.sum()) * self.pitch_mm**2
+
+
+def ridge_band(  # noqa: PLR0917
+    ridge_mm: FloatArray,
+    mask: BoolArray,
+    pitch_mm: float,
+    shape_mm: FloatArray | None = None,
+    input_from_upright: NDArray[np.float64] | None = None,
+    upright_size: tuple[int, int] | None = None,
+    settings: RidgeBandSettings | None = None,
+) -> RidgeBand:
+    """Return the ridge band of a relief.
+
+    Parameters
+    ----------
+    ridge_mm : (H, W) float32
+        Relief, ridges up, of any unit; ignored outside `mask`.
+    mask : (H, W) bool
+    pitch_mm : float
+        Side of a pixel of the input on the finger plane.
+    shape_mm : (H, W) float32, optional
+        Finger without its ridges, mm; without it nothing is unrolled and no slant is known.
+    input_from_upright : (3, 3), optional
+        Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
+    upright_size : (rows, columns) of the upright frame, optional
+    settings : RidgeBandSettings, optional
+
+    Returns
+    -------
+    RidgeBand
+        Whose pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
+
+    Raises
+    ------
+    BadInput
+        If shapes disagree, the mask is empty, or the pitch is not positive.
+
+    References
+    ----------
+    Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor); Chen,
+    Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
+    (unrolling by arc length).
+    """
+    settings = settings or RidgeBandSettings()
+    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
+    require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
+    mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1])) & np.isfinite(ridge_mm)
+    require(bool(mask.any()), "ridge_mm is NaN all over the mask.")
+    if shape_mm is not None:
+        require(
+            shape_mm.shape == mask.shape, f"shape_mm must have the shape {mask.shape}, but it has {shape_mm.shape}."
+        )
+        mask = mask & np.isfinite(shape_mm)
+        require(bool(mask.any()), "shape_mm is NaN all over the mask.")
+    transform = np.eye(3) if input_from_upright is None else np.asarray(input_from_upright, dtype=np.float64)
+    size = mask.shape if upright_size is None else upright_size
+    columns, rows, slant_cos = _places(mask, shape_mm, transform, size, pitch_mm, settings)
+
+    sigma = settings.noise_mm / pitch_mm
+    weight = blur(mask.astype(np.float32), sigma)
+    known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
+    smooth = blur(known, sigma) / np.maximum(weight, np.float32(1e-3))
+    value = _sample(smooth, columns, rows)
+    inside = (_sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
+    return even(value, inside, settings)
+
+
+def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> RidgeBand:
+    """Take out what is wider than a ridge, make contrast even, and keep what has ridges.
+
+    `value` (H, W) lies on the band's grid already.
+    """
+    pitch = settings.pitch_mm
+    weight = inside.astype(np.float32)
+    narrow, window = settings.ridge_mm / pitch, settings.window_mm / pitch
+    total = np.maximum(blur(weight, narrow), np.float32(1e-3))
+    ridges: AnyArray = np.where(inside, value, np.float32(0.0)).astype(np.float32)
+    for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
+        ridges = (ridges - blur(ridges, narrow) / total) * weight
+    share = np.maximum(blur(weight, window), np.float32(1e-3))
+    spread = np.sqrt(np.maximum(blur(ridges * ridges, window) / share, np.float32(0.0)))
+    typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
+    empty = np.zeros(value.shape, dtype=np.float32)
+    if typical <= 0.0:
+        return RidgeBand(empty, np.zeros(value.shape, dtype=np.bool_), empty, empty, pitch)
+    flat = ridges / np.maximum(spread, np.float32(settings.floor * typical))
+    orientation, coherence = ridge_direction(flat, window)
+    valid = inside & (spread > 0.5 * settings.floor * typical) & (coherence >= settings.coherence)
+    return RidgeBand(np.where(valid, flat, np.float32(0.0)), valid, orientation, coherence, pitch)
+
+
+def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBandSettings | None = None) -> RidgeBand:
+    """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey, ridges dark, upright, as ink on paper.
+    ppi : float
+        Pixels per inch.
+
+    Raises
+    ------
+    BadInput
+        If it is no grey image or the resolution is not positive.
+    """
+    settings = settings or RidgeBandSettings()
+    require(
+        image.ndim == 2 and image.dtype == np.uint8 and image.size > 0,
+        f"a print must be (H, W) uint8, not {image.shape} {image.dtype}.",
+    )
+    require(bool(np.isfinite(ppi)) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
+    pitch = MM_PER_INCH / ppi
+    ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
+    detail = ink - blur(ink, settings.ridge_mm / pitch)
+    spread = np.sqrt(blur(detail * detail, 0.5 * settings.window_mm / pitch))
+    finger = spread > 0.3 * float(np.quantile(spread, 0.9))
+    if not bool(finger.any()):
+        finger = np.ones(image.shape, dtype=np.bool_)
+    return ridge_band(ink, finger, pitch, settings=settings)
+
+
+def ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Direction across the ridges (counter-clockwise from x, y up) and its coherence, by the structure tensor.
+
+    References
+    ----------
+    Bigun and Granlund 1987, Optimal orientation detection of linear symmetry.
+    """
+    across = cv2.Sobel(ridges, cv2.CV_32F, 1, 0)
+    up = -cv2.Sobel(ridges, cv2.CV_32F, 0, 1)
+    xx, yy, xy = (blur(part, sigma) for part in (across * across, up * up, across * up))
+    difference, total = xx - yy, xx + yy
+    strength = np.hypot(difference, 2 * xy)
+    coherence = strength / np.maximum(total, np.float32(1e-6) * max(float(total.max()), 1e-30))
+    return (0.5 * np.arctan2(2 * xy, difference)).astype(np.float32), coherence.astype(np.float32)
+
+
+def blur(image: AnyArray, sigma: float) -> FloatArray:
+    """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels."""
+    if sigma < 0.2:
+        return np.asarray(image, dtype=np.float32)
+    result = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(result, dtype=np.float32)
+
+
+def _places(  # noqa: PLR0917
+    mask: BoolArray,
+    shape_mm: FloatArray | None,
+    transform: NDArray[np.float64],
+    size: tuple[int, ...],
+    pitch_mm: float,
+    settings: RidgeBandSettings,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
+    step = settings.pitch_mm / pitch_mm
+    grid_rows, grid_columns = (max(1, int(np.ceil(length / step))) for length in size)
+    column = np.arange(grid_columns, dtype=np.float64) * step
+    row = np.arange(grid_rows, dtype=np.float64) * step
+    if shape_mm is None:
+        flat = np.broadcast_to(column, (grid_rows, grid_columns))
+        return (*_to_input(flat, row, transform), np.ones(flat.shape, dtype=np.float32))
+    # the shape on the upright grid, smooth: ridges must not stretch the skin
+    sigma = 0.8 / pitch_mm
+    reduced = max(1, int(0.25 / pitch_mm))  # 0.25 mm is fine enough for what is this smooth
+    small = (max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced))
+    weight = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    height = cv2.resize(np.where(mask, shape_mm, np.float32(0.0)), small, interpolation=cv2.INTER_AREA)
+    factor = mask.shape[1] / small[0]
+    total = blur(np.asarray(weight), sigma / factor)
+    smooth = blur(np.asarray(height), sigma / factor) / np.maximum(total, np.float32(1e-3))
+    x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
+    upright = _sample(smooth, (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5)
+    known = _sample(np.asarray(weight), (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5) > 0.5
+    limit = float(np.tan(np.deg2rad(settings.slant_deg)))
+    across = np.where(known, np.gradient(upright, settings.pitch_mm, axis=1), 0.0) if grid_columns > 1 else 0 * upright
+    along = np.where(known, np.gradient(upright, settings.pitch_mm, axis=0), 0.0) if grid_rows > 1 else 0 * upright
+    slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
+    if not settings.unroll:
+        return x, y, slant_cos
+    length = np.sqrt(1.0 + np.clip(across, -limit, limit) ** 2)
+    arc = np.cumsum(length, axis=1) - 0.5 * length
+    anywhere = np.flatnonzero(known.any(axis=0))
+    middle = int(anywhere.mean()) if anywhere.size else grid_columns // 2
+    arc -= arc[:, middle : middle + 1]
+    left, right = float(arc[:, 0].min()), float(arc[:, -1].max())
+    wanted = np.arange(np.floor(left), np.ceil(right) + 1.0)
+    source = np.stack([np.interp(wanted, line, column, left=-1e6, right=-1e6) for line in arc])
+    slant_cos = _sample(
+        slant_cos,
+        (source / step).astype(np.float32),
+        np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape),
+    )
+    return (*_to_input(source, row, transform), slant_cos)
+
+
+def _to_input(
+    columns: NDArray[np.float64], rows: NDArray[np.float64], transform: NDArray[np.float64]
+) -> tuple[FloatArray, FloatArray]:
+    x = transform[0, 0] * columns + transform[0, 1] * rows[:, None] + transform[0, 2]
+    y = transform[1, 0] * columns + transform[1, 1] * rows[:, None] + transform[1, 2]
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def _sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
+    """Bilinear values of `image` at places; zero beyond its border."""
+    result = cv2.remap(
+        np.ascontiguousarray(image, dtype=np.float32),
+        np.ascontiguousarray(columns, dtype=np.float32),
+        np.ascontiguousarray(rows, dtype=np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0.0,
+    )
+    return np.asarray(result, dtype=np.float32)
