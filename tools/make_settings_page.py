@@ -18,8 +18,8 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.bench_photos import BenchPhotos
-from splitknit.apps.calibrated_lights import LightSettings
+from splitknit.apps.calibration.bench_photos import BenchPhotos
+from splitknit.apps.calibration.calibrated_lights import LightSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.pipeline import PRESETS

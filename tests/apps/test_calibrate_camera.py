@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.apps.calibrated_camera import CameraJob, calibrate_to_rig
+from splitknit.apps.calibration.calibrated_camera import CameraJob, calibrate_to_rig
 from splitknit.apps.cli import main
 from splitknit.io import read_rig, write_image, write_rig
 from splitknit.simulate import bench

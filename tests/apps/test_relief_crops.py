@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.apps import relief_crops
-from splitknit.apps.relief_crops import TRIM_PX, training_crops
-from splitknit.apps.relief_scenes import ReliefData
+from splitknit.apps.training import relief_crops
+from splitknit.apps.training.relief_crops import TRIM_PX, training_crops
+from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.check import BadInput
 from splitknit.geometry import pixel_axes_mm
 from splitknit.separate.train_relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT

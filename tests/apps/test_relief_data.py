@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.apps.relief_data import TruthOnGrid, assembled, light_on, sample_of
-from splitknit.apps.relief_scenes import ReliefData, draw_scene
-from splitknit.apps.scene_ranges import photograph_scene
+from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on, sample_of
+from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
+from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.check import BadInput
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.features import COUNT, features

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.apps import shape_data
-from splitknit.apps.scene_ranges import photograph_scene
-from splitknit.apps.shape_data import assembled_shape, drawn_relief, shape_sample, shape_sample_of
-from splitknit.apps.shape_scenes import ShapeData, draw_shape_scene
+from splitknit.apps.training import shape_data
+from splitknit.apps.training.scene_ranges import photograph_scene
+from splitknit.apps.training.shape_data import assembled_shape, drawn_relief, shape_sample, shape_sample_of
+from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.check import BadInput
 from splitknit.geometry import height_gradients
 from splitknit.metric import learned

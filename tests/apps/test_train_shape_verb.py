@@ -8,12 +8,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from splitknit.apps import train_shape as app
 from splitknit.apps.cli import build_parser, main
-from splitknit.apps.shape_card import shape_metrics, write_shape_network
-from splitknit.apps.shape_scenes import ShapeData
-from splitknit.apps.train_shape import train_shape
-from splitknit.apps.training_data import HELD_OUT_FROM
+from splitknit.apps.training import train_shape as app
+from splitknit.apps.training.shape_card import shape_metrics, write_shape_network
+from splitknit.apps.training.shape_scenes import ShapeData
+from splitknit.apps.training.train_shape import train_shape
+from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.check import BadInput
 from splitknit.separate.train_shape import CHANNELS, SLOPES, WEIGHT, ShapeSettings, relief_network
 from splitknit.separate.unet import load_network, run_network

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from splitknit.apps import train
 from splitknit.apps.cli import build_parser, main
-from splitknit.apps.train_verb import command_of
+from splitknit.apps.training import train
+from splitknit.apps.training.train_verb import command_of
 from splitknit.check import BadInput
 from splitknit.separate import train_network
 from splitknit.separate.unet import load_network

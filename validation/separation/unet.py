@@ -29,7 +29,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.apps.train import HELD_OUT_FROM, enhance
+from splitknit.apps.training.train import HELD_OUT_FROM, enhance
 from splitknit.separate.direct import direct_light, direct_of_enhanced
 from splitknit.separate.patterns import single_image
 from splitknit.separate.stacks import StackSettings

@@ -1,0 +1,1 @@
+"""What builds a rig, from the command line: parts, board, targets, dimensions."""

@@ -1,0 +1,189 @@
+"""What ``splitknit calibrate camera`` does: photographs of a checkerboard in, the camera of a rig file out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.apps.calibration.camera_facts import facts_of, rig_provenance
+from splitknit.apps.calibration.camera_photos import board_photos, disc_marks, image_files, plane_marks
+from splitknit.calibrate import Board
+from splitknit.calibrate.camera import CameraCalibration, CameraSettings, calibrate_camera
+from splitknit.calibrate.depth_of_field import DepthOfField, depth_of_field
+from splitknit.calibrate.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
+from splitknit.check import BadInput, require
+from splitknit.io import read_rig, write_rig
+from splitknit.simulate.rig import default_rig
+from splitknit.types import Camera, Rig
+
+Progress = Callable[[str, float], None]
+_SENSOR_COLUMNS = 3280
+_UNBINNED_COLUMNS = 1920
+
+
+@dataclass(frozen=True, slots=True)
+class CameraJob:
+    """What is asked for; see ``splitknit calibrate camera --help``."""
+
+    out: Path
+    folder: Path | None = None
+    board: str = "9x6"
+    square_mm: float = 3.0
+    pattern: str | None = None
+    rig: Path | None = None
+    plane: tuple[Path, ...] = ()
+    disc: Path | None = None
+    dot_mm: float = 10.0
+    sensor_pixel_um: float = 1.12
+    binning: float | None = None
+    f_number: float = 2.0
+    finger_depth_mm: float = 8.0
+    calibrated_at: str | None = None
+    """ISO 8601."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCamera:
+    """All that was found."""
+
+    camera: Camera
+    fit: CameraCalibration | None
+    boardless: tuple[str, ...]
+    poses: dict[str, PlanePose]
+    """Pose of the finger plane by the image that shows it."""
+    pose: PlanePose | None
+    scale: PlaneScale | None
+    """Of an orthographic camera."""
+    sharpness: DepthOfField | None
+    binning: float
+    hashes: dict[str, str]
+    warnings: tuple[str, ...]
+
+
+def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, share: None) -> dict[str, Any]:
+    """Calibrate, write the rig file, return the facts.
+
+    Raises
+    ------
+    BadInput
+        Naming the file or the option at fault; nothing is written.
+    """
+    require(
+        job.folder is not None or len(job.plane) > 0 or job.disc is not None,
+        "give a FOLDER of photographs of a checkerboard, --plane or --disc: there is nothing to calibrate from.",
+    )
+    base = read_rig(job.rig) if job.rig is not None else None
+    found = find_camera(job, base, progress)
+    progress("writing", 0.97)
+    leds = base.leds if base is not None else default_rig().leds
+    before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
+    facts = facts_of(job, found, nominal_leds=base is None)
+    write_rig(Rig(found.camera, leds, {**before, "camera": rig_provenance(facts, found.hashes)}), job.out)
+    return facts
+
+
+def find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCamera:
+    """Everything but the file."""
+    board = Board.named(job.board, job.square_mm)
+    fit: CameraCalibration | None = None
+    boardless: tuple[str, ...] = ()
+    hashes: dict[str, str] = {}
+    size: tuple[int, int] | None = base.camera.image_size if base is not None else None
+    expected_by = str(job.rig)
+    if job.folder is not None:
+        files = image_files(job.folder, job.pattern)
+        photos = board_photos(
+            job.folder, files, board, size, expected_by, lambda share: progress("finding corners", 0.85 * share)
+        )
+        size, expected_by, hashes = photos.image_size, files[0].name, dict(photos.hashes)
+        progress("fitting", 0.86)
+        names, corners = list(photos.corners), list(photos.corners.values())
+        try:
+            fit = calibrate_camera(corners, board, size, names, CameraSettings())
+        except BadInput as error:
+            raise BadInput(f"{job.folder}: {error}") from error
+        boardless = photos.without
+    marks = {}
+    for file in job.plane:
+        marks[file.name], size, expected_by = _same(
+            plane_marks(file, board, size, expected_by), size, expected_by, file
+        )
+    if job.disc is not None:
+        found = disc_marks(job.disc, job.dot_mm, size, expected_by)
+        marks[job.disc.name], size, expected_by = _same(found, size, expected_by, job.disc)
+    for file in (*job.plane, *([job.disc] if job.disc is not None else [])):
+        hashes[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    assert size is not None
+    progress("measuring the plane", 0.95)
+    return _assembled(job, base, size, fit, boardless, marks, hashes)
+
+
+def _same(found: Any, size: Any, expected_by: str, file: Path) -> tuple[Any, tuple[int, int], str]:
+    places_mm, places_px, image_size = found
+    return (places_mm, places_px), image_size, expected_by if size is not None else file.name
+
+
+def _assembled(  # noqa: PLR0917 - what was read, in order
+    job: CameraJob,
+    base: Rig | None,
+    size: tuple[int, int],
+    fit: CameraCalibration | None,
+    boardless: tuple[str, ...],
+    marks: dict[str, Any],
+    hashes: dict[str, str],
+) -> FoundCamera:
+    """Camera, plane, depth of field."""
+    old = base.camera if base is not None else Camera(75.7, size)
+    warnings = list(fit.warnings) if fit is not None else []
+    poses: dict[str, PlanePose] = {}
+    pose, scale, sharpness = None, None, None
+    if fit is None and old.model == "orthographic":
+        scale = _mean_scale([plane_scale(*one) for one in marks.values()])
+        camera = replace(old, px_per_mm=scale.px_per_mm, image_size=size)
+    else:
+        camera = replace(
+            old,
+            model="perspective",
+            image_size=size,
+            matrix=fit.lens.matrix if fit is not None else old.matrix,
+            distortion=fit.lens.distortion if fit is not None else old.distortion,
+        )
+        assert camera.matrix is not None
+        focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        for name, (places_mm, places_px) in marks.items():
+            poses[name] = plane_pose(places_mm, places_px, camera.matrix, camera.distortion)
+        pose = mean_pose(list(poses.values()), focal) if poses else None
+        height = pose.height_mm if pose is not None else old.height_mm
+        camera = replace(camera, height_mm=height, px_per_mm=focal / height)
+        pixel_um = job.sensor_pixel_um * _binning(job, size[1])
+        require(0.1 <= job.sensor_pixel_um <= 100, "--sensor-pixel-um must be from 0.1 to 100 micrometres.")
+        require(0.3 <= job.f_number <= 128, "--aperture must be an f-number from 0.3 to 128.")
+        require(0 < job.finger_depth_mm < height, "--finger-depth-mm must be positive and below the camera's height.")
+        sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
+    return FoundCamera(
+        camera, fit, boardless, poses, pose, scale, sharpness, _binning(job, size[1]), hashes, tuple(warnings)
+    )
+
+
+def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
+    weight = np.array([1 / max(one.deviation, 1e-12) ** 2 for one in scales])
+    mean = float(np.sum(weight * [one.px_per_mm for one in scales]) / weight.sum())
+    return PlaneScale(
+        mean,
+        float(np.sqrt(np.mean([one.rms_px**2 for one in scales]))),
+        float(1 / np.sqrt(weight.sum())),
+        max(one.anisotropy for one in scales),
+    )
+
+
+def _binning(job: CameraJob, columns: int) -> float:
+    """Sensor pixels along a pixel of the image: the IMX219 bins below 1920 columns, and crops above."""
+    if job.binning is not None:
+        require(1 <= job.binning <= 64, "--binning must be from 1 to 64.")
+        return job.binning
+    return 1.0 if columns >= _UNBINNED_COLUMNS else max(1.0, float(round(_SENSOR_COLUMNS / columns)))

@@ -1,0 +1,190 @@
+"""What ``splitknit calibrate lights`` does with photographs of the nail: find the tips, show them, calibrate."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.apps.calibration.light_pictures import nail_overview
+from splitknit.apps.calibration.lights_of_nail import Task, finish
+from splitknit.apps.verb import Outcome, Refused
+from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
+from splitknit.calibrate.shadow import NailView, find_nail
+from splitknit.check import BadInput, require
+from splitknit.io import atomic_file, write_image
+from splitknit.io.fields import Fields, read_json
+from splitknit.io.images import decode_image, read_bytes
+from splitknit.types import FloatArray
+
+LISTING = "nails.json"
+FOUND_SD_MM = 0.05
+"""Of the nail in photographs: more than the 0.01 mm that the twin shows, for nails that stand a little askew."""
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+Files = dict[tuple[int, str], list[Path]]
+"""Of every nail position and band, the files of its LEDs in order."""
+
+
+def lights_of_images(task: Task, progress: Callable[[str, float], None]) -> Outcome:
+    """Find nail and shadow tips, write the picture and the table of them, and go on as with a table.
+
+    Picture and table are written also where the LEDs are refused after that, for they show why.
+    """
+    options, camera = task.options, task.inputs.camera
+    require(
+        task.settings.nail.nail_seen == "tip", "the nail's tip is found in photographs; leave --nail-seen base away."
+    )
+    # what is found in photographs is better than what is clicked
+    found = replace(task.settings.nail, nail_sd_mm=min(task.settings.nail.nail_sd_mm, FOUND_SD_MM))
+    task = replace(task, settings=replace(task.settings, nail=found))
+    files = nail_files(options.images)
+    tips: list[Tip] = []
+    tiles: list[tuple[str, FloatArray, NailView, int]] = []
+    hashes: dict[str, str] = {}
+    lost: list[str] = []
+    for done, ((nail, band), paths) in enumerate(files.items()):
+        progress(f"nail {nail}, {band}", done / len(files))
+        stack = read_stack(paths, camera.image_size, options.encoding, hashes, options.images)
+        names = [str(path) for path in paths]
+        view = find_nail(stack, camera.px_per_mm, names)
+        for led, tip in enumerate(view.tips_px):
+            tiles.append((f"{band} {led}, nail {nail}", _small(stack[led]), view, led))
+            if np.isfinite(tip).all():
+                nail_px = (float(view.nail_px[0]), float(view.nail_px[1]))
+                tips.append(Tip(band, led, nail, nail_px, (float(tip[0]), float(tip[1]))))
+            else:
+                lost.append(f"{band} {led} at nail {nail}")
+    tips.sort(key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail))
+    show, table = _beside(options.show, options.out, "_tips.png"), _beside(options.tips_out, options.out, "_tips.csv")
+    if show is not None:
+        write_image(show, nail_overview(tiles, camera.image_size))
+    if table is not None:
+        with atomic_file(table) as stream:
+            stream.write(write_tips(tips).encode("ascii"))
+    if not tips:
+        raise BadInput(f"{options.images}: all shadows leave the picture; use a shorter nail or move it to the middle.")
+    shown: dict[str, Any] = {
+        "show": None if show is None else str(show),
+        "tips_out": None if table is None else str(table),
+        "shadows_out_of_the_picture": lost,
+    }
+    try:
+        facts, lines = finish(task, tips, hashes, str(options.images))
+    except Refused as error:
+        seen = "" if show is None else f" ({show} shows what was found)"
+        raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
+    lines += [f"Please note: the shadow leaves the picture for {', '.join(lost)}."] if lost else []
+    lines += [f"Please look at {show}: nail (cross), shadow tip (ring), ray to the LED (line)."] if show else []
+    lines += [f"Correct {table} where it is wrong, and give it to --table."] if table else []
+    return {**facts, **shown}, lines
+
+
+def nail_files(folder: Path) -> Files:
+    """Return the images of a folder: subfolders, one for each nail position, of white_0.png ... nir_6.png.
+
+    A folder without subfolders is one position. ``nails.json`` may list the files instead:
+    ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``, names relative to the folder.
+
+    Raises
+    ------
+    BadInput
+        If an image of a band that occurs is missing, or there are none.
+    """
+    require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
+    if (folder / LISTING).is_file():
+        return _listed(folder)
+    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: _natural(path.name))
+    places = [place for place in places if _bands(place)] or [folder]
+    files: Files = {}
+    for nail, place in enumerate(places, start=1):
+        bands = _bands(place)
+        require(
+            bool(bands),
+            f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png and nir_0.png to "
+            f"nir_6.png, in a subfolder for each position of the nail.",
+        )
+        for band in [band for band in BANDS if band in bands]:
+            absent = [led for led in range(LEDS_PER_BAND) if led not in bands[band]]
+            names = " and ".join(f"{band}_{led}" for led in absent)
+            require(not absent, f"{place} lacks the image {names}; every LED of a band that occurs needs one.")
+            files[nail, band] = [bands[band][led] for led in range(LEDS_PER_BAND)]
+    return files
+
+
+def read_stack(
+    paths: list[Path], size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path
+) -> FloatArray:
+    """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off."""
+    images = [_read(path, size, encoding, hashes, folder) for path in paths]
+    band = re.split(r"[_.-]", paths[0].stem)[0].lower()
+    for suffix in SUFFIXES:
+        ambient = paths[0].with_name(f"ambient_{band}{suffix}")
+        if ambient.is_file():
+            dark = _read(ambient, size, encoding, hashes, folder)
+            images = [np.maximum(image - dark, 0) for image in images]
+            break
+    return np.stack(images)
+
+
+def _read(path: Path, size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path) -> FloatArray:
+    data = read_bytes(path)
+    pixels = decode_image(data, str(path))
+    require(
+        pixels.shape[:2] == size,
+        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's camera has "
+        f"{size[0]} x {size[1]}; give the rig or --image-size that belongs to the photographs.",
+    )
+    hashes[path.relative_to(folder).as_posix()] = hashlib.sha256(data).hexdigest()
+    light = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    if encoding == "srgb":
+        light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.asarray(light.mean(axis=2), dtype=np.float32)
+
+
+def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
+    found: dict[str, dict[int, Path]] = {}
+    for path in sorted(place.iterdir()):
+        match = re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower())
+        if match and path.suffix.lower() in SUFFIXES and path.is_file():
+            led = int(match.group(2))
+            leds = found.setdefault(match.group(1), {})
+            require(led < LEDS_PER_BAND, f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.")
+            require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
+            leds[led] = path
+    return found
+
+
+def _listed(folder: Path) -> Files:
+    document, _ = read_json(folder / LISTING)
+    fields = Fields(document, str(folder / LISTING))
+    files: Files = {}
+    for nail, entry in enumerate(fields.items("nails"), start=1):
+        place = Fields(entry, str(folder / LISTING), f"nails[{nail - 1}]")
+        for band in [band for band in BANDS if place.has(band)]:
+            names = place.items(band)
+            sound = len(names) == LEDS_PER_BAND and all(isinstance(name, str) for name in names)
+            paths = [folder / str(name) for name in names]
+            inside = all(path.resolve().is_relative_to(folder.resolve()) for path in paths)
+            if not (sound and inside):
+                place.refuse(band, f"a list of {LEDS_PER_BAND} file names inside the folder")
+            files[nail, band] = paths
+    require(bool(files), f"{folder / LISTING} lists no images.")
+    return files
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
+
+
+def _small(image: FloatArray, longest: int = 480) -> FloatArray:
+    step = max(1, -(-max(image.shape) // longest))
+    return np.ascontiguousarray(image[::step, ::step])
+
+
+def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
+    return given if given is not None or out is None else out.with_name(out.stem + ending)

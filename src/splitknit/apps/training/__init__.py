@@ -1,0 +1,1 @@
+"""Training of the networks from the command line: data, folders, cards."""

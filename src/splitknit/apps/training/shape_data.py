@@ -1,0 +1,151 @@
+"""Training data of the network that mends the shape: simulated fingers through a whole reconstruction.
+
+A finger is photographed by the twin and reconstructed as any other, but for the network of the relief: in its place
+stands the true relief, a little too low or too high as a drawn one is. What the network of the shape would be given in
+the last turn is kept, and the slopes that the shape lacks there against the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.apps.training.relief_data import TRUTH_SHARE, TruthOnGrid
+from splitknit.apps.training.scene_ranges import photograph_scene
+from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
+from splitknit.check import require
+from splitknit.geometry import height_gradients
+from splitknit.metric.features import RIDGE_BAND_MM
+from splitknit.metric.grid import Grid, coarsen
+from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
+from splitknit.metric.light import slant_of, trust_of
+from splitknit.metric.surface import reconstruct_skin
+from splitknit.pipeline import preset_settings
+from splitknit.radiance import bin_mean
+from splitknit.recipe.finger import find_finger
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.skin import skin_images
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.separate.train_shape import FIELDS
+from splitknit.types import BoolArray, Capture, FloatArray
+
+MOST_MISSING = 3.0
+"""Slopes that are missing beyond this are cut off."""
+SEEN_SLOPES = slice(20, 22)
+"""The shape's own slopes among the fields, over two."""
+TRUSTED = 0.9
+"""From this trust on, the relief's power and error are asked for in a reconstruction."""
+LOG_VARIANCE_NONE = -8.0
+
+
+def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dict[str, Any]]:
+    """Photograph the finger `number` and turn it into a sample (35, h, w); see ``separate.train_shape_batches``.
+
+    Returns
+    -------
+    sample : (35, h, w) float16
+    facts : what was drawn
+
+    Raises
+    ------
+    BadInput
+        If the reconstruction would refuse the capture.
+    """
+    scene, gain = draw_shape_scene(number, data)
+    capture, truth = photograph_scene(scene)
+    names = ("scattering_factor", "melanin", "blood", "roughness", "glare")
+    skin = {name: float(truth[f"skin_{name}"]) for name in names}
+    sample = shape_sample_of(capture, truth, preset_settings("metric"), gain)
+    return sample, {**scene.facts(), "skin": skin, "relief_gain": gain}
+
+
+def shape_sample_of(
+    capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, gain: float
+) -> NDArray[np.float16]:
+    """Fields, missing slopes and weight (35, h, w) of one capture with its truth.
+
+    Parameters
+    ----------
+    capture, truth : of the twin
+    settings : of the reconstruction
+    gain : height of the relief that it is given, over the true one
+    """
+    finger = find_finger(capture, settings, Stopwatch())
+    grid, bands, binning = skin_images(capture, finger, settings)
+    require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
+    on_grid = TruthOnGrid(truth, finger.window, grid, binning)
+    relief, wide = split_relief(on_grid, grid)
+    inner = trust_of(slant_of(on_grid.shape_mm(), grid.pitch_mm), grid) > TRUSTED
+    drawn = drawn_relief(relief, inner & on_grid.mask, gain)
+    kept: list[FloatArray] = []
+
+    def no_slopes(fields: FloatArray) -> FloatArray:
+        kept.append(fields)
+        return np.zeros((2, *fields.shape[1:]), dtype=np.float32)
+
+    networks = Networks(lambda fields: drawn, no_slopes)
+    reconstruct_skin(bands, grid, settings.skin, settings.metric, None, networks)
+    require(len(kept) == 1, "the reconstruction mends no shape: metric.rounds must be two at least.")
+    factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
+    return assembled_shape(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
+
+
+def split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """The true relief (h, w) and the wide part of it that counts as shape, mm; zero where one is not known."""
+    known = grid.mask & truth.mask
+    relief = np.where(known, truth.relief_mm(), np.float32(0.0)).astype(np.float32)
+    wide = grid.smooth(relief, known, RIDGE_BAND_MM)
+    return ((relief - wide) * known).astype(np.float32), wide
+
+
+def drawn_relief(relief_mm: FloatArray, inner: BoolArray, gain: float) -> FloatArray:
+    """What a network (9, h, w) draws that sees this relief `gain` times as high, and knows what it misses.
+
+    Its power is that in the part `inner` of the finger, where a reconstruction asks for it too.
+    """
+    require(bool(inner.any()), "no part of the finger faces the camera.")
+    drawn = np.zeros((9, *relief_mm.shape), dtype=np.float32)
+    drawn[0] = relief_mm * np.float32(gain) / RELIEF_MM
+    power = float((drawn[0][inner] ** 2).mean(dtype=np.float64))
+    missed = max(gain**-2 - 1.0, 0.0) * power
+    drawn[8] = np.log(missed) if missed > 0 else LOG_VARIANCE_NONE
+    return drawn
+
+
+def assembled_shape(
+    fields: FloatArray, true_mm: FloatArray, known: BoolArray, low: Grid, factor: int
+) -> NDArray[np.float16]:
+    """The sample (35, h, w) of one finger.
+
+    Parameters
+    ----------
+    fields : (32, h, w) of :func:`splitknit.metric.shape_features.shape_features`
+    true_mm : (H, W) true shape on the fine grid
+    known : (H, W) where it means something
+    low : coarse grid
+    factor : pixels of the fine grid along one of the coarse grid
+    """
+    rows, columns = low.shape
+
+    def coarse(field: Any) -> FloatArray:
+        return bin_mean(np.ascontiguousarray(field[: rows * factor, : columns * factor], dtype=np.float32), factor)
+
+    there = low.mask & (coarse(known) > TRUTH_SHARE)
+    slopes = np.stack(height_gradients(np.where(there, coarse(true_mm), np.float32(np.nan)), low.pitch_mm))
+    inner = there & _inside(low.mask) & _inside(there)
+    missing = np.clip(slopes - 2 * fields[SEEN_SLOPES], -MOST_MISSING, MOST_MISSING) * inner / SHAPE_SLOPE
+    weight = inner / (1 + (slopes**2).sum(axis=0))
+    return np.concatenate([fields[:FIELDS], missing, weight[None]]).astype(np.float16)
+
+
+def _inside(mask: BoolArray) -> BoolArray:
+    """Pixels whose neighbours up, down, left and right are in the mask or beyond the image: slopes are whole there."""
+    inner = mask.copy()
+    inner[1:] &= mask[:-1]
+    inner[:-1] &= mask[1:]
+    inner[:, 1:] &= mask[:, :-1]
+    inner[:, :-1] &= mask[:, 1:]
+    return inner
