@@ -134,6 +134,15 @@ def test_the_page_needs_nothing_else_and_its_charts_are_sound(folder: Path, tmp_
             assert min(numbers[1::2]) >= -1 and max(numbers[1::2]) <= tall + 1
 
 
+def test_curves_are_staircases(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
+    for chart in svgs(out)[:2]:
+        (line,) = [shape.get("points") or "" for shape in chart.iter() if shape.tag == "polyline"]
+        points = np.array([pair.split(",") for pair in line.split()], dtype=np.float64)
+        assert len(points) > 2 and (np.diff(points, axis=0) == 0).any(axis=1).all()
+
+
 def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Path) -> None:
     outs = [tmp_path / name for name in ("a", "b", "c")]
     for out, seed in zip(outs, ("3", "3", "4"), strict=True):

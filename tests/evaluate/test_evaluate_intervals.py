@@ -252,6 +252,15 @@ def test_few_errors_are_no_certainty_either() -> None:
     assert found.high - found.low == pytest.approx(2 * 1.96 * np.sqrt(0.25 * 0.75 / 400), rel=0.3)
 
 
+def test_failures_are_no_few_errors_of_the_matcher() -> None:
+    generator = np.random.default_rng(4)
+    genuine = np.append(generator.normal(50, 1, 40), np.full(20, np.nan))
+    found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures
+    assert (found["eer_made"].low, found["eer_made"].high) == (0.0, 3 / 40)
+    assert found["gar@0.01_made"].low == pytest.approx(1 - 3 / 40)
+    assert found["gar@0.01"].value == pytest.approx(2 / 3) and found["gar@0.01"].high < 0.85
+
+
 def test_failures_widen_nothing_but_count() -> None:
     scores = population(2)
     score = scores.score.copy()

@@ -31,14 +31,15 @@ def bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, t
     limits = {}
     for counting, ending in countings:
         known = np.ones(genuine.shape, dtype=np.bool_) if counting == "all" else ~np.isnan(genuine)
+        tried = drawn[known]
         equal = rates.equal_error(ordered, impostor, counting=counting)
         rejected = known & ~_accepted(genuine, equal.threshold)
-        limits[f"eer{ending}"] = equal.value, _upper(equal.value, drawn[rejected], drawn)
+        limits[f"eer{ending}"] = equal.value, _upper(equal.value, drawn[rejected], tried)
         for target in targets:
             point = rates.gar_at_far(ordered, impostor, target, counting=counting)
             accepted = _accepted(genuine, point.threshold)
-            low = 1.0 - _upper(1.0 - point.gar, drawn[known & ~accepted], drawn)
-            limits[f"gar@{target:g}{ending}"] = low, _upper(point.gar, drawn[accepted], drawn)
+            low = 1.0 - _upper(1.0 - point.gar, drawn[known & ~accepted], tried)
+            limits[f"gar@{target:g}{ending}"] = low, _upper(point.gar, drawn[accepted], tried)
     return limits
 
 
@@ -46,9 +47,9 @@ def _accepted(scores: NDArray[np.float64], threshold: float | None) -> NDArray[n
     return np.asarray(scores >= (np.inf if threshold is None else threshold))
 
 
-def _upper(rate: float, hit: NDArray[np.int64], drawn: NDArray[np.int64]) -> float:
-    """Bound of a rate that `hit` of what is `drawn` contribute to; the rate itself where they are enough."""
-    return rates.error_bound(rate, np.unique(drawn).size) if np.unique(hit).size < FEW else rate
+def _upper(rate: float, hit: NDArray[np.int64], tried: NDArray[np.int64]) -> float:
+    """Bound of a rate that `hit` of what was `tried` contribute to; the rate itself where they are enough."""
+    return rates.error_bound(rate, np.unique(tried).size) if np.unique(hit).size < FEW else rate
 
 
 def _drawn(scores: Scores, method: str) -> NDArray[np.int64]:
