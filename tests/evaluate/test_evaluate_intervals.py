@@ -216,13 +216,13 @@ def test_clustered_intervals_cover_and_plain_ones_do_not() -> None:
     truth = ndtr(-threshold / narrow)
     settings = BootstrapSettings(replicates=100, targets=(0.1,), curve_points=0)
     hits = dict.fromkeys(_BOTH, 0)
-    for trial in range(100):
+    for trial in range(60):
         scores = population(1000 + trial, fingers=40, sessions=4, spread=spread)
         for method in _BOTH:
             found = bootstrap(scores, method, replace(settings, seed=trial)).figures["eer"]
             hits[method] += found.low <= truth <= found.high
-    assert hits["finger"] >= 87, hits
-    assert hits["plain"] <= 84, hits
+    assert hits["finger"] >= 52, hits
+    assert hits["plain"] <= 50, hits
 
 
 def test_no_error_is_not_certainty() -> None:

@@ -60,6 +60,8 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
     [
         ("", "is empty"),
         ("  \n\n", "is empty"),
+        (b"\xef\xbb\xbf", "is empty"),
+        (b"\xef\xbb\xbf\n\n", "is empty"),
         ("label,score\n", "holds no comparison"),
         ("label,value\n1,2\n", "line 1: there is no column 'score'"),
         ("score,truth\n1,2\n", "line 1: there is no column 'label'"),
@@ -85,7 +87,7 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
         ("label,score\n1,none\n", "line 2: a score"),
         ("label,score,finger_a\n1,2,3\n", "line 1: there is a column 'finger_a' alone"),
         ("label,score,session_b\n1,2,3\n", "line 1: there is a column 'session_b' alone"),
-        ("label,score,finger_a,finger_b\n1,2,3,3\n0,1,,3\n", "line 3: finger_a or finger_b is blank"),
+        ("label,score,finger_a,finger_b\n1,2,3,3\n0,1,,3\n", "line 3: finger_a is blank"),
         ("label,score,system\n1,2,\n", "line 2: system is blank"),
         ('label,score\n1,"2\n', "is not a CSV file: line 2"),
         (b"\x89PNG\r\n\x1a\n\xff\xff", "is not a CSV file: line 1 is not text"),

@@ -11,7 +11,8 @@ import csv
 import hashlib
 import io
 import os
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,9 @@ from splitknit.check import BadInput, require
 from splitknit.io.images import ImageSettings, read_bytes
 
 IDS = ("finger", "subject", "session")
+COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
+_EXPECTED = "a line of column names and a line for each comparison are expected"
 _LIMIT = ImageSettings(max_bytes=2_000_000_000)
 
 
@@ -55,35 +58,35 @@ def read_scores(path: str | os.PathLike[str]) -> ScoreFile:
         Naming file and line: not a CSV, a column missing or named twice, a line of another length, a label other than 0
         and 1, a score that is no finite number, an id that is blank.
     """
-    data, table = _table(path)
-    name, header = os.fspath(path), table.header
-    for column in ("label", "score"):
-        require(
-            column in header,
-            f"{name}, line {table.first}: there is no column '{column}'; columns 'label' (1 genuine, 0 impostor) and "
-            "'score' are needed.",
-        )
-    wanted = ["label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system"]
-    for kind in IDS:
-        given = [side for side in "ab" if f"{kind}_{side}" in header]
-        require(
-            len(given) != 1,
-            f"{name}, line {table.first}: there is a column '{kind}_{(given or 'a')[0]}' alone; both '{kind}_a' and "
-            f"'{kind}_b' are needed.",
-        )
-    columns = {one: [row[k] for row in table.rows] for k, one in enumerate(header) if one in wanted}
-    lines = np.array(table.lines, dtype=np.int64)
-    label = np.array([_label(text, name, line) for text, line in zip(columns["label"], table.lines, strict=True)])
-    score = np.array([_score(text, name, line) for text, line in zip(columns["score"], table.lines, strict=True)])
-    ids = {}
-    for kind in IDS:
-        if f"{kind}_a" in header:
-            both = [*columns[f"{kind}_a"], *columns[f"{kind}_b"]]
-            codes, names = _codes(both, [*table.lines, *table.lines], f"{kind}_a or {kind}_b", name)
-            ids[kind] = np.ascontiguousarray(codes.reshape(2, -1).T), names
-    system = _codes(columns["system"], table.lines, "system", name) if "system" in header else None
-    ignored = tuple(one for one in header if one not in wanted)
-    return ScoreFile(label, score, lines, ids, system, ignored, hashlib.sha256(data).hexdigest())
+    name, data = os.fspath(path), _bytes(path)
+    rows = _rows(data, name)
+    first, header = next(rows)
+    _check_columns(header, name, first)
+    places = {column: header.index(column) for column in COLUMNS if column in header}
+    label, score = array("b"), array("d")
+    lines = array("q")
+    names = {column: _Names(column) for column in places if column not in ("label", "score")}
+    for line, row in rows:
+        lines.append(line)
+        label.append(_label(row[places["label"]], name, line))
+        score.append(_score(row[places["score"]], name, line))
+        for column, known in names.items():
+            known.add(row[places[column]], name, line)
+    require(len(lines) > 0, f"{name} holds no comparison: after the column names a line for each is expected.")
+    ids = {kind: _codes(names[f"{kind}_a"], names[f"{kind}_b"]) for kind in IDS if f"{kind}_a" in names}
+    system = None
+    if "system" in names:
+        codes, systems = _codes(names["system"])
+        system = codes[:, 0], systems
+    return ScoreFile(
+        np.array(label, dtype=np.bool_),
+        np.array(score),
+        np.array(lines, dtype=np.int64),
+        ids,
+        system,
+        tuple(column for column in header if column not in places),
+        hashlib.sha256(data).hexdigest(),
+    )
 
 
 def read_exclusions(path: str | os.PathLike[str]) -> tuple[list[dict[str, str]], str]:
@@ -96,62 +99,94 @@ def read_exclusions(path: str | os.PathLike[str]) -> tuple[list[dict[str, str]],
     BadInput
         Naming file and line.
     """
-    data, table = _table(path)
-    name = os.fspath(path)
-    require("finger" in table.header, f"{name}, line {table.first}: there is no column 'finger', which is needed.")
-    kept = [str(column) for column in ("finger", "subject", "session", "reason") if column in table.header]
-    places = [table.header.index(column) for column in kept]
-    entries: list[dict[str, str]] = []
-    for row, line in zip(table.rows, table.lines, strict=True):
-        entry = {column: row[k].strip() for column, k in zip(kept, places, strict=True)}
+    name, data = os.fspath(path), _bytes(path)
+    rows = _rows(data, name)
+    first, header = next(rows)
+    require("finger" in header, f"{name}, line {first}: there is no column 'finger', which is needed.")
+    kept = [str(column) for column in ("finger", "subject", "session", "reason") if column in header]
+    entries = []
+    for line, row in rows:
+        entry = {column: row[header.index(column)].strip() for column in kept}
         require(bool(entry["finger"]), f"{name}, line {line}: the finger is blank.")
         entries.append(entry)
     return entries, hashlib.sha256(data).hexdigest()
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
-    header: list[str]
-    rows: list[list[str]]
-    lines: list[int]
-    first: int
-    """Line of the header."""
+class _Names:
+    """A column of names as codes, in the order in which they appear."""
+
+    def __init__(self, column: str) -> None:
+        self.column = column
+        self.places: dict[str, int] = {}
+        self.codes = array("q")
+
+    def add(self, text: str, name: str, line: int) -> None:
+        stripped = text.strip()
+        if not stripped:
+            raise BadInput(f"{name}, line {line}: {self.column} is blank; name it in every line or nowhere.")
+        self.codes.append(self.places.setdefault(stripped, len(self.places)))
 
 
-def _table(path: str | os.PathLike[str]) -> tuple[bytes, _Table]:
-    """The bytes of a CSV file, and its rows with the lines where they begin."""
-    name = os.fspath(path)
+def _codes(*columns: _Names) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Codes (N, columns) in one list of names, which are in order, numbers by their size."""
+    names = sorted({name for column in columns for name in column.places}, key=_order)
+    place = {name: k for k, name in enumerate(names)}
+    codes = [
+        np.array([place[name] for name in column.places], dtype=np.int64)[np.array(column.codes, dtype=np.int64)]
+        for column in columns
+    ]
+    return np.stack(codes, axis=1), tuple(names)
+
+
+def _bytes(path: str | os.PathLike[str]) -> bytes:
     data = read_bytes(Path(path), _LIMIT)
-    require(bool(data.strip()), f"{name} is empty: a line of column names and a line for each comparison are expected.")
+    require(bool(data.strip()), f"{os.fspath(path)} is empty: {_EXPECTED}.")
+    return data
+
+
+def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Lines of a CSV file with the number of the line where they begin: column names first, blank lines left out."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise BadInput(f"{name} is not a CSV file: line {line} is not text in UTF-8.") from error
-    header: list[str] = []
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    first, before = 0, 0
+    columns, before = 0, 0
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         for row in reader:
             line, before = before + 1, reader.line_num
             if not row:
                 continue
-            if not header:
-                header, first = _header(row, name, line), line
+            if columns == 0:
+                columns = len(row)
+                yield line, _header(row, name, line)
                 continue
-            if len(row) != len(header):
+            if len(row) != columns:
                 raise BadInput(
-                    f"{name}, line {line}: {len(header)} fields are expected, as in the line of column names, "
+                    f"{name}, line {line}: {columns} fields are expected, as in the line of column names, "
                     f"but there are {len(row)}."
                 )
-            rows.append(row)
-            lines.append(line)
+            yield line, row
     except csv.Error as error:
         raise BadInput(f"{name} is not a CSV file: line {reader.line_num}: {error}.") from error
-    require(bool(rows), f"{name} holds no comparison: after the column names a line for each is expected.")
-    return data, _Table(header, rows, lines, first)
+    require(columns > 0, f"{name} is empty: {_EXPECTED}.")
+
+
+def _check_columns(header: Sequence[str], name: str, line: int) -> None:
+    for column in ("label", "score"):
+        require(
+            column in header,
+            f"{name}, line {line}: there is no column '{column}'; columns 'label' (1 genuine, 0 impostor) and "
+            "'score' are needed.",
+        )
+    for kind in IDS:
+        given = [side for side in "ab" if f"{kind}_{side}" in header]
+        require(
+            len(given) != 1,
+            f"{name}, line {line}: there is a column '{kind}_{(given or 'a')[0]}' alone; both '{kind}_a' and "
+            f"'{kind}_b' are needed.",
+        )
 
 
 def _header(row: Sequence[str], name: str, line: int) -> list[str]:
@@ -187,20 +222,6 @@ def _score(text: str, name: str, line: int) -> float:
             f"'{_short(text)}'."
         )
     return value
-
-
-def _codes(
-    texts: Sequence[str], lines: Sequence[int], column: str, name: str
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Codes of names, which are in order, numbers by their size."""
-    stripped = [text.strip() for text in texts]
-    if not all(stripped):
-        raise BadInput(
-            f"{name}, line {lines[stripped.index('')]}: {column} is blank; name it in every line or nowhere."
-        )
-    names = sorted(set(stripped), key=_order)
-    place = {one: k for k, one in enumerate(names)}
-    return np.array([place[one] for one in stripped], dtype=np.int64), tuple(names)
 
 
 def _order(text: str) -> tuple[Any, ...]:
