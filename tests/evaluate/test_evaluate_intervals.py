@@ -27,7 +27,7 @@ from splitknit.evaluate import (
     scores_of_comparisons,
 )
 from splitknit.evaluate.cells import make_cells
-from splitknit.evaluate.rates import error_bound
+from splitknit.evaluate.error_bounds import error_bound
 from splitknit.evaluate.replicate_figures import Layout, figures_of
 from splitknit.evaluate.replicates import cell_weights, cluster_units, pair_units, plain_units
 

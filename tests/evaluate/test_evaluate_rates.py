@@ -11,7 +11,8 @@ from scipy.special import ndtr, ndtri
 
 from splitknit.check import BadInput
 from splitknit.evaluate import auc, d_prime, equal_error, gar_at_far, roc
-from splitknit.evaluate.rates import rule_of_three, sort_scores
+from splitknit.evaluate.error_bounds import rule_of_three
+from splitknit.evaluate.sides import sort_scores
 
 GENUINE = [3.0, 5.0, 5.0, 6.0]
 IMPOSTOR = [0.0, 1.0, 2.0, 5.0]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.evaluate import rates
+from splitknit.evaluate.error_bounds import rule_of_three
 from splitknit.evaluate.identification import Cmc, cmc, rank_one_interval
 from splitknit.evaluate.intervals import BootstrapSettings, Interval, Intervals
 from splitknit.evaluate.protocol import by_session_pair
@@ -132,7 +133,7 @@ def notes_of(result: Result, *, variant: bool) -> list[str]:
         notes.append(
             f"{name}: {impostor.size} impostor comparisons cannot resolve a FAR of {fars} ({needed} are needed for one "
             "false accept). The GAR is that at FAR 0, where the FAR may in truth be up to "
-            f"{100 * rates.rule_of_three(impostor.size):.2g} % (95 %, rule of three)."
+            f"{100 * rule_of_three(impostor.size):.2g} % (95 %, rule of three)."
         )
     if variant:
         return notes

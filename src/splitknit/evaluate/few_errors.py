@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.evaluate import rates
+from splitknit.evaluate.error_bounds import error_bound
 from splitknit.evaluate.scores import Scores
+from splitknit.evaluate.sides import Counting
 
 FEW = 5
 """Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
@@ -27,7 +29,7 @@ def bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, t
     """
     genuine, impostor = scores.genuine, np.sort(scores.impostor)
     ordered, drawn = np.sort(genuine), _drawn(scores, method)
-    countings: tuple[tuple[rates.Counting, str], ...] = (("all", ""), ("made", "_made"))
+    countings: tuple[tuple[Counting, str], ...] = (("all", ""), ("made", "_made"))
     limits = {}
     for counting, ending in countings:
         known = np.ones(genuine.shape, dtype=np.bool_) if counting == "all" else ~np.isnan(genuine)
@@ -49,7 +51,7 @@ def _accepted(scores: NDArray[np.float64], threshold: float | None) -> NDArray[n
 
 def _upper(rate: float, hit: NDArray[np.int64], tried: NDArray[np.int64]) -> float:
     """Bound of a rate that `hit` of what was `tried` contribute to; the rate itself where they are enough."""
-    return rates.error_bound(rate, np.unique(tried).size) if np.unique(hit).size < FEW else rate
+    return error_bound(rate, np.unique(tried).size) if np.unique(hit).size < FEW else rate
 
 
 def _drawn(scores: Scores, method: str) -> NDArray[np.int64]:

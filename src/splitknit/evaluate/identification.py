@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.evaluate.error_bounds import error_bound
 from splitknit.evaluate.few_errors import FEW
-from splitknit.evaluate.rates import error_bound
 from splitknit.evaluate.scores import Scores
 
 
