@@ -71,7 +71,7 @@ def simulate_population(
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
     document = {
         "format": _FORMAT,
-        "version": _VERSION,
+        "format_version": _VERSION,
         "draws": DRAWS,
         **provenance(settings),
         "settings_sha256": population_hash(settings),
@@ -194,7 +194,7 @@ def _check_settings(out: Path, document: dict[str, Any]) -> None:
         return
     try:
         earlier = json.loads(file.read_text(encoding="utf-8"))
-        require(earlier["format"] == _FORMAT and earlier["version"] == _VERSION, f"'{file}' is of another version.")
+        require(earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION, f"'{file}' is of another version.")
         same = earlier["settings_sha256"] == document["settings_sha256"]
         differing = _differing(earlier["settings"], document["settings"])
     except BadInput:

@@ -48,5 +48,5 @@ TRAITS: Mapping[str, Trait] = {
     "second_reach": Trait(11.5, 1.2, 8.0, 14.0),
     "second_darkening": Trait(0.25, 0.06, 0.08, 0.4),
 }
-"""Means, spreads and limits are those of :func:`splitknit.simulate.finger.draw_finger`, where their sources stand; the tip's drop
-(for a finger of 13.5 mm) is ours: a fingertip ends near its nail, not half-way down."""
+"""Means, spreads and limits are those of :func:`splitknit.simulate.finger.draw_finger`, where their sources stand; the
+tip's drop (for a finger 13.5 mm thick) is ours: a fingertip ends near its nail, not half-way down."""

@@ -58,6 +58,8 @@ class MasterPrintSettings:
     """Mean distance of the pores along a ridge (9 to 18 a centimetre)."""
     pore_diameter_mm: float = 0.13
     """Mean full width at half depth of a pore."""
+    pattern_scale: float = 1.0
+    """Size of the pattern (cores, deltas and the bends of its ridges, not their period): a finger's over the mean."""
 
     def __post_init__(self) -> None:
         for name in ("period_mm", "half_width_mm", "distal_mm", "proximal_mm", "pitch_mm", "pore_spacing_mm"):
@@ -68,6 +70,10 @@ class MasterPrintSettings:
             f"master_print.pitch_mm must be an eighth of the ridge period or less, but it is {self.pitch_mm}.",
         )
         require(self.iterations >= 1, f"master_print.iterations must be at least 1, but it is {self.iterations}.")
+        require(
+            0.5 <= self.pattern_scale <= 2.0,
+            f"master_print.pattern_scale must lie in [0.5, 2], but it is {self.pattern_scale}.",
+        )
         for name in ("period_spread", "period_variation"):
             value = getattr(self, name)
             require(0 <= value <= 0.15, f"master_print.{name} must lie in [0, 0.15], but it is {value}.")
@@ -130,7 +136,7 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
     require(pattern in PATTERNS, f"pattern '{pattern}' is not known; choose one of loop, {', '.join(PATTERNS)}.")
     coarse = 2 * settings.pitch_mm
     u_mm, v_mm = _axes(settings, coarse)
-    field = orientation_field(pattern, draws[0], u_mm, v_mm)
+    field = _scaled_field(pattern, draws[0], u_mm, v_mm, settings.pattern_scale)
     mean_period, period = _periods(draws[1], settings, field, u_mm, v_mm)
     noise = draws[2].standard_normal((v_mm.size, u_mm.size)).astype(np.float32)
     wave = grow_ridges(noise, field.angle_rad, period / coarse, iterations=settings.iterations)
@@ -159,6 +165,13 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
         field.deltas_mm,
         minutiae,
     )
+
+
+def _scaled_field(pattern: str, rng: np.random.Generator, u_mm: Array, v_mm: Array, scale: float) -> OrientationField:
+    """The orientation field of a finger whose pattern is `scale` times as large as the mean."""
+    field = orientation_field(pattern, rng, u_mm / scale, v_mm / scale)
+    cores, deltas = (tuple((scale * u, scale * v) for u, v in points) for points in (field.cores_mm, field.deltas_mm))
+    return OrientationField(field.angle_rad, cores, deltas)
 
 
 def _axes(settings: MasterPrintSettings, pitch: float) -> tuple[Array, Array]:

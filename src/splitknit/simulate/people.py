@@ -254,8 +254,13 @@ def _shape_and_relief(
 
 
 def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPrintSettings:
-    """The map of the ridges covers thumbs, too."""
-    return replace(settings, half_width_mm=max(15.0, 0.85 * shape.width_mm), distal_mm=max(33.0, shape.length_mm + 8.0))
+    """Large fingers have large patterns, and a map of the ridges that covers them."""
+    return replace(
+        settings,
+        half_width_mm=max(15.0, 0.85 * shape.width_mm),
+        distal_mm=max(33.0, shape.length_mm + 8.0),
+        pattern_scale=float(np.sqrt(shape.width_mm / 16.8 * shape.length_mm / 25.0)),
+    )
 
 
 def _own_optics(rng: np.random.Generator, skin: SkinSettings, ranges: PeopleRanges) -> SkinSettings:

@@ -1,0 +1,215 @@
+"""Is the simulated population like people? Classes and sizes as drawn, prints as strangers, outlines as alike.
+
+    pip install nbis-py==0.1.3
+    python validation/population/run.py                 # all parts, about eight minutes of one core
+    python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines
+
+writes ``results.json`` beside this file; parts that are not run stay as they are there. The outlines are those of the
+surfaces that the camera sees, without light and noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.evaluate.rates import d_prime, equal_error
+from splitknit.simulate.finger import Finger, finger_surface
+from splitknit.simulate.master_print import MasterPrint, ink_print
+from splitknit.simulate.pattern_classes import DIGITS, class_shares
+from splitknit.simulate.people import FINGERS, Person
+from splitknit.simulate.population import PopulationSettings, finger_of_today
+from splitknit.simulate.sessions import draw_impression
+
+HERE = Path(__file__).resolve().parent
+PROFILE_MM = np.arange(1.0, 16.1, 1.0)
+"""Distances from the tip, along the finger, at which an outline is measured."""
+SIDEWAYS_MM = np.linspace(-1.0, 1.0, 9)
+"""Lateral search of the overlap."""
+
+
+def people(seed: int, count: int) -> Iterator[Person]:
+    settings = PopulationSettings(seed=seed)
+    return (settings.person(number) for number in range(1, count + 1))
+
+
+def sizes(count: int) -> dict[str, Any]:
+    """Breadths, lengths, ridge periods and classes of many people, against what was asked for."""
+    everybody = list(people(0, count))
+    ranges = PopulationSettings().people
+    result: dict[str, Any] = {"people": count, "digits": {}, "classes": {}}
+    for k, digit in enumerate(DIGITS):
+        table = {}
+        for sex in ("man", "woman"):
+            some = [p.fingers[f"right_{digit}"].finger for p in everybody if p.sex == sex]
+            table[sex] = {
+                "width_mm": _mean_sd([finger.shape.width_mm for finger in some]),
+                "length_mm": _mean_sd([finger.shape.length_mm for finger in some]),
+                "period_mm": _mean_sd([finger.print_settings.period_mm for finger in some], 4),
+            }
+        asked = (ranges.width_mm[k], ranges.length_mm[k], ranges.period_mm * ranges.period_digit[k])
+        result["digits"][digit] = {"asked_mean_of_sexes": [round(value, 4) for value in asked], **table}
+    worst = 0.0
+    for name in FINGERS:
+        side, digit = name.split("_")
+        drawn = [p.fingers[name].finger.pattern for p in everybody]
+        row = {}
+        for pattern, share in class_shares(side, digit).items():
+            found = drawn.count(pattern) / count
+            worst = max(worst, abs(found - share) / max(np.sqrt(share * (1 - share) / count), 1e-9))
+            row[pattern] = [round(share, 4), round(found, 4)]
+        result["classes"][name] = row
+    result["classes_worst_deviation_in_sd"] = round(float(worst), 2)
+    whorls = np.array([[p.fingers[f].finger.pattern in ("whorl", "twin_loop") for f in FINGERS] for p in everybody])
+    result["people_without_whorls"] = round(float((~whorls.any(axis=1)).mean()), 3)
+    result["people_with_whorls_only"] = round(float(whorls.all(axis=1).mean()), 3)
+    widths = np.array([[p.fingers[f].finger.shape.width_mm for f in FINGERS] for p in everybody])
+    result["width_correlation_index_ring"] = round(float(np.corrcoef(widths[:, 1], widths[:, 3])[0, 1]), 3)
+    result["width_correlation_index_left_right"] = round(float(np.corrcoef(widths[:, 1], widths[:, 6])[0, 1]), 3)
+    return result
+
+
+def _mean_sd(values: Any, digits: int = 2) -> list[float]:
+    return [round(float(np.mean(values)), digits), round(float(np.std(values)), digits)]
+
+
+def impostors(draws: int) -> dict[str, Any]:
+    """Scores of NIST's mindtct and bozorth3 between the 40 prints of four people, for some populations."""
+    spec = importlib.util.spec_from_file_location("impostors", HERE.parent / "impostors" / "run.py")
+    if spec is None or spec.loader is None:
+        raise RuntimeError("validation/impostors/run.py is missing")
+    matcher = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(matcher)
+    result: dict[str, Any] = {"matcher": "mindtct + bozorth3 (nbis-py 0.1.3), 500 ppi, all minutiae"}
+    for seed in range(draws):
+        files = []
+        for person in people(seed, 4):
+            for own in person.fingers.values():
+                image = np.pad(ink_print(own.finger.master()), 20, constant_values=255)
+                files.append(cv2.imencode(".png", image)[1].tobytes())
+        result[f"population_{seed}"] = matcher.matched(files, [str(k) for k in range(len(files))])
+    return result
+
+
+def outlines(subjects: int, sessions: int) -> dict[str, Any]:
+    """How well breadth, length of the tip and whole outline alone tell fingers apart."""
+    settings = PopulationSettings(scale=0.2)
+    fingers, edges = [], []
+    for person in people(0, subjects):
+        for name in FINGERS:
+            for session in range(1, sessions + 1):
+                fingers.append(f"{person.number} {name}")
+                edges.append(_edges(settings, person, name, session))
+    outline = np.stack(edges)  # (N, 2, 16) left and right edge, mm
+    width = np.median(outline[:, 1, 7:] - outline[:, 0, 7:], axis=1)
+    tip = (outline[:, 1, 2] - outline[:, 0, 2]) / width  # how pointed it is
+    first, second = np.triu_indices(len(fingers), 1)
+    names = np.array(fingers)
+    genuine = names[first] == names[second]
+    overlap = _overlap(outline, first, second)
+    scores = {
+        "width": -np.abs(width[first] - width[second]),
+        "width_and_tip": -np.hypot(
+            (width[first] - width[second]) / width.std(), (tip[first] - tip[second]) / tip.std()
+        ),
+        "overlap": overlap,
+    }
+    people_of = np.array([name.split()[0] for name in fingers])
+    others = ~genuine & (people_of[first] != people_of[second])
+    index = np.array([name.endswith("right_index") for name in fingers])
+    by_person = [width[index & (people_of == who)] for who in dict.fromkeys(people_of)]
+    within = float(np.sqrt(np.mean([values.var(ddof=1) for values in by_person]))) if sessions > 1 else None
+    return {
+        "captures": len(fingers),
+        "width_mm": _mean_sd(width),
+        "right_index_width_sd_between_people_mm": round(float(np.std([values.mean() for values in by_person])), 3),
+        "right_index_width_sd_between_sessions_mm": None if within is None else round(within, 3),
+        "strangers_within_0.5_mm": round(float((np.abs(width[first] - width[second])[others] < 0.5).mean()), 3),
+        "genuine_overlap_above_0.9": round(float((overlap[genuine] > 0.9).mean()), 4),
+        "impostor_overlap_above_0.9": round(float((overlap[~genuine] > 0.9).mean()), 4),
+        "separation": {
+            name: {
+                "eer": round(float(equal_error(score[genuine], score[~genuine]).value), 4),
+                "d_prime": round(float(d_prime(score[genuine], score[~genuine]) or 0.0), 2),
+            }
+            for name, score in scores.items()
+        },
+    }
+
+
+def _edges(settings: PopulationSettings, person: Person, name: str, session: int) -> NDArray[np.float64]:
+    """(2, 16) left and right edge of the upright outline, mm from the middle line, at distances from the tip."""
+    own = person.fingers[name]
+    rig = settings.rig()
+    impression = draw_impression(
+        own, settings.sessions, rig.camera, seed=settings.seed, number=person.number, session=session
+    )
+    pose = replace(impression.pose(), yaw_rad=0.0, x_mm=0.0)  # the thesis turns outlines upright
+    today = finger_of_today(own.finger, impression)
+    surface = finger_surface(today, pose, rig.camera, master=_smooth_skin(today), workers=1)
+    pitch = surface.camera.pitch_mm
+    rows = np.nonzero(surface.mask.any(axis=1))[0]
+    left = np.argmax(surface.mask, axis=1) * pitch
+    right = (surface.mask.shape[1] - np.argmax(surface.mask[:, ::-1], axis=1)) * pitch
+    at = (np.arange(surface.mask.shape[0]) - rows[0] + 0.5) * pitch
+    lines = np.stack([np.interp(PROFILE_MM, at[rows], side[rows]) for side in (left, right)])
+    return np.asarray(lines - np.median(lines.mean(axis=0)[7:]))
+
+
+def _smooth_skin(finger: Finger) -> MasterPrint:
+    """A print without ridges: the outline does not need them."""
+    u, v = np.arange(-22.0, 22.1, 1.0), np.arange(44.0, -25.0, -1.0)
+    return MasterPrint(
+        finger.pattern, finger.seed, np.ones((v.size, u.size), np.float32), np.zeros((v.size, u.size), np.float32),
+        u, v, 0.43, (), (), np.zeros((0, 3)),
+    )  # fmt: skip
+
+
+def _overlap(outline: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
+    """Intersection over union of upright outlines, tips together, the best of some lateral shifts."""
+    best = np.zeros(first.size)
+    for begin in range(0, first.size, 50_000):
+        part = slice(begin, begin + 50_000)
+        a, b = outline[first[part]], outline[second[part]]
+        for shift in SIDEWAYS_MM:
+            both = np.minimum(a[:, 1], b[:, 1] + shift) - np.maximum(a[:, 0], b[:, 0] + shift)
+            both = np.maximum(both, 0.0).sum(axis=1)
+            either = (a[:, 1] - a[:, 0] + b[:, 1] - b[:, 0]).sum(axis=1) - both
+            best[part] = np.maximum(best[part], both / either)
+    return best
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", default="sizes,impostors,outlines")
+    parser.add_argument("--people", type=int, default=2000, help="of the part sizes")
+    parser.add_argument("--draws", type=int, default=3, help="populations of the part impostors")
+    parser.add_argument("--subjects", type=int, default=17, help="of the part outlines")
+    parser.add_argument("--sessions", type=int, default=4, help="of the part outlines")
+    parser.add_argument("--out", type=Path, default=HERE / "results.json")
+    arguments = parser.parse_args()
+    results = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {}
+    for part in arguments.parts.split(","):
+        if part == "sizes":
+            results[part] = sizes(arguments.people)
+        elif part == "impostors":
+            results[part] = impostors(arguments.draws)
+        elif part == "outlines":
+            results[part] = outlines(arguments.subjects, arguments.sessions)
+        else:
+            parser.error(f"there is no part {part}")
+        arguments.out.write_text(json.dumps(results, indent=1) + "\n")
+        print(part, json.dumps(results[part], indent=1))
+
+
+if __name__ == "__main__":
+    main()
