@@ -55,7 +55,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
     if "similarity" in facts:
         lines.append(f"similarity {facts['similarity']:.4f} ({_meaning(facts)})")
         if facts["fmr"] is not None:
-            lines.append(f"fmr {facts['fmr']:.2g}")
+            lines.append(f"fmr at most {facts['fmr']:.2g} (share of other fingers, simulated ones, that are as alike)")
         if facts["method"] == "thesis":
             lines.append(
                 f"overlap {facts['overlap']:.3f} of both outlines (intersection over union), "

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +19,7 @@ from splitknit.io import read_capture, read_image, read_npz, read_print_png
 from splitknit.io.templates import read_template, write_template
 from splitknit.match import (
     VERSION,
+    FmrTable,
     RidgeBandSettings,
     RidgeMatchSettings,
     Template,
@@ -40,6 +43,8 @@ T = TypeVar("T")
 METHODS = ("ridge", "thesis")
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _PPI = 500.0
+_FMR_TABLE = "match_fmr.json"
+"""Made by validation/match/impostors.py."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,12 +267,31 @@ def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     found = ridge_match(left, right, settings.ridge)
     return {
         "similarity": found.similarity,
-        "fmr": None,
+        "fmr": false_match_rate(found.similarity) if found.compared and _as_calibrated(settings) else None,
         "compared": found.compared,
         "overlap_mm2": found.overlap_mm2,
         "correlation": found.correlation,
         "alignment": {"rotation_deg": found.rotation_deg, "right_mm": found.right_mm, "up_mm": found.up_mm},
     }
+
+
+def false_match_rate(similarity: float) -> float | None:
+    """Rate at which other (simulated) fingers reach this similarity of the ridge matcher; None without a table.
+
+    Never below one over the number of impostor comparisons that the table was measured on.
+    """
+    file = resources.files("splitknit.apps") / _FMR_TABLE
+    if not file.is_file():
+        return None
+    document = json.loads(file.read_text(encoding="utf-8"))
+    table = FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
+    return table(similarity)
+
+
+def _as_calibrated(settings: MatchingSettings) -> bool:
+    """Whether scores mean what they meant when the table was measured."""
+    plain = MatchingSettings()
+    return (settings.band, settings.template, settings.ridge) == (plain.band, plain.template, plain.ridge)
 
 
 def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:

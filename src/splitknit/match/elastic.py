@@ -126,7 +126,8 @@ def compare_patches(
     moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])  # a border of the search's reach around B
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     value = np.asarray(cv2.warpAffine(a_value, moved, (right, bottom), flags=flags))
-    valid = np.asarray(cv2.warpAffine(a_valid.astype(np.float32), moved, (right, bottom), flags=flags))
+    nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
     share = _sums(valid, side) / np.float32(side * side)
     seen = np.minimum(share[patches.rows + reach, patches.columns + reach], patches.share)
     used = np.flatnonzero(seen >= settings.least_share)

@@ -65,15 +65,20 @@ def hog_features(image: FloatArray, px_per_mm: float, settings: FeatureSettings 
     across = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1)
     down = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1)
     size, angle = cv2.cartToPolar(across, down)
-    place = np.mod(np.asarray(angle) / np.float32(np.pi), 1.0) * settings.hog_bins - 0.5
+    cell, bins = settings.cell(px_per_mm), settings.hog_bins
+    height, width = image.shape[0] // cell, image.shape[1] // cell
+    require(height > 0 and width > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
+    cut = slice(0, height * cell), slice(0, width * cell)
+    place = np.asarray(angle)[cut] * np.float32(bins / np.pi) - np.float32(0.5)
     low = np.floor(place)
-    share = place - low
-    cells = []
-    for direction in range(settings.hog_bins):
-        here = np.where(np.mod(low, settings.hog_bins) == direction, 1.0 - share, 0.0)
-        here += np.where(np.mod(low + 1, settings.hog_bins) == direction, share, 0.0)
-        cells.append(_cell_means((here * size).astype(np.float32), settings.cell(px_per_mm)))
-    grid = np.stack(cells, axis=-1)
+    share, size_of = place - low, np.asarray(size)[cut]
+    number = np.arange(height * cell)[:, None] // cell * width + np.arange(width * cell)[None, :] // cell
+    low_bin = np.mod(low.astype(np.int64), bins)
+    counts = [
+        np.bincount((number * bins + which).ravel(), weights=weight.ravel(), minlength=height * width * bins)
+        for which, weight in ((low_bin, (1 - share) * size_of), (np.mod(low_bin + 1, bins), share * size_of))
+    ]
+    grid = (counts[0] + counts[1]).reshape(height, width, bins)
     rows, columns = max(1, grid.shape[0] - 1), max(1, grid.shape[1] - 1)
     blocks = np.concatenate(
         [
@@ -146,7 +151,11 @@ def shape_context_features(image: FloatArray, px_per_mm: float, settings: Featur
     flank[:, 1:] += positive[:, 1:] != positive[:, :-1]
     flank[1:] += positive[1:] != positive[:-1]
     flank = np.minimum(flank, np.float32(1.0))
-    reach = settings.context_reach_px * px_per_mm / REFERENCE_PX_PER_MM
+    # where flanks lie to a twentieth of the reach is enough
+    factor = max(1, int(settings.context_reach_px * px_per_mm / REFERENCE_PX_PER_MM / 20))
+    small = image.shape[1] // factor, image.shape[0] // factor
+    flank = np.asarray(cv2.resize(flank[: small[1] * factor, : small[0] * factor], small, interpolation=cv2.INTER_AREA))
+    reach = settings.context_reach_px * px_per_mm / REFERENCE_PX_PER_MM / factor
     half = max(2, int(np.ceil(reach)))
     padded = cv2.copyMakeBorder(flank, half, half, half, half, cv2.BORDER_CONSTANT, value=0.0)
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
@@ -162,15 +171,8 @@ def shape_context_features(image: FloatArray, px_per_mm: float, settings: Featur
     result = np.empty((rows, columns, count), dtype=np.float32)
     for i in range(rows):
         for j in range(columns):
-            top, left = i * cell + cell // 2, j * cell + cell // 2
+            top, left = (i * cell + cell // 2) // factor, (j * cell + cell // 2) // factor
             part = padded[top : top + 2 * half + 1, left : left + 2 * half + 1]
             result[i, j] = np.bincount(number.ravel(), weights=part.ravel(), minlength=count + 1)[:count]
     total = result.sum(axis=2, keepdims=True)
-    return np.asarray(result / np.maximum(total, 1.0), dtype=np.float32).ravel()
-
-
-def _cell_means(image: FloatArray, cell: int) -> FloatArray:
-    rows, columns = image.shape[0] // cell, image.shape[1] // cell
-    require(rows > 0 and columns > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
-    cut = np.ascontiguousarray(image[: rows * cell, : columns * cell])
-    return np.asarray(cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.asarray(result / np.maximum(total, np.float32(1.0)), dtype=np.float32).ravel()

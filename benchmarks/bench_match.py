@@ -1,0 +1,105 @@
+"""Matching: a template, a comparison of templates, a pair by the thesis's matcher at full size.
+
+    python benchmarks/bench_match.py [--rounds 5]
+
+Two impressions of one simulated finger, its true surface; nothing is reconstructed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.match import (
+    FingerImages,
+    Prepared,
+    Template,
+    ThesisSettings,
+    finger_features,
+    finger_images,
+    make_template,
+    pack,
+    ridge_band,
+    ridge_match,
+    thesis_match,
+    unpack,
+)
+from splitknit.simulate.finger import Pose, draw_finger, finger_surface
+from splitknit.simulate.rig import default_rig
+from timing import machine, print_table, race
+
+SURFACE = 0.5
+BOX = (1528, 936)
+"""The thesis's crop of a phalange, pixels."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    rounds = parser.parse_args().rounds
+    cv2.setNumThreads(1)
+    finger, camera = draw_finger(1), default_rig(SURFACE).camera
+    master = finger.master()
+    seen = [
+        finger_surface(finger, pose, camera, master=master)
+        for pose in (Pose(insertion_mm=26.0), Pose(insertion_mm=27.0, yaw_rad=0.1, roll_rad=0.1))
+    ]
+    surfaces = [(s.height_mm - s.shape_mm, s.mask, camera.pitch_mm, s.shape_mm) for s in seen]
+    print(f"Matching, surfaces of {' x '.join(map(str, seen[0].mask.shape))} pixels, {machine()}, one thread")
+
+    def template(k: int) -> Template:
+        return make_template(ridge_band(*surfaces[k]))
+
+    templates = [template(0), template(1)]
+    stored = [pack(t) for t in templates]
+    ready = [Prepared(t) for t in templates]
+    warm(*ready)
+    print(f"A template has {len(stored[0])} bytes for {templates[0].area_mm2:.0f} mm² of skin.")
+    contenders = {
+        "comparison, both sides prepared": lambda: ridge_match(*ready),
+        "comparison, one side read and prepared anew": lambda: ridge_match(ready[0], Prepared(unpack(stored[1]))),
+        "template from a reconstruction": lambda: template(0),
+    }
+    print_table("Ridge templates", race(contenders, 4 * rounds), lambda _: "", "")
+
+    boxes = [
+        full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm)) for s, x in zip(seen, surfaces, strict=True)
+    ]
+    known = {}
+    for feature in ("lbp", "hog", "gabor", "shape_context"):
+        known[feature] = finger_features(boxes[0], ThesisSettings(gate=0.0, feature=feature))
+
+    def pair(feature: str, given: bool) -> Any:
+        settings = ThesisSettings(gate=0.0, feature=feature)
+        return thesis_match(*boxes, settings, known[feature] if given else None)
+
+    contenders = {
+        "lbp": lambda: pair("lbp", False),
+        "lbp, features of one side known": lambda: pair("lbp", True),
+        "hog": lambda: pair("hog", False),
+        "gabor": lambda: pair("gabor", False),
+        "shape_context": lambda: pair("shape_context", False),
+    }
+    print_table("The thesis's matcher, four channels of 1528 x 936", race(contenders, rounds), lambda _: "", "")
+
+
+def warm(a: Prepared, b: Prepared) -> None:
+    """Make what is kept between comparisons, whichever side it is on."""
+    for side in (a, b):
+        assert len(side.rotated.ridges) > len(side.fixed.ridges) == 1
+        assert len(side.first.rows) <= len(side.patches.rows)
+        assert side.key
+
+
+def full_size(images: FingerImages) -> FingerImages:
+    """The finger, stretched over the thesis's box at its scale."""
+    channels = {name: cv2.resize(channel, BOX[::-1]) for name, channel in images.channels.items()}
+    mask = cv2.resize(images.mask.astype(np.uint8), BOX[::-1]).astype(np.bool_)
+    return FingerImages(channels, mask, 75.7)
+
+
+if __name__ == "__main__":
+    main()
