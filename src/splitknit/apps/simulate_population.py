@@ -194,7 +194,8 @@ def _check_settings(out: Path, document: dict[str, Any]) -> None:
         return
     try:
         earlier = json.loads(file.read_text(encoding="utf-8"))
-        require(earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION, f"'{file}' is of another version.")
+        known = earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION
+        require(known, f"'{file}' is of another version.")
         same = earlier["settings_sha256"] == document["settings_sha256"]
         differing = _differing(earlier["settings"], document["settings"])
     except BadInput:
