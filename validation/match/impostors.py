@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.apps.matching import MatchingSettings, Surface, surface_template
+from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
 from splitknit.io import read_print_png
 from splitknit.match import Prepared, calibrate_scores, make_template, print_band, ridge_match
 from splitknit.preprocess.orientation import find_upright

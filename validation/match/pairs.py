@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.matching import MatchingSettings, Surface, surface_images, surface_template
+from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_images, surface_template
 from splitknit.evaluate import Scores, bootstrap, ids_of
 from splitknit.match import Prepared, ThesisSettings, ridge_match, thesis_match
 from splitknit.pipeline import reconstruct

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import check_image, require
 from splitknit.match.lbp import REFERENCE_PX_PER_MM
-from splitknit.match.ridge_band import AnyArray, blur
+from splitknit.match.unroll import AnyArray, blur
 from splitknit.types import FloatArray
 
 Vector = NDArray[np.float32]

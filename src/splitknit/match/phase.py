@@ -15,7 +15,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.match.ridge_band import blur
+from splitknit.match.unroll import blur
 from splitknit.types import BoolArray, FloatArray
 
 Spectra = NDArray[np.complex64]

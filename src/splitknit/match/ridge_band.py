@@ -7,17 +7,16 @@ freed from everything wider than a ridge, and made even in contrast. Roll then s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, require
+from splitknit.match.unroll import AnyArray, GridSettings, band_places, blur, sample
 from splitknit.types import BoolArray, FloatArray
 
 MM_PER_INCH = 25.4
-AnyArray = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,14 +123,15 @@ def ridge_band(  # noqa: PLR0917
         require(bool(mask.any()), "shape_mm is NaN all over the mask.")
     transform = np.eye(3) if input_from_upright is None else np.asarray(input_from_upright, dtype=np.float64)
     size = mask.shape if upright_size is None else upright_size
-    columns, rows, slant_cos = _places(mask, shape_mm, transform, size, pitch_mm, settings)
+    grid = GridSettings(settings.pitch_mm, settings.slant_deg, settings.unroll)
+    columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, grid)
 
     sigma = settings.noise_mm / pitch_mm
     weight = blur(mask.astype(np.float32), sigma)
     known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
     smooth = blur(known, sigma) / np.maximum(weight, np.float32(1e-3))
-    value = _sample(smooth, columns, rows)
-    inside = (_sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
+    value = sample(smooth, columns, rows)
+    inside = (sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
     return even(value, inside, settings)
 
 
@@ -156,6 +156,9 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     flat = ridges / np.maximum(spread, np.float32(settings.floor * typical))
     orientation, coherence = ridge_direction(flat, window)
     valid = inside & (spread > 0.5 * settings.floor * typical) & (coherence >= settings.coherence)
+    # specks and threads of valid skin at the edge say nothing
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    valid = cv2.morphologyEx(valid.view(np.uint8), cv2.MORPH_OPEN, element).astype(np.bool_)
     return RidgeBand(np.where(valid, flat, np.float32(0.0)), valid, orientation, coherence, pitch)
 
 
@@ -204,82 +207,3 @@ def ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatAr
     strength = np.hypot(difference, 2 * xy)
     coherence = strength / np.maximum(total, np.float32(1e-6) * max(float(total.max()), 1e-30))
     return (0.5 * np.arctan2(2 * xy, difference)).astype(np.float32), coherence.astype(np.float32)
-
-
-def blur(image: AnyArray, sigma: float) -> FloatArray:
-    """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels."""
-    if sigma < 0.2:
-        return np.asarray(image, dtype=np.float32)
-    result = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(result, dtype=np.float32)
-
-
-def _places(  # noqa: PLR0917
-    mask: BoolArray,
-    shape_mm: FloatArray | None,
-    transform: NDArray[np.float64],
-    size: tuple[int, ...],
-    pitch_mm: float,
-    settings: RidgeBandSettings,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
-    step = settings.pitch_mm / pitch_mm
-    grid_rows, grid_columns = (max(1, int(np.ceil(length / step))) for length in size)
-    column = np.arange(grid_columns, dtype=np.float64) * step
-    row = np.arange(grid_rows, dtype=np.float64) * step
-    if shape_mm is None:
-        flat = np.broadcast_to(column, (grid_rows, grid_columns))
-        return (*_to_input(flat, row, transform), np.ones(flat.shape, dtype=np.float32))
-    # the shape on the upright grid, smooth: ridges must not stretch the skin
-    sigma = 0.8 / pitch_mm
-    reduced = max(1, int(0.25 / pitch_mm))  # 0.25 mm is fine enough for what is this smooth
-    small = (max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced))
-    weight = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
-    height = cv2.resize(np.where(mask, shape_mm, np.float32(0.0)), small, interpolation=cv2.INTER_AREA)
-    factor = mask.shape[1] / small[0]
-    total = blur(np.asarray(weight), sigma / factor)
-    smooth = blur(np.asarray(height), sigma / factor) / np.maximum(total, np.float32(1e-3))
-    x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
-    upright = _sample(smooth, (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5)
-    known = _sample(np.asarray(weight), (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5) > 0.5
-    limit = float(np.tan(np.deg2rad(settings.slant_deg)))
-    across = np.where(known, np.gradient(upright, settings.pitch_mm, axis=1), 0.0) if grid_columns > 1 else 0 * upright
-    along = np.where(known, np.gradient(upright, settings.pitch_mm, axis=0), 0.0) if grid_rows > 1 else 0 * upright
-    slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
-    if not settings.unroll:
-        return x, y, slant_cos
-    length = np.sqrt(1.0 + np.clip(across, -limit, limit) ** 2)
-    arc = np.cumsum(length, axis=1) - 0.5 * length
-    anywhere = np.flatnonzero(known.any(axis=0))
-    middle = int(anywhere.mean()) if anywhere.size else grid_columns // 2
-    arc -= arc[:, middle : middle + 1]
-    left, right = float(arc[:, 0].min()), float(arc[:, -1].max())
-    wanted = np.arange(np.floor(left), np.ceil(right) + 1.0)
-    source = np.stack([np.interp(wanted, line, column, left=-1e6, right=-1e6) for line in arc])
-    slant_cos = _sample(
-        slant_cos,
-        (source / step).astype(np.float32),
-        np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape),
-    )
-    return (*_to_input(source, row, transform), slant_cos)
-
-
-def _to_input(
-    columns: NDArray[np.float64], rows: NDArray[np.float64], transform: NDArray[np.float64]
-) -> tuple[FloatArray, FloatArray]:
-    x = transform[0, 0] * columns + transform[0, 1] * rows[:, None] + transform[0, 2]
-    y = transform[1, 0] * columns + transform[1, 1] * rows[:, None] + transform[1, 2]
-    return x.astype(np.float32), y.astype(np.float32)
-
-
-def _sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
-    """Bilinear values of `image` at places; zero beyond its border."""
-    result = cv2.remap(
-        np.ascontiguousarray(image, dtype=np.float32),
-        np.ascontiguousarray(columns, dtype=np.float32),
-        np.ascontiguousarray(rows, dtype=np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=0.0,
-    )
-    return np.asarray(result, dtype=np.float32)
