@@ -193,6 +193,13 @@ def test_two_runs_do_not_write_one_population(population: Path, capsys: Captured
         assert "another run is simulating" in refused(capsys, *words(population))
 
 
+def test_a_damaged_capture_is_named(population: Path, tmp_path: Path, capsys: Captured) -> None:
+    out = tmp_path / "spoilt"
+    shutil.copytree(population, out)
+    (out / "S02" / "session_1" / "left_thumb" / "impression.json").write_text("[1")
+    assert "S02/session_1/left_thumb/impression.json' is damaged" in refused(capsys, *words(out))
+
+
 def test_a_finger_is_one_job(tmp_path: Path) -> None:
     enrolment = open_enrolment(tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring"))
     jobs = jobs_of(enrolment.waiting())

@@ -12,7 +12,8 @@ from splitknit.capture import enrolment
 from splitknit.check import BadInput
 from splitknit.simulate.finger import Pose, finger_surface
 from splitknit.simulate.pattern_classes import DIGITS, class_shares
-from splitknit.simulate.people import FINGERS, PeopleRanges, draw_person
+from splitknit.simulate.people import FINGERS, draw_person
+from splitknit.simulate.people_ranges import PeopleRanges
 from splitknit.simulate.population import (
     LARGE,
     PopulationSettings,

@@ -11,7 +11,7 @@ import pytest
 from splitknit.check import BadInput
 from splitknit.simulate.deformation import deformed, draw_deformation
 from splitknit.simulate.master_print import MasterPrintSettings, master_print
-from splitknit.simulate.people import PeopleRanges
+from splitknit.simulate.people_ranges import PeopleRanges
 from splitknit.simulate.population import PopulationSettings, population_capture
 from splitknit.simulate.sessions import SessionRanges
 

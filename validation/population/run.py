@@ -1,7 +1,7 @@
 """Is the simulated population like people? Classes and sizes as drawn, prints as strangers, outlines as alike.
 
     pip install nbis-py==0.1.3
-    python validation/population/run.py                 # all parts, about eight minutes of one core
+    python validation/population/run.py                 # all parts, ten minutes of one core
     python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines
 
 writes ``results.json`` beside this file; parts that are not run stay as they are there. The outlines are those of the
@@ -83,7 +83,7 @@ def _mean_sd(values: Any, digits: int = 2) -> list[float]:
 
 
 def impostors(draws: int) -> dict[str, Any]:
-    """Scores of NIST's mindtct and bozorth3 between the 40 prints of four people, for some populations."""
+    """Scores of NIST's mindtct and bozorth3 between 40 prints: of four people, and of forty, for some populations."""
     spec = importlib.util.spec_from_file_location("impostors", HERE.parent / "impostors" / "run.py")
     if spec is None or spec.loader is None:
         raise RuntimeError("validation/impostors/run.py is missing")
@@ -91,12 +91,12 @@ def impostors(draws: int) -> dict[str, Any]:
     spec.loader.exec_module(matcher)
     result: dict[str, Any] = {"matcher": "mindtct + bozorth3 (nbis-py 0.1.3), 500 ppi, all minutiae"}
     for seed in range(draws):
-        files = []
-        for person in people(seed, 4):
-            for own in person.fingers.values():
-                image = np.pad(ink_print(own.finger.master()), 20, constant_values=255)
-                files.append(cv2.imencode(".png", image)[1].tobytes())
-        result[f"population_{seed}"] = matcher.matched(files, [str(k) for k in range(len(files))])
+        families = [own for person in people(seed, 4) for own in person.fingers.values()]
+        strangers = [person.fingers[FINGERS[person.number % len(FINGERS)]] for person in people(seed, 40)]
+        for name, fingers in (("four_people", families), ("forty_people", strangers)):
+            images = [np.pad(ink_print(own.finger.master()), 20, constant_values=255) for own in fingers]
+            files = [cv2.imencode(".png", image)[1].tobytes() for image in images]
+            result[f"{name}_{seed}"] = matcher.matched(files, [str(k) for k in range(len(files))])
     return result
 
 
@@ -192,7 +192,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", default="sizes,impostors,outlines")
     parser.add_argument("--people", type=int, default=2000, help="of the part sizes")
-    parser.add_argument("--draws", type=int, default=3, help="populations of the part impostors")
+    parser.add_argument("--draws", type=int, default=5, help="populations of the part impostors")
     parser.add_argument("--subjects", type=int, default=17, help="of the part outlines")
     parser.add_argument("--sessions", type=int, default=4, help="of the part outlines")
     parser.add_argument("--out", type=Path, default=HERE / "results.json")

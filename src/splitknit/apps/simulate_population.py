@@ -242,12 +242,18 @@ def _write_table(enrolment: Enrolment) -> None:
     for place in enrolment.places():
         file = enrolment.path(place) / IMPRESSION_FILE
         if file.is_file():
-            facts = json.loads(file.read_text(encoding="utf-8"))
-            rows.append({"folder": place.folder} | facts)
+            rows.append({"folder": place.folder} | _facts_of(file))
     text = io.StringIO()
     if rows:
-        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n", extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)
     with atomic_file(enrolment.folder / TABLE_FILE) as stream:
         stream.write(text.getvalue().encode("ascii"))
+
+
+def _facts_of(file: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise BadInput(f"'{file}' is damaged; remove its folder and run the same again.") from error

@@ -17,7 +17,8 @@ from splitknit.simulate.background import BackgroundSettings
 from splitknit.simulate.deformation import deformed, draw_deformation
 from splitknit.simulate.finger import Finger, finger_surface
 from splitknit.simulate.master_print import MasterPrint
-from splitknit.simulate.people import FINGERS, OwnFinger, PeopleRanges, Person, draw_person
+from splitknit.simulate.people import FINGERS, OwnFinger, Person, draw_person
+from splitknit.simulate.people_ranges import PeopleRanges
 from splitknit.simulate.renderer import RenderSettings
 from splitknit.simulate.rig import default_rig
 from splitknit.simulate.sensor import SensorSettings
