@@ -160,3 +160,17 @@ def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) ->
     assert main(["match", str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 0
     assert main(["match", str(tmp_path / "t.skt"), str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 2
     assert "one of the inputs" in capsys.readouterr().err
+
+
+def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
+    from splitknit.apps.matching import false_match_rate
+
+    low, high = false_match_rate(0.15), false_match_rate(0.8)
+    assert low is not None
+    assert high is not None
+    assert 0 < high < 1e-3 < 0.3 < low <= 1  # noqa: PLR0133
+    same = facts_of(capsys, results / "a", results / "again")
+    assert same["fmr"] == false_match_rate(same["similarity"])
+    # with other settings scores mean something else
+    other = facts_of(capsys, results / "a", results / "again", "--set", "ridge.patches.search_mm=0.5")
+    assert other["fmr"] is None

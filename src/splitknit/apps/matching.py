@@ -27,6 +27,8 @@ from splitknit.settings import override
 METHODS = ("ridge", "thesis")
 _FMR_TABLE = "match_fmr.json"
 """Made by validation/match/impostors.py."""
+_FMR_ROUNDING = 1e-5
+"""Of the similarities in it: no rate comes out too low."""
 
 
 def match_files(
@@ -104,7 +106,7 @@ def false_match_rate(similarity: float) -> float | None:
         return None
     document = json.loads(file.read_text(encoding="utf-8"))
     table = FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
-    return table(similarity)
+    return table(similarity - _FMR_ROUNDING)
 
 
 def _as_calibrated(settings: MatchingSettings) -> bool:
