@@ -2,7 +2,7 @@
 
     pip install nbis-py==0.1.3
     python validation/population/run.py                 # all parts, ten minutes of one core
-    python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines
+    python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines, picture
 
 writes ``results.json`` beside this file; parts that are not run stay as they are there. The outlines are those of the
 surfaces that the camera sees, without light and noise.
@@ -27,7 +27,7 @@ from splitknit.simulate.finger import Finger, finger_surface
 from splitknit.simulate.master_print import MasterPrint, ink_print
 from splitknit.simulate.pattern_classes import DIGITS, class_shares
 from splitknit.simulate.people import FINGERS, Person
-from splitknit.simulate.population import PopulationSettings, finger_of_today
+from splitknit.simulate.population import PopulationSettings, finger_of_today, population_capture
 from splitknit.simulate.sessions import draw_impression
 
 HERE = Path(__file__).resolve().parent
@@ -188,6 +188,26 @@ def _overlap(outline: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -
     return best
 
 
+def picture() -> dict[str, Any]:
+    """``docs/images/population.jpg``: ten fingers of a person, and one of them in four sessions."""
+    settings = PopulationSettings(scale=0.12)
+    person = settings.person(2)
+
+    def shown(name: str, session: int) -> NDArray[np.uint8]:
+        pixels = population_capture(settings, person, name, session).capture.bands["white"].pixels
+        light = np.clip(1.5 * pixels.astype(np.float32).mean(axis=0) / 255, 0, 1) ** (1 / 2.2)
+        cut = light[:, light.shape[1] // 8 : -light.shape[1] // 8, ::-1]
+        return np.pad(np.round(255 * cut).astype(np.uint8), ((0, 4), (0, 4), (0, 0)), constant_values=255)
+
+    rows = [np.hstack([shown(f"{side}_{digit}", 1) for digit in DIGITS]) for side in ("right", "left")]
+    sessions = np.hstack([shown("right_index", session) for session in range(1, 5)])
+    blank = np.full((sessions.shape[0], rows[0].shape[1] - sessions.shape[1], 3), 255, np.uint8)
+    sheet = np.vstack([*rows, np.hstack([sessions, blank])])
+    file = HERE.parents[1] / "docs" / "images" / "population.jpg"
+    cv2.imwrite(str(file), sheet, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return {"file": file.name, "size": list(sheet.shape[:2])}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", default="sizes,impostors,outlines")
@@ -205,6 +225,9 @@ def main() -> None:
             results[part] = impostors(arguments.draws)
         elif part == "outlines":
             results[part] = outlines(arguments.subjects, arguments.sessions)
+        elif part == "picture":
+            print(picture())
+            continue
         else:
             parser.error(f"there is no part {part}")
         arguments.out.write_text(json.dumps(results, indent=1) + "\n")
