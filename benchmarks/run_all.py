@@ -17,6 +17,7 @@ SUITES = {
     "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
+    "bench_match.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
     "bench_capture.py": (["--rounds", "2"], ["--rounds", "1", "--scales", "0.5"]),
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
