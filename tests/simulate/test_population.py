@@ -141,7 +141,7 @@ def test_impressions_keep_to_their_ranges(impressions):
     assert 0.06 < partial.mean() < 0.14
     insertion = np.array([one.insertion_mm for both in impressions for one in both])
     assert insertion[partial].max() <= 22.0
-    assert insertion[~partial].min() >= 24.5
+    assert insertion[~partial].min() >= 26.0
     roll = np.array([one.roll_deg for both in impressions for one in both])
     assert 5.5 < roll.std() < 7.5
 

@@ -26,7 +26,7 @@ class SessionRanges:
     """Standard deviations, cut off at twice their value; roll comes on top of the finger's habit."""
     x_mm: Range = (-3.0, 3.0)
     """Where the middle of the finger lies beside the image centre."""
-    insertion_mm: Range = (24.5, 28.0)
+    insertion_mm: Range = (26.0, 28.4)
     """From the lower image border to the tip; cut to what the picture holds."""
     partial_share: float = 0.1
     """Share of impressions that are laid down too short."""
