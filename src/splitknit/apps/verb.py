@@ -31,6 +31,12 @@ def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace
     return verb
 
 
+def group(verbs: Any, name: str, does: str) -> Any:
+    """A verb that is followed by another."""
+    group = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+    return group.add_subparsers(dest="kind", metavar="WHAT", title="what", required=True)
+
+
 def add_settings(verb: argparse.ArgumentParser) -> None:
     """Add ``--set`` and ``--settings``."""
     verb.add_argument(
