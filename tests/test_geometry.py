@@ -8,11 +8,11 @@ from splitknit.geometry import (
     gradients_from_normals,
     height_gradients,
     normals_from_gradients,
-    pixel_axes_mm,
     rotation_about,
     warp,
 )
 from splitknit.types import Camera
+from splitknit.view import pixel_axes_mm
 
 
 @pytest.mark.parametrize("size", [(4, 6), (5, 7)])

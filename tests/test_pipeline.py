@@ -13,13 +13,14 @@ from kinds import turned
 from splitknit.apps.compare import compare
 from splitknit.apps.outputs import upright_mesh
 from splitknit.check import BadInput
-from splitknit.geometry import height_gradients, normals_from_gradients, pixel_axes_mm, warp
+from splitknit.geometry import height_gradients, normals_from_gradients, warp
 from splitknit.io import read_capture, read_npz
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
 from splitknit.settings import flatten
 from splitknit.simulate.finger import Pose
 from splitknit.simulate.twin import TwinSettings, simulate_capture
 from splitknit.types import Band, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.view import pixel_axes_mm
 
 Truth = dict[str, np.ndarray]
 

@@ -10,15 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput
-from splitknit.types import BoolArray, Camera, FloatArray
-
-
-def pixel_axes_mm(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x (W,) of the columns and y (H,) of the rows, in mm, at the pixel centres on the finger plane."""
-    rows, columns = camera.image_size
-    x = (np.arange(columns, dtype=np.float64) - (columns - 1) / 2) * camera.pitch_mm
-    y = ((rows - 1) / 2 - np.arange(rows, dtype=np.float64)) * camera.pitch_mm
-    return np.asarray(x), np.asarray(y)
+from splitknit.types import BoolArray, FloatArray
 
 
 def gradients_from_normals(

@@ -165,10 +165,15 @@ def lens_shading(  # noqa: PLR0917
     y = first_row + np.arange(height) * binning + middle - 0.5 * (rows - 1)
     x = first_column + np.arange(width) * binning + middle - 0.5 * (columns - 1)
     squared = (y[:, None] ** 2 + x[None, :] ** 2) / (0.25 * (rows**2 + columns**2))
+    return shading_at(shading, squared).astype(np.float32)
+
+
+def shading_at(shading: Sequence[float], squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.types.Camera`."""
     brightness = np.ones_like(squared)
     for k, coefficient in enumerate(shading):
         brightness += coefficient * squared ** (k + 1)
-    return brightness.astype(np.float32)
+    return brightness
 
 
 def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:

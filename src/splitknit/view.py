@@ -137,8 +137,7 @@ def view_of(
     row = np.asarray(top + np.arange((bottom - top) // binning) * binning + middle, dtype=np.float64)
     column = np.asarray(left + np.arange((right - left) // binning) * binning + middle, dtype=np.float64)
     if camera.model == "orthographic":
-        height, width = camera.image_size
-        return View((column - (width - 1) / 2) * camera.pitch_mm, ((height - 1) / 2 - row) * camera.pitch_mm)
+        return View(*pixel_axes_mm(camera, row, column))
     some_rows, some_columns = (_lattice(axis) for axis in (row, column))
     grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
     points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
@@ -154,6 +153,15 @@ def _lattice(axis: Axis) -> Axis:
 
 def _f32(values: Any) -> FloatArray:
     return np.asarray(values, dtype=np.float32)
+
+
+def pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
+    """Return x of `columns` and y of `rows` (all by default), in mm on the finger plane, under parallel rays."""
+    height, width = camera.image_size
+    column = np.arange(width, dtype=np.float64) if columns is None else columns
+    row = np.arange(height, dtype=np.float64) if rows is None else rows
+    x = (column - (width - 1) / 2) * camera.pitch_mm
+    return np.asarray(x), np.asarray(((height - 1) / 2 - row) * camera.pitch_mm)
 
 
 def plane_points(camera: Camera, pixels: Any) -> Points:
@@ -174,11 +182,8 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
         If `pixels` has another shape or is not finite.
     """
     places = _pairs(pixels, "pixels")
-    rows, columns = camera.image_size
     if camera.model == "orthographic":
-        x = (places[:, 0] - (columns - 1) / 2) / camera.px_per_mm
-        y = ((rows - 1) / 2 - places[:, 1]) / camera.px_per_mm
-        return np.stack([x, y], axis=1)
+        return np.stack(pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     assert camera.matrix is not None
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)

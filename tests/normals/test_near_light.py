@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.geometry import pixel_axes_mm
 from splitknit.normals import (
     NearLightSettings,
     RobustSettings,
@@ -17,6 +16,7 @@ from splitknit.normals import (
     pseudo_normals,
 )
 from splitknit.types import Camera, Led, Rig
+from splitknit.view import pixel_axes_mm
 
 SHAPE = (60, 80)
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
 from splitknit.apps.evaluation_charts import cmc_chart, det_chart, histogram_chart, roc_chart
 from splitknit.apps.evaluation_facts import Result
+from splitknit.apps.pages import render
 from splitknit.evaluate.histograms import histograms
 from splitknit.evaluate.rates import roc
 
@@ -20,16 +19,10 @@ DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 
 def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
     """Return the report of `facts`; the charts come from the scores themselves."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     systems = facts["systems"]
     bootstrap = systems[facts["system"]]["bootstrap"]
-    return environment.get_template("evaluation.html").render(
+    return render(
+        "evaluation.html",
         facts=facts,
         systems=systems,
         first=systems[facts["system"]],

@@ -9,10 +9,8 @@ import datetime
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
@@ -20,6 +18,7 @@ from numpy.typing import NDArray
 from splitknit.apps import charts, figures
 from splitknit.apps.compare import Comparison, compare
 from splitknit.apps.figures import Picture, Views
+from splitknit.apps.pages import render
 from splitknit.apps.pictures import upright_frame
 from splitknit.apps.words import EXPLAINED, label, sentence
 from splitknit.types import Capture, FloatArray, Reconstruction
@@ -85,14 +84,8 @@ def make_report(
     uncertainty = figures.uncertainty_picture(result, frame)
     maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
     maps += [figures.relief_picture(result, frame), figures.shape_picture(result, frame)]
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    html = environment.get_template("report.html").render(
+    html = render(
+        "report.html",
         title=title,
         facts=facts,
         summary=_summary(result),

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
+from splitknit.radiance import shading_at
 from splitknit.types import Camera, Led
 from splitknit.view import plane_points
 
@@ -77,8 +78,7 @@ def squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
 
 def lens_fall_off(camera: Camera, pixels: Any) -> Array:
     """(N,) brightness of the lens at `pixels` relative to the image's centre."""
-    squared = squared_radius(camera.image_size, pixels)
-    return np.asarray(1.0 + sum(a * squared ** (k + 1) for k, a in enumerate(camera.shading)) + 0.0 * squared)
+    return shading_at(camera.shading, squared_radius(camera.image_size, pixels))
 
 
 def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:

@@ -11,8 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from splitknit.capture.pi_linear import RAW_BITS, RAW_BLACK, developed, linear_tuning
 from splitknit.check import BadInput, require
 from splitknit.devices import ExposureRange, Frame
+from splitknit.devices.guard import Closing
 
 SENSOR_SIZE = (2464, 3280)
 """Rows, columns of the IMX219."""
@@ -64,7 +64,7 @@ class PiCameraSettings:
         require(self.preview_columns >= 100, "pi.preview_columns must be at least 100.")
 
 
-class PiCamera:
+class PiCamera(Closing):
     """A :class:`splitknit.devices.Camera` on picamera2."""
 
     def __init__(
@@ -155,16 +155,6 @@ class PiCamera:
                 camera.stop()
             finally:
                 camera.close()
-
-    def __enter__(self) -> Self:
-        """Return the camera."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
     def _opened(self) -> Any:
         require(self._camera is not None, "the camera is closed; open it again.")

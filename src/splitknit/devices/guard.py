@@ -14,7 +14,25 @@ from typing import Self
 from splitknit.check import require
 
 
-class GuardedLights(ABC):
+class Closing(ABC):
+    """What is given back at the end of a ``with`` block."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the hardware back; may be called twice."""
+
+    def __enter__(self) -> Self:
+        """Return it."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+class GuardedLights(Closing):
     """What every :class:`splitknit.devices.LightBank` shares, whatever switches its LEDs: none stays lit.
 
     All LEDs are switched off when the bank is made, when its ``with`` block ends in whatever way, when the process
@@ -107,16 +125,6 @@ class GuardedLights(ABC):
             atexit.unregister(self.close)
             _unwatch(self)
             self._release()
-
-    def __enter__(self) -> Self:
-        """Return the bank."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
     def _dark(self, keep: frozenset[int] = frozenset()) -> None:
         """Switch off all LEDs but `keep`: every one of them is tried, even where another fails."""

@@ -18,6 +18,7 @@ from splitknit.simulate.renderer import RenderSettings, render_band
 from splitknit.simulate.sensor import SensorSettings, record
 from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulate.surface import Surface
+from splitknit.simulate.twin_scene import finger_depth
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Led, Rig
 
 W_PER_UNIT = 100.0
@@ -140,13 +141,9 @@ def _frames(
 
 def _defocus(surface: Surface, photons: PhotonSettings) -> FloatArray:
     """(H, W) width of the defocus in pixels; beyond the outline that of the outline goes on."""
-    camera, mask = surface.camera, surface.mask
-    z = np.where(mask, surface.shape_mm, 0).astype(np.float32)
-    size = 0.5 * camera.px_per_mm
-    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), size)
-    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(weight, 1e-3)
-    depth = np.where(mask, z, near).astype(np.float32)
-    focus = float(z[mask].max()) - FOCUS_DEPTH_MM
+    camera = surface.camera
+    depth, top = finger_depth(surface)
+    focus = top - FOCUS_DEPTH_MM
     aperture = photons.focal_mm(camera.height_mm) / photons.f_number
     return blur_sigma_px(depth, focus, camera.height_mm, aperture, camera.px_per_mm)
 

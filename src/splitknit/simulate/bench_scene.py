@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -48,7 +49,7 @@ class BenchSettings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GroundScene:
+class GroundScene(ABC):
     """A flat ground in front of the camera; its kinds say where it lies and how bright it is."""
 
     camera: Camera
@@ -59,13 +60,13 @@ class GroundScene:
         require(len(self.leds) > 0, "a scene needs at least one LED.")
 
     @property
+    @abstractmethod
     def plane(self) -> Plane:
         """Where the ground lies."""
-        raise NotImplementedError
 
+    @abstractmethod
     def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w) at u and v (mm on the plane), averaged over a pixel."""
-        raise NotImplementedError
 
     def share_lit(self, led: Led) -> Array | float:
         """Share (H, W) of the LED that the ground sees past what stands on it."""

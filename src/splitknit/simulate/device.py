@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import cv2
 import numpy as np
 
 from splitknit.check import require
 from splitknit.devices import ExposureRange, Frame
-from splitknit.devices.guard import GuardedLights
+from splitknit.devices.guard import Closing, GuardedLights
 from splitknit.simulate.sensor import RESPONSE, SensorSettings, binning_scale, record
 from splitknit.types import Camera, FloatArray, Led
 
@@ -112,7 +111,7 @@ class TwinLightBank(GuardedLights):
         pass
 
 
-class TwinCamera:
+class TwinCamera(Closing):
     """A :class:`splitknit.devices.Camera` that looks at a scene."""
 
     def __init__(
@@ -181,16 +180,6 @@ class TwinCamera:
     def close(self) -> None:
         """See :class:`splitknit.devices.Camera`."""
         self._closed = True
-
-    def __enter__(self) -> Self:
-        """Return the camera."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
     def _expose(self, reduction: int) -> Frame:
         require(not self._closed, "the camera is closed; open it again.")

@@ -140,13 +140,21 @@ def finger_blur(surface: Surface, settings: RenderSettings) -> FloatArray | None
     if settings.aperture_mm == 0.0:
         return None
     camera = surface.camera
-    z = np.where(surface.mask, surface.shape_mm, 0).astype(np.float32)
-    focus = float(z[surface.mask].max()) - settings.focus_depth_mm
-    # beyond the outline the blur of the outline itself goes on: the dark background shows no blur of its own
-    weight, size = surface.mask.astype(np.float32), 0.5 * camera.px_per_mm
-    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
-    depth = np.where(surface.mask, z, near)
+    depth, top = finger_depth(surface)
+    focus = top - settings.focus_depth_mm
     return blur_sigma_px(depth, focus, camera.height_mm, settings.aperture_mm, px_per_mm_at(camera, focus))
+
+
+def finger_depth(surface: Surface) -> tuple[FloatArray, float]:
+    """(H, W) z of the finger's shape in mm, and that of its highest point.
+
+    Beyond the outline that of the outline goes on: the dark background shows no blur of its own.
+    """
+    mask = surface.mask
+    z = np.where(mask, surface.shape_mm, 0).astype(np.float32)
+    weight, size = mask.astype(np.float32), 0.5 * surface.camera.px_per_mm
+    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
+    return np.where(mask, z, near).astype(np.float32), float(z[mask].max())
 
 
 def _stack(images: list[PixelArray]) -> PixelArray:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 
 from splitknit.apps.building.optimise_charts import Cell, Dot, heat_map, scatter, standalone
+from splitknit.apps.pages import render
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.optimise import THESIS
 from splitknit.rig.study import CAMERAS, MATERIALS, METHODS, Study
@@ -84,17 +84,11 @@ def charts(records: Records, summary: Mapping[str, Any]) -> dict[str, Markup]:
 
 def page(records: Records, summary: Mapping[str, Any], study: Study, pictures: Mapping[str, Markup]) -> bytes:
     """One HTML file that needs nothing else."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     what, unit = FIGURES[summary["figure"]]
     by_name = {one["candidate"]["name"]: one for one in records}
     listed = sorted(summary["compared"], key=lambda name: (summary["compared"][name]["value"], name))
-    html = environment.get_template("optimise.html").render(
+    html = render(
+        "optimise.html",
         what=what,
         unit=unit,
         summary=summary,

@@ -22,6 +22,7 @@ from splitknit.apps.training.training_folder import (
     Progress,
     curve_chart,
     curve_table,
+    files_of,
     open_folder,
     plain,
     read_file,
@@ -50,14 +51,7 @@ HELD_OUT_FROM = 1_000_000
 """Palms and fingers from this number on are never trained on; the learning curve takes the first of them."""
 DATA_PART = 0.2
 """Of the progress bar."""
-FILES = {
-    f"{NETWORK}.onnx": "the network",
-    f"{NETWORK}.json": "its card",
-    "curve.svg": "the learning curve",
-    "curve.csv": "the same in numbers",
-    "data": "the photographs; may be deleted when the training is done",
-    "checkpoint.pt": "to go on from; may be deleted as well",
-}
+FILES = files_of(NETWORK, "photographs")
 
 
 def train_separation(

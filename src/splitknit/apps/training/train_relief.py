@@ -20,19 +20,12 @@ from splitknit.apps.training.relief_crops import training_crops
 from splitknit.apps.training.relief_data import training_sample
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.training_data import HELD_OUT_FROM, load_data, make_data, require_fingers
-from splitknit.apps.training.training_folder import Progress, open_folder
+from splitknit.apps.training.training_folder import Progress, files_of, open_folder
 from splitknit.apps.training.training_stretches import DATA_PART, train_in_stretches
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_relief import CHANNELS, NAME, ReliefSettings, ReliefTrainer
 
-FILES = {
-    f"{NAME}.onnx": "the network",
-    f"{NAME}.json": "its card",
-    "curve.svg": "the learning curve",
-    "curve.csv": "the same in numbers",
-    "data": "the fingers; may be deleted when the training is done",
-    "checkpoint.pt": "to go on from; may be deleted as well",
-}
+FILES = files_of(NAME, "fingers")
 
 
 def train_relief(

@@ -19,19 +19,12 @@ from splitknit.apps.training.shape_card import UNIT, shape_metrics, write_shape_
 from splitknit.apps.training.shape_data import shape_sample
 from splitknit.apps.training.shape_scenes import ShapeData
 from splitknit.apps.training.training_data import HELD_OUT_FROM, load_data, make_data, require_fingers
-from splitknit.apps.training.training_folder import Progress, open_folder
+from splitknit.apps.training.training_folder import Progress, files_of, open_folder
 from splitknit.apps.training.training_stretches import DATA_PART, train_in_stretches
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_shape import CHANNELS, NAME, ShapeSettings, ShapeTrainer
 
-FILES = {
-    f"{NAME}.onnx": "the network",
-    f"{NAME}.json": "its card",
-    "curve.svg": "the learning curve",
-    "curve.csv": "the same in numbers",
-    "data": "the fingers; may be deleted when the training is done",
-    "checkpoint.pt": "to go on from; may be deleted as well",
-}
+FILES = files_of(NAME, "fingers")
 
 
 def train_shape(

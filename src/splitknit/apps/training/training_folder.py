@@ -25,6 +25,18 @@ FREE = ("threads", "device", "precision")
 """Settings of a training that may change on the way."""
 
 
+def files_of(network: str, photographed: str) -> dict[str, str]:
+    """What a training of `network` leaves in its folder, in words."""
+    return {
+        f"{network}.onnx": "the network",
+        f"{network}.json": "its card",
+        "curve.svg": "the learning curve",
+        "curve.csv": "the same in numbers",
+        "data": f"the {photographed}; may be deleted when the training is done",
+        "checkpoint.pt": "to go on from; may be deleted as well",
+    }
+
+
 def open_folder(
     out: Path,
     data: DataclassInstance,
