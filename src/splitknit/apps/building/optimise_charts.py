@@ -50,7 +50,9 @@ def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, ti
     known = [one.value for one in cells if one.value is not None]
     low, high = (min(known), max(known)) if known else (0.0, 1.0)
     wide, tall, left, top = 76, 40, 64, 30
-    width, height = max(left + wide * len(columns) + 12, left + 220), top + tall * len(rows) + 78
+    half = 3.0 * len(y_label) + 4  # of the upright label, which few rows are too short for
+    middle = max(top + tall * len(rows) / 2, half)
+    width, height = max(left + wide * len(columns) + 12, left + 220), max(top + tall * len(rows) + 78, middle + half)
     parts = [_open(width, height, title or f"{y_label} against {x_label}"), _stripes()]
     parts.append(_text(left, 16, title, "start", bold=True))
     for one in cells:
@@ -79,7 +81,6 @@ def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, ti
         parts.append(_text(left - 6, top + tall * (k + 0.5) + 4, f"{value:g}", "end"))
     bottom = top + tall * len(rows)
     parts.append(_text(left + wide * len(columns) / 2, bottom + 30, x_label, "middle"))
-    middle = top + tall * len(rows) / 2
     parts.append(
         f'<text x="14" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 14 {middle:.1f})">'
         f"{escape(y_label)}</text>"
