@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,52 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.io import read_capture, read_image, read_npz, read_print_png
 from splitknit.io.templates import read_template
-from splitknit.match import (
-    VERSION,
-    FingerImages,
-    RidgeBandSettings,
-    RidgeMatchSettings,
-    Template,
-    TemplateSettings,
-    ThesisSettings,
-    finger_images,
-    make_template,
-    print_band,
-    ridge_band,
-    unpack,
-)
+from splitknit.match import VERSION, Template, make_template, print_band, unpack
 from splitknit.pipeline import reconstruct
+from splitknit.recipe.matchable import MatchingSettings, Surface, surface_images, surface_of, surface_template
+
+__all__ = [
+    "MatchingSettings",
+    "Side",
+    "Surface",
+    "naming",
+    "no_progress",
+    "read_side",
+    "read_surface",
+    "surface_images",
+    "surface_template",
+]
 
 Progress = Callable[[str, float], None]
 T = TypeVar("T")
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _PPI = 500.0
-
-
-@dataclass(frozen=True, slots=True)
-class MatchingSettings:
-    """All that ``splitknit match --set`` can change."""
-
-    band: RidgeBandSettings = field(default_factory=RidgeBandSettings)
-    template: TemplateSettings = field(default_factory=TemplateSettings)
-    ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
-    thesis: ThesisSettings = field(default_factory=ThesisSettings)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """What matching needs of a reconstruction."""
-
-    ridge_mm: NDArray[np.float32]
-    shape_mm: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    mask: NDArray[np.bool_]
-    pitch_mm: float
-    input_from_upright: NDArray[np.float64]
-    upright_size: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,34 +81,6 @@ def read_side(path: Path, preset: str, settings: MatchingSettings, progress: Pro
     return naming(path, lambda: Side(path, "template", None, unpack(payload)))
 
 
-def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
-    """Template of a reconstruction."""
-    band = ridge_band(
-        surface.ridge_mm,
-        surface.mask,
-        surface.pitch_mm,
-        surface.shape_mm,
-        surface.input_from_upright,
-        surface.upright_size,
-        settings.band,
-    )
-    return make_template(band, settings.template)
-
-
-def surface_images(surface: Surface) -> FingerImages:
-    """Channels of a reconstruction for the thesis's matcher."""
-    across, up = height_gradients(surface.shape_mm, surface.pitch_mm)
-    return finger_images(
-        surface.normals,
-        surface.ridge_mm,
-        surface.mask,
-        surface.pitch_mm,
-        surface.input_from_upright,
-        surface.upright_size,
-        normals_from_gradients(across, up),
-    )
-
-
 def read_surface(path: Path) -> Surface:
     """Read a result's ``height.npz``.
 
@@ -174,10 +122,7 @@ def _reconstructed(folder: Path, preset: str, progress: Progress) -> Surface:
     result = naming(
         folder, lambda: reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.7 * share))
     )
-    return Surface(
-        result.ridge_mm, result.shape_mm, result.normals, result.mask, result.pitch_mm, result.input_from_upright,
-        result.upright_size,
-    )  # fmt: skip
+    return surface_of(result)
 
 
 def _read_print(path: Path) -> tuple[NDArray[np.uint8], float]:

@@ -53,6 +53,13 @@ def write_print_png(
     BadInput
         If the image, the resolution or a keyword is of another kind, or the file cannot be written.
     """
+    data = encode_print_png(image, ppi, text)
+    with atomic_file(path) as stream:
+        stream.write(data)
+
+
+def encode_print_png(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
+    """Return the bytes that :func:`write_print_png` writes."""
     array = np.asarray(image)
     require(
         array.ndim == 2 and array.dtype == np.uint8, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}."
@@ -62,8 +69,7 @@ def write_print_png(
     chunks = [_chunk(b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))]
     chunks += [_text_chunk(keyword, value) for keyword, value in sorted((text or {}).items())]
     data = encode_image(array, ".png")
-    with atomic_file(path) as stream:
-        stream.write(b"".join([data[:_AFTER_HEADER], *chunks, data[_AFTER_HEADER:]]))
+    return b"".join([data[:_AFTER_HEADER], *chunks, data[_AFTER_HEADER:]])
 
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:

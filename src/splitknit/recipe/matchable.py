@@ -1,0 +1,86 @@
+"""What matching needs of a reconstruction, and what it makes of it: a ridge template, and images for the thesis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.match import (
+    FingerImages,
+    RidgeBandSettings,
+    RidgeMatchSettings,
+    Template,
+    TemplateSettings,
+    ThesisSettings,
+    finger_images,
+    make_template,
+    ridge_band,
+)
+from splitknit.types import Reconstruction
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingSettings:
+    """All that ``splitknit match --set`` can change."""
+
+    band: RidgeBandSettings = field(default_factory=RidgeBandSettings)
+    template: TemplateSettings = field(default_factory=TemplateSettings)
+    ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
+    thesis: ThesisSettings = field(default_factory=ThesisSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """What matching needs of a reconstruction."""
+
+    ridge_mm: NDArray[np.float32]
+    shape_mm: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    pitch_mm: float
+    input_from_upright: NDArray[np.float64]
+    upright_size: tuple[int, int]
+
+
+def surface_of(result: Reconstruction) -> Surface:
+    """Part of a reconstruction that matching needs."""
+    return Surface(
+        result.ridge_mm,
+        result.shape_mm,
+        result.normals,
+        result.mask,
+        result.pitch_mm,
+        result.input_from_upright,
+        result.upright_size,
+    )
+
+
+def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
+    """Template of a reconstruction."""
+    band = ridge_band(
+        surface.ridge_mm,
+        surface.mask,
+        surface.pitch_mm,
+        surface.shape_mm,
+        surface.input_from_upright,
+        surface.upright_size,
+        settings.band,
+    )
+    return make_template(band, settings.template)
+
+
+def surface_images(surface: Surface) -> FingerImages:
+    """Channels of a reconstruction for the thesis's matcher."""
+    across, up = height_gradients(surface.shape_mm, surface.pitch_mm)
+    return finger_images(
+        surface.normals,
+        surface.ridge_mm,
+        surface.mask,
+        surface.pitch_mm,
+        surface.input_from_upright,
+        surface.upright_size,
+        normals_from_gradients(across, up),
+    )
