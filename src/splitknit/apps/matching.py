@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from functools import partial
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -88,7 +88,7 @@ def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     found = ridge_match(left, right, settings.ridge)
     return {
         "similarity": found.similarity,
-        "fmr": false_match_rate(found.similarity) if found.compared and _as_calibrated(settings) else None,
+        "fmr": false_match_rate(found.similarity) if found.compared and as_calibrated(settings) else None,
         "compared": found.compared,
         "overlap_mm2": found.overlap_mm2,
         "correlation": found.correlation,
@@ -101,15 +101,41 @@ def false_match_rate(similarity: float) -> float | None:
 
     Never below one over the number of impostor comparisons that the table was measured on.
     """
+    table = _fmr_table()
+    return None if table is None else table(similarity - _FMR_ROUNDING)
+
+
+def similarity_at(fmr: float) -> float | None:
+    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less; None without a table.
+
+    Raises
+    ------
+    BadInput
+        If the table was measured on too few comparisons to state such a rate.
+    """
+    table = _fmr_table()
+    if table is None:
+        return None
+    enough = table.fmr <= fmr
+    require(
+        bool(enough.any()),
+        f"false match rates were measured on {table.impostors} comparisons, so that none below {table.fmr.min():.2g} "
+        f"can be stated; ask for a larger one than {fmr:g}.",
+    )
+    step = int(np.ceil(table.similarity[np.argmax(enough)] / _FMR_ROUNDING)) + 1
+    return step * _FMR_ROUNDING
+
+
+@cache
+def _fmr_table() -> FmrTable | None:
     file = resources.files("splitknit.apps") / _FMR_TABLE
     if not file.is_file():
         return None
     document = json.loads(file.read_text(encoding="utf-8"))
-    table = FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
-    return table(similarity - _FMR_ROUNDING)
+    return FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
 
 
-def _as_calibrated(settings: MatchingSettings) -> bool:
+def as_calibrated(settings: MatchingSettings) -> bool:
     """Whether scores mean what they meant when the table was measured."""
     plain = MatchingSettings()
     return (settings.band, settings.template, settings.ridge) == (plain.band, plain.template, plain.ridge)
