@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from splitknit import __version__
+from splitknit.apps.batch_verb import add_batch
 from splitknit.apps.capture_verb import add_capture
 from splitknit.apps.evaluate_verb import add_evaluate
 from splitknit.apps.finger_verbs import add_demo, add_reconstruct, add_simulate
@@ -63,6 +64,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_rig(verbs)
     add_evaluate(verbs)
     add_match(verbs)
+    add_batch(verbs)
     return parser
 
 

@@ -1,0 +1,79 @@
+"""``splitknit batch``: reconstruct and compare a whole population."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.apps.verb import Outcome, Progress, natural, new_verb
+from splitknit.check import BadInput
+
+
+def add_batch(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "batch", "reconstruct and compare a whole population, or what of it is missing", run_verb)
+    verb.add_argument(
+        "population", type=Path, metavar="POPULATION", help="folder of 'splitknit simulate population' or an enrolment"
+    )
+    verb.add_argument("--out", type=Path, required=True, metavar="STORE", help="folder of the results; may be there")
+    verb.add_argument("--cases", default=None, metavar="LIST", help="presets with commas (default: metric,snk,pr,ea)")
+    verb.add_argument(
+        "--case",
+        action="append",
+        default=[],
+        metavar="NAME=PRESET:STAGE.FIELD=VALUE,...",
+        help="a case of your own: a preset with settings changed; may be repeated",
+    )
+    verb.add_argument("--matchers", default="ridge", metavar="LIST", help="matchers with commas, or none")
+    verb.add_argument("--jobs", type=natural, default=2, metavar="N", help="processes (default: 2)")
+
+
+def run_verb(options: argparse.Namespace) -> Outcome:
+    """Run the batch."""
+    from splitknit.batch import BatchSettings, preset_cases, run_batch  # noqa: PLC0415 - verbs import what they need
+
+    cases = tuple(_case(text) for text in options.case)
+    if options.cases is not None:
+        cases = (*preset_cases(tuple(_names(options.cases))), *cases)
+    matchers = () if options.matchers == "none" else tuple(_names(options.matchers))
+    settings = BatchSettings(cases=cases or preset_cases(), matchers=matchers)
+    with Progress(options) as progress:
+        facts = run_batch(options.population, options.out, settings, jobs=options.jobs, progress=progress.update)
+    return facts, _words(facts)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _case(text: str) -> Any:
+    """Read ``NAME=PRESET:STAGE.FIELD=VALUE,...``; commas inside brackets belong to a value."""
+    from splitknit.apps.options import parse_assignment  # noqa: PLC0415
+    from splitknit.batch import Case  # noqa: PLC0415
+
+    name, equals, rest = text.partition("=")
+    preset, _, changes = rest.partition(":")
+    if not equals or not preset.strip():
+        raise BadInput(f"--case '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,...")
+    parts: list[str] = []
+    for part in changes.split(","):
+        if parts and parts[-1].count("[") > parts[-1].count("]"):
+            parts[-1] += "," + part
+        elif part.strip():
+            parts.append(part)
+    return Case(name.strip(), preset.strip(), dict(parse_assignment(part) for part in parts))
+
+
+def _words(facts: dict[str, Any]) -> list[str]:
+    waiting = facts["planned"] - facts["captures"]
+    lines = [
+        f"{facts['reconstructed']} reconstructions made now, {facts['found']} were there: {facts['captures']} captures "
+        f"in {len(facts['cases'])} cases ({', '.join(facts['cases'])}) in {facts['out']}."
+    ]
+    if waiting:
+        lines.append(f"{waiting} captures of the plan are not there yet; run the same again when they are.")
+    failures = facts["failures"]
+    if failures:
+        lines.append(f"{len(failures)} failures to acquire now; the first: {failures[0]}")
+    return lines

@@ -1,0 +1,171 @@
+"""Reconstruction of a few captures in all cases: one chunk of the store for each case."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.batch.chunks import SUFFIX, write_chunk
+from splitknit.batch.packages import load
+from splitknit.batch.population import CaptureRef
+from splitknit.batch.settings import Case
+from splitknit.batch.surfaces import pack_surface
+from splitknit.check import BadInput
+from splitknit.flatten import relief_print
+from splitknit.io import atomic_file, canonical_json, provenance, read_capture, settings_hash
+from splitknit.io.prints import encode_print_png
+from splitknit.match import pack
+from splitknit.pipeline import reconstruct
+from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
+from splitknit.types import Capture, Reconstruction
+
+PRINT_PPI = 500.0
+QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
+BANDS = ("white", "nir")
+VERSION = 1
+"""Of the columns of a chunk."""
+_EMPTY = "the ridge band that could be acquired is too small for a template."
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureTask:
+    """Captures that are reconstructed together, and where they go."""
+
+    group: int
+    population: Path
+    population_sha256: str
+    store: Path
+    captures: tuple[CaptureRef, ...]
+    cases: tuple[tuple[Case, tuple[str, ...]], ...]
+    """Each case with the names of the captures that it lacks."""
+    matching: MatchingSettings
+    images: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureDone:
+    """What a task did."""
+
+    group: int
+    rows: int
+    failures: tuple[str, ...]
+    """Case, capture and sentence of each failure to acquire."""
+
+
+def feature_schema() -> Any:
+    """Columns of a chunk of features."""
+    pa = load("pyarrow", "batch")
+    text, number = pa.string(), pa.float64()
+    return pa.schema(
+        [
+            ("capture", text), ("subject", text), ("finger", text), ("session", text),
+            ("acquired", pa.bool_()), ("failure", text), ("area_mm2", number),
+            *((f"{name}_{band}", number) for band in BANDS for name in QUALITY),
+            ("warnings", pa.list_(text)), ("input_sha256", text),
+            ("template", pa.binary()), ("print", pa.binary()), ("images", pa.binary()),
+        ]
+    )  # fmt: skip
+
+
+def chunk_name(group: int, captures: tuple[str, ...], settings_sha256: str) -> str:
+    """Name of a chunk's file without suffix: where its captures lie in the population, and what it follows from."""
+    content = canonical_json([settings_sha256, list(captures)])
+    return f"{group:05d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
+
+
+def reconstruct_group(task: FeatureTask) -> FeatureDone:
+    """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk."""
+    rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
+    seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
+    failures = []
+    for ref in task.captures:
+        capture: Capture | str
+        try:
+            capture = read_capture(task.population / ref.name)
+        except BadInput as error:
+            capture = str(error)
+        for case, wanted in task.cases:
+            if ref.name not in wanted:
+                continue
+            started = time.perf_counter()
+            row = _row(ref, capture, case, task)
+            seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
+            rows[case.name].append(row)
+            if not row["acquired"]:
+                failures.append(f"{case.name}, {ref.name}: {row['failure']}")
+    schema = feature_schema()
+    for case, wanted in task.cases:
+        document = case.document()
+        name = chunk_name(task.group, wanted, document["settings_sha256"])
+        columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
+        origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
+        origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
+        origin |= {"population_sha256": task.population_sha256, "matching_sha256": features_hash(task.matching)}
+        timings = task.store / "timings" / case.name / f"{name}.json"
+        with atomic_file(timings) as stream:
+            stream.write((canonical_json(seconds[case.name]) + "\n").encode("ascii"))
+        write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
+    return FeatureDone(task.group, sum(map(len, rows.values())), tuple(failures))
+
+
+def features_hash(matching: MatchingSettings) -> str:
+    """SHA-256 of the settings that templates follow from."""
+    return settings_hash({"band": matching.band, "template": matching.template})
+
+
+def _row(ref: CaptureRef, capture: Capture | str, case: Case, task: FeatureTask) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
+        "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",
+        **{f"{name}_{band}": None for band in BANDS for name in QUALITY},
+        "template": b"", "print": None, "images": None,
+    }  # fmt: skip
+    if isinstance(capture, str):
+        return row | {"failure": capture}
+    row["input_sha256"] = settings_hash(dict(sorted(capture.hashes.items())))
+    try:
+        result = reconstruct(capture, case.preset, case.settings())
+    except BadInput as error:
+        return row | {"failure": str(error)}
+    surface = surface_of(result)
+    template = surface_template(surface, task.matching)
+    row |= {
+        "acquired": not template.empty,
+        "failure": _EMPTY if template.empty else "",
+        "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
+        "warnings": list(result.warnings),
+        "template": pack(template),
+        "print": print_png(result),
+        "images": pack_surface(surface, result.height_mm) if task.images else None,
+    }
+    return row | _quality(result.quality)
+
+
+def print_png(result: Reconstruction) -> bytes:
+    """Bytes of the ``print.png`` that ``splitknit reconstruct`` writes."""
+    image = relief_print(
+        result.ridge_mm,
+        result.mask,
+        1.0 / result.pitch_mm,
+        result.input_from_upright,
+        result.upright_size,
+        PRINT_PPI,
+    )
+    origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+    text = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+    return encode_print_png(image, PRINT_PPI, text)
+
+
+def _quality(quality: Mapping[str, Any]) -> dict[str, float | None]:
+    figures = {}
+    for band in BANDS:
+        for name in QUALITY:
+            value = quality.get(band, {}).get(name)
+            figures[f"{name}_{band}"] = None if value is None else float(value)
+    return figures

@@ -1,0 +1,85 @@
+"""What a batch does: its cases, its matchers, and how it is run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from splitknit.check import require
+from splitknit.io.provenance import settings_hash
+from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings
+from splitknit.recipe.matchable import MatchingSettings
+from splitknit.settings import override
+
+MATCHERS = ("ridge", "thesis")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One way to reconstruct: a preset and what is changed in it."""
+
+    name: str
+    """Of the folder in the store: letters, digits, ``.``, ``-`` and ``_``."""
+    preset: str
+    changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    """From ``stage.field`` to a value."""
+
+    def __post_init__(self) -> None:
+        require(
+            re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", self.name) is not None,
+            f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits, dots, - and _.",
+        )
+        object.__setattr__(self, "changes", dict(self.changes))
+        self.settings()
+
+    def settings(self) -> PipelineSettings:
+        """All settings of the reconstruction."""
+        return override(preset_settings(self.preset), self.changes)
+
+    def document(self) -> dict[str, Any]:
+        """For the store: the preset, all settings, and their hash."""
+        settings = self.settings()
+        return {
+            "preset": self.preset,
+            "settings_sha256": settings_hash({"preset": self.preset, "settings": settings}),
+            "settings": settings,
+        }
+
+
+def preset_cases(names: tuple[str, ...] = tuple(PRESETS)) -> tuple[Case, ...]:
+    """Cases of the presets `names`, unchanged."""
+    return tuple(Case(name, name) for name in names)
+
+
+@dataclass(frozen=True, slots=True)
+class BatchSettings:
+    """What is reconstructed and compared."""
+
+    cases: tuple[Case, ...] = field(default_factory=preset_cases)
+    matchers: tuple[str, ...] = ("ridge",)
+    """Of :data:`MATCHERS`; none: reconstruct only."""
+    impostors: float = 1.0
+    """Share of the comparisons of different fingers that is made; genuine ones are all made."""
+    seed: int = 0
+    """Which of them, where not all are."""
+    matching: MatchingSettings = field(default_factory=MatchingSettings)
+    chunk_captures: int = 10
+    """Captures that are reconstructed, and stored, together: what a killed run loses at most, for each job."""
+
+    def __post_init__(self) -> None:
+        require(len(self.cases) > 0, "a batch needs at least one case.")
+        names = [case.name for case in self.cases]
+        require(len(set(names)) == len(names), f"two cases are called '{_twice(names)}'; give each its own name.")
+        unknown = [name for name in self.matchers if name not in MATCHERS]
+        require(not unknown, f"there is no matcher '{unknown[0] if unknown else ''}'; known are {', '.join(MATCHERS)}.")
+        require(len(set(self.matchers)) == len(self.matchers), "a matcher is named twice.")
+        require(0 <= self.impostors <= 1, f"the share of impostors must lie in [0, 1], but it is {self.impostors}.")
+        require(self.seed >= 0, f"the seed must not be negative, but it is {self.seed}.")
+        require(1 <= self.chunk_captures <= 1000, "a chunk holds 1 to 1000 captures.")
+
+
+def _twice(names: list[str]) -> str:
+    return next((name for name in names if names.count(name) > 1), "")

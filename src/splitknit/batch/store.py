@@ -1,0 +1,200 @@
+"""The store of a batch on disk: what it was made with, and its tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splitknit.batch.chunks import chunk_files, read_chunk
+from splitknit.batch.packages import load
+from splitknit.batch.population import Population
+from splitknit.batch.settings import BatchSettings
+from splitknit.check import BadInput, require
+from splitknit.io import atomic_file, provenance
+from splitknit.io.provenance import plain_json, settings_hash
+
+STORE_FILE = "store.json"
+FORMAT, VERSION = "splitknit-batch", 1
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A folder of results."""
+
+    folder: Path
+
+    def document(self) -> dict[str, Any]:
+        """What the store says about itself.
+
+        Raises
+        ------
+        BadInput
+            If there is no store, it is damaged or of another version.
+        """
+        file = self.folder / STORE_FILE
+        require(file.is_file(), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
+        try:
+            document = dict(json.loads(file.read_text(encoding="utf-8")))
+            known = document["format"] == FORMAT
+            version = document["format_version"]
+            parts = [document[name] for name in ("population", "cases", "matchers", "matching")]
+            known = known and all(isinstance(part, dict) for part in parts)
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise BadInput(f"'{file}' is damaged; name another folder for the store.") from error
+        require(known, f"'{file}' is damaged; name another folder for the store.")
+        require(
+            version == VERSION,
+            f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}; use the "
+            "splitknit that wrote it, or name another folder.",
+        )
+        return document
+
+    def cases(self) -> tuple[str, ...]:
+        """Names of the cases."""
+        return tuple(self.document()["cases"])
+
+    def feature_files(self, case: str) -> list[Path]:
+        """Finished chunks of a case."""
+        return chunk_files(self.folder / "features" / case)
+
+    def captures(self, case: str) -> set[str]:
+        """Names of the captures that are finished in a case."""
+        found: set[str] = set()
+        for file in self.feature_files(case):
+            found.update(read_chunk(file, ["capture"]).column("capture").to_pylist())
+        return found
+
+    def features(self, case: str, columns: Sequence[str] | None = None) -> Any:
+        """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, each once.
+
+        Raises
+        ------
+        BadInput
+            If there is nothing of this case, or a chunk is damaged.
+        """
+        files = self.feature_files(case)
+        require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
+        wanted = None if columns is None else list(dict.fromkeys(["capture", *columns]))
+        table = _joined([read_chunk(file, wanted) for file in files], ["capture"])
+        return table if columns is None else table.select(list(columns))
+
+    def seconds(self, case: str) -> dict[str, float]:
+        """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
+        found: dict[str, float] = {}
+        for file in sorted((self.folder / "timings" / case).glob("*.json")):
+            found |= json.loads(file.read_text(encoding="ascii"))
+        return found
+
+
+def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
+    """The tables as one, ordered by `keys`, of rows with equal keys the first."""
+    pa, pc = load("pyarrow", "batch"), load("pyarrow.compute", "batch")
+    table = pa.concat_tables(tables)
+    order = pc.sort_indices(table.select(keys), sort_keys=[(key, "ascending") for key in keys])
+    names = table.select(keys).take(order).to_pylist()
+    kept = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
+    return table.take(order.take(pa.array(kept, pa.int64())))
+
+
+def open_store(folder: Path, population: Population, settings: BatchSettings) -> Store:
+    """Open a store for writing, or start one; the caller holds its lock.
+
+    Raises
+    ------
+    BadInput
+        If the folder holds something else, or a store of another population or with other settings.
+    """
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "software": "splitknit",
+        "version": provenance()["version"],
+        "population": {"sha256": population.sha256},
+        "matching": _hashed({"band": settings.matching.band, "template": settings.matching.template}),
+        "cases": {case.name: plain_json(case.document()) for case in settings.cases},
+        "matchers": {},
+    }
+    store = Store(folder)
+    file = folder / STORE_FILE
+    if file.is_file():
+        earlier = store.document()
+        _check_same(folder, earlier, document)
+        document["cases"] = earlier["cases"] | document["cases"]
+        document["matchers"] = earlier["matchers"] | document["matchers"]
+        if document == earlier:
+            return store
+    with atomic_file(file) as stream:
+        stream.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode("ascii"))
+    return store
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed runs left half-written; the caller holds the store's lock."""
+    for kind in ("features", "scores", "timings"):
+        for leftover in (folder / kind).glob("**/.*.tmp"):
+            leftover.unlink(missing_ok=True)
+
+
+def check_target(folder: Path) -> None:
+    """Refuse a folder that holds something else than a store.
+
+    Raises
+    ------
+    BadInput
+    """
+    try:
+        require(not folder.exists() or folder.is_dir(), f"'{folder}' is a file; name a folder for the store.")
+        names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    except (OSError, ValueError) as error:
+        raise BadInput(f"'{folder}' cannot be used as a store: {error}.") from error
+    require(
+        not names or STORE_FILE in names or names <= {".lock"},
+        f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another folder.",
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"cannot write '{folder}': {error.strerror or error}; choose another place.") from error
+
+
+def _hashed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    plain = plain_json(settings)
+    return {"settings_sha256": settings_hash(plain), "settings": plain}
+
+
+def _check_same(folder: Path, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    require(
+        earlier["population"].get("sha256") == wanted["population"]["sha256"],
+        f"the store '{folder}' is of another population; name another folder, or the population that it is of.",
+    )
+    require(
+        earlier.get("version") == wanted["version"],
+        f"the store '{folder}' was made by splitknit {earlier.get('version')}, and this is {wanted['version']}; use "
+        "that version, or name another folder.",
+    )
+    for kind, words in (("cases", "case"), ("matchers", "matcher")):
+        for name in earlier[kind].keys() & wanted[kind].keys():
+            _check_settings(folder, f"{words} '{name}'", earlier[kind][name], wanted[kind][name])
+    _check_settings(folder, "templates", earlier["matching"], wanted["matching"])
+
+
+def _check_settings(folder: Path, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    names = differing(earlier, wanted)
+    where = f" ({', '.join(names[:4])})" if names else ""
+    require(
+        earlier.get("settings_sha256") == wanted["settings_sha256"],
+        f"the store '{folder}' was made with other settings of {what}{where}; use the same, another name, or another "
+        "folder.",
+    )
+
+
+def differing(one: Any, other: Any, name: str = "") -> list[str]:
+    """Names of the settings that differ."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        keys = sorted((one.keys() | other.keys()) - {"settings_sha256"})
+        inner = [(key, name if key == "settings" else f"{name}.{key}".strip(".")) for key in keys]
+        return [found for key, where in inner for found in differing(one.get(key), other.get(key), where)]
+    return [] if one == other else [name]
