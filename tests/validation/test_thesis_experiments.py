@@ -1,0 +1,216 @@
+"""The thesis's experiments run on a made-up store, and their rules are what they say."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from itertools import product
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
+Script = Callable[[str], ModuleType]
+SUBJECTS, FINGERS, SESSIONS = 6, ("left_thumb", "right_index"), 3
+
+
+@pytest.fixture
+def thesis(monkeypatch: pytest.MonkeyPatch) -> Iterator[Script]:
+    """Import a script of validation/thesis by its name."""
+    names = {file.stem for file in THESIS.glob("*.py")}
+    for name in names & set(sys.modules):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(THESIS))
+    yield importlib.import_module
+    for name in names & set(sys.modules):
+        del sys.modules[name]
+
+
+class MadeUpStore:
+    """Scores drawn at random: genuine ones higher, those of ``ea`` less so; ``pr`` lacks captures of one person."""
+
+    def __init__(self) -> None:
+        self.names = [
+            f"S{s:02d}/session_{k}/{finger}"
+            for s, k, finger in product(range(1, SUBJECTS + 1), range(1, SESSIONS + 1), FINGERS)
+        ]
+
+    def rows(self, case: str) -> list[list[str]]:
+        names = [name for name in self.names if not (case == "pr" and name.startswith("S06"))]
+        return [[name, *name.split("/")] for name in names]
+
+    def features(self, case: str, columns: Any = None) -> Any:
+        pa = pytest.importorskip("pyarrow")
+        if case == "none":
+            raise ValueError("nothing of this case")
+        rows = self.rows(case)
+        table = pa.table(
+            {
+                "capture": [row[0] for row in rows],
+                "subject": [row[1] for row in rows],
+                "finger": [f"{row[1]}/{row[3]}" for row in rows],
+                "session": [row[2][-1] for row in rows],
+                "acquired": [k > 0 for k in range(len(rows))],
+                "failure": ["" if k > 0 else "too dark" for k in range(len(rows))],
+                "area_mm2": [300.0] * len(rows),
+            }
+        )
+        return table if columns is None else table.select(columns)
+
+    def scores(self, case: str, matcher: str) -> Any:
+        pa = pytest.importorskip("pyarrow")
+        if matcher == "minutiae" or case == "none":
+            raise ValueError("nothing of these")
+        names = [row[0] for row in self.rows(case)]
+        pairs = [(a, b) for a, b in product(names, names) if a.split("/")[1] < b.split("/")[1]]
+        genuine = np.array([a.split("/")[::2] == b.split("/")[::2] for a, b in pairs])
+        generator = np.random.default_rng([len(case), len(matcher)])
+        good = generator.normal(size=(4, len(pairs))) + (1.0 if case == "ea" else 2.5) * genuine
+        made = np.array([names[0] not in pair for pair in pairs])
+        table = {"a": [a for a, _ in pairs], "b": [b for _, b in pairs], "compared": made, "similarity": good[3]}
+        if matcher == "thesis":
+            overlap = np.where(genuine, 0.95, generator.uniform(0.8, 1.0, len(pairs)))
+            table |= {"ratio": overlap}
+            for k, name in enumerate(("normals", "relief", "shape_normals")):
+                table[f"dissimilarity_{name}"] = 0.9 - 0.02 * good[k]
+        return pa.table(table)
+
+
+def population(folder: Path, store: MadeUpStore) -> Path:
+    generator = np.random.default_rng(1)
+    for name in store.names:
+        place = folder / name
+        place.mkdir(parents=True)
+        facts = {
+            "roll_deg": generator.normal(0, 6), "glare": generator.uniform(0.5, 1.3),
+            "moisture": generator.uniform(), "partial": bool(generator.uniform() < 0.2),
+        }  # fmt: skip
+        (place / "impression.json").write_text(json.dumps(facts))
+    document = {"settings_sha256": "0" * 64, "settings": {"seed": 1, "scale": 0.1}}
+    (folder / "population.json").write_text(json.dumps(document))
+    return folder
+
+
+def read(file: Path) -> list[dict[str, str]]:
+    with file.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = thesis("run")
+    store = MadeUpStore()
+    people = population(tmp_path / "people", store)
+    monkeypatch.setattr(run, "_store", lambda options: store)
+    out = tmp_path / "out"
+    for part in ("fusion", "cases", "matchers", "sensitivity", "failures"):
+        given = [part, "--population", str(people), "--out", str(out), "--replicates", "20", "--jobs", "1"]
+        assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
+    rows = read(out / "cases.csv")
+    assert {row["case"] for row in rows} == {"snk", "pr", "ea"}
+    plain = {
+        (row["case"], row["attribute"]): row
+        for row in rows
+        if (row["gate"], row["sessions"], row["rolls"]) == ("none", "single", "all")
+    }
+    own = plain["snk", "relief"]
+    # five people (pr lacks one) x two fingers, three pairs of sessions
+    assert int(own["genuine"]) == 5 * 2 * 3
+    assert int(own["impostors"]) == 10 * 9 * 3
+    assert int(own["failures"]) == 2 * 10  # one capture of the first session failed: two later sessions x ten fingers
+    assert float(own["gar@0.01"]) > float(plain["ea", "relief"]["gar@0.01"])
+    assert float(own["gar@0.01_low_finger"]) <= float(own["gar@0.01"]) <= float(own["gar@0.01_high_finger"])
+    # 270 impostors support a FAR of 1 %, not of 0.1 %
+    assert own["gar@0.001"] == "" and own["accepts@0.001"] == "0" and own["accepts@0.01"] == "2"
+    passing = [
+        row for row in rows if row["gate"] == "passing" and row["sessions"] == "single" and row["rolls"] == "all"
+    ]
+    assert all(0 < int(row["impostors"]) < 270 for row in passing)
+    assert len({row["impostors"] for row in passing}) == 1
+    differences = read(out / "cases_differences.csv")
+    two = next(row for row in differences if (row["first"], row["second"], row["gate"]) == ("snk", "ea", "none"))
+    assert float(two["eer"]) < 0
+    runs = json.loads((out / "runs.json").read_text())
+    assert runs["cases"]["missing"] == ["none by thesis"]
+    assert runs["failures"]["failures"] == {"snk": 1, "pr": 1, "ea": 1}
+    assert {row["matcher"] for row in read(out / "matchers.csv")} == {"ridge"}
+    assert {row["factor"] for row in read(out / "sensitivity.csv")} == {"roll", "glare", "moisture", "partial"}
+    assert (out / "figure-5-4.svg").read_text().startswith('<svg xmlns="http://www.w3.org/2000/svg"')
+
+
+def test_the_gate_follows_the_thesis_and_only_impostors_that_pass_are_kept(thesis: Script) -> None:
+    trials, variants = thesis("trials"), thesis("variants")
+    captures = trials.Captures(
+        np.array(["A/1", "A/2", "B/1", "B/2"]), np.array(["A", "A", "B", "B"]), np.array(["A", "A", "B", "B"]),
+        np.array(["1", "2", "1", "2"]),
+    )  # fmt: skip
+    pairs = trials.Pairs(captures, np.array([0, 0, 2, 2]), np.array([1, 3, 1, 3]))  # AA AB BA BB
+    ratio = np.array([0.95, 0.8, 0.92, 0.85])
+    trial = trials.Trial("snk", "thesis", "relief", np.array([0.1, 0.2, 0.3, 0.4]), ratio, 1 - np.exp(2 - ratio))
+    table = trials.Table(pairs, (trial,), ())
+    rolls = variants.rolls_of(pairs, {"A/1": 0.0, "A/2": 12.0, "B/1": 0.0, "B/2": 3.0})
+
+    def judged(*how: str) -> Any:
+        return variants.judged(pairs, trial, variants.Variant(*how), rolls, variants.passing_everywhere(table))
+
+    assert judged("none", "single", "all").score.tolist() == [0.1, 0.2, 0.3, 0.4]
+    gated = judged("gate", "single", "all").score
+    assert gated.tolist() == pytest.approx([0.1, 1 - np.exp(1.2), 0.3, 1 - np.exp(1.15)])
+    passing = judged("passing", "single", "all")
+    assert passing.label.tolist() == [True, False, True] and passing.score[1] == 0.3
+    assert judged("none", "single", "pairs").score.tolist() == [0.2, 0.3, 0.4]  # A's rolls differ by 12 deg
+    assert judged("none", "averaged", "all").score.size == 4  # AB and BA stay two
+
+
+def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None:
+    variants = thesis("variants")
+    finger = np.array(["A", "A", "A", "B", "B"])
+    assert variants.spreads(finger, np.array([-8.0, 0.0, 9.0, 3.0, np.nan])) == {"A": 17.0, "B": 0.0}
+
+
+def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
+    from splitknit.pipeline import reconstruct
+    from splitknit.recipe.matchable import surface_images, surface_of
+    from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+    scales = thesis("scales")
+    capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))
+    made = scales.relief_images(capture)
+    assert made.channels.shape[0] == 6
+    images = surface_images(surface_of(reconstruct(capture, "snk", {"shapelets.scales": 5})))
+    np.testing.assert_array_equal(made.channels[scales.SCALES.index(5)], images.channels["relief"])
+    np.testing.assert_array_equal(made.mask, images.mask)
+    assert not np.array_equal(made.channels[0], made.channels[3])
+
+
+def test_the_share_of_impostors_is_drawn_by_pair_of_fingers(thesis: Script) -> None:
+    drawn = thesis("scales").drawn
+    a, b = np.array([f"F{k // 60}" for k in range(3600)]), np.array([f"F{k % 60}" for k in range(3600)])
+    first = drawn(a, b, 0.25, 3)
+    assert 0.22 < first.mean() < 0.28
+    np.testing.assert_array_equal(first[::-1], drawn(a[::-1], b[::-1], 0.25, 3))
+    assert drawn(a, b, 1.0, 3).all() and not drawn(a, b, 0.0, 3).any()
+    assert (first != drawn(a, b, 0.25, 4)).any()
+
+
+def test_the_page_marks_what_too_few_impostors_cannot_support(thesis: Script) -> None:
+    report = thesis("page_tables")
+    row = {"gar@0.01": "0.9", "gar@0.01_low_finger": "0.8", "gar@0.01_high_finger": "0.95", "accepts@0.01": "9"}
+    assert report.gar_cell(row, "0.01") == "90.0 [80.0, 95.0] †"
+    assert report.gar_cell(row | {"accepts@0.01": "10"}, "0.01") == "90.0 [80.0, 95.0]"
+    few = report.gar_cell({"gar@0.0001": "", "accepts@0.0001": "0", "impostors": "2700"}, "0.0001")
+    assert few == "too few impostors (2,700)"
+
+
+def test_an_order_says_which_differences_are_beyond_chance(thesis: Script) -> None:
+    order = thesis("page_tables").order
+    rows = [{"case": case, "gar@0.01": value, "accepts@0.01": "50"} for case, value in (("ea", "0.8"), ("snk", "0.9"))]
+    far = {"first": "snk", "second": "ea", "gar@0.01_low_finger": "0.02", "gar@0.01_high_finger": "0.2"}
+    assert order(rows, [far], "0.01") == "snk 90.0 > ea 80.0"
+    by_subject = far | {"gar@0.01_low_subject": "-0.01", "gar@0.01_high_subject": "0.3"}
+    assert order(rows, [by_subject], "0.01") == "snk 90.0 ~ ea 80.0"

@@ -1,0 +1,36 @@
+"""Everything from nothing: simulate the population, reconstruct and compare it, by the commands a user has."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+
+SMALL = {"subjects": 3, "sessions": 2, "fingers": "right_index,left_thumb", "scale": 0.2}
+"""Enough that every table has a row."""
+
+
+def run_chain(options: argparse.Namespace) -> None:
+    """Run the commands of :func:`commands`; each goes on where it was stopped."""
+    if options.store is None:
+        options.store = options.population.parent / f"{options.population.name}-store"
+    if options.small:
+        options.people, options.scales_impostors, options.impostors = SMALL["subjects"], 1.0, 1.0
+    for command in commands(options):
+        print(" ".join(command), flush=True)
+        done = subprocess.run([sys.executable, "-m", "splitknit.apps.cli", *command[1:]], check=False)
+        if done.returncode != 0:
+            raise SystemExit(f"'{' '.join(command)}' ended with {done.returncode}.")
+
+
+def commands(options: argparse.Namespace) -> list[list[str]]:
+    """What is run, as one would type it."""
+    population, store = str(options.population), str(options.store)
+    jobs = str(options.jobs)
+    simulate = ["splitknit", "simulate", "population", "--out", population, "--seed", str(options.seed)]
+    simulate += ["--workers", jobs, "--scale", str(SMALL["scale"] if options.small else 0.4)]
+    if options.small:
+        simulate += [text for name in ("subjects", "sessions", "fingers") for text in (f"--{name}", str(SMALL[name]))]
+    batch = ["splitknit", "batch", population, "--out", store, "--cases", ",".join(options.cases)]
+    batch += ["--matchers", "thesis,ridge,minutiae", "--impostors", str(options.impostors)]
+    return [simulate, [*batch, "--seed", str(options.seed), "--jobs", jobs]]

@@ -1,0 +1,235 @@
+"""The experiments: each reads a store, judges its trials and writes its tables and plots."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from fusion import SETS, linear, trained
+from measure import Work, difference_rows, rate_rows
+from plots import bins_figure, roc_figure, save
+from sensitivity import FACTORS, sensitivity_rows
+from tables import Row, write_csv
+from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
+from variants import PASSING, PLAIN, THESIS, judged, passing_everywhere, rolls_of, spreads
+
+from splitknit.evaluate import BootstrapSettings
+
+COMPARED = (THESIS, PLAIN, PASSING)
+"""How differences between cases are judged."""
+
+
+def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Figure 5.3: attributes and their fusion."""
+    cases = [case for case in ("snk", "metric") if case in options.cases]
+    captures = read_captures(store, cases)
+    table = read_table(store, captures, cases, ("thesis",))
+    work = _work(options, table, truth)
+    trials, groups = [], []
+    for case in cases:
+        single = [trial for name in ATTRIBUTES if (trial := table.trial(case, "thesis", name)) is not None]
+        joined = []
+        for words, chosen in SETS.items():
+            for way, trial in {**linear(table, case, chosen), **trained(table, case, chosen, options.seed)}.items():
+                joined.append(trial.other(f"{words}, {way}", trial.similarity))
+        trials += [*single, *joined]
+        named = {trial.attribute: trial for trial in (*single, *joined)}
+        first = "all three, mean"
+        groups += [(named[first], named[name].labelled(name)) for name in named if first in named and name != first]
+    rows = rate_rows(work, trials, options.jobs)
+    differences = difference_rows(work, groups, COMPARED, options.jobs)
+    _write(options, "fusion", rows, differences)
+    shown = [trial for trial in trials if trial.case == cases[0] and _in_figure(trial)]
+    _rocs(options, work, "figure-5-3", shown, lambda trial: trial.attribute.replace("_", " "))
+    return _facts(table, trials)
+
+
+def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Figures 5.4 and 5.5: cases on normals and on relief, by the thesis's matcher."""
+    captures = read_captures(store, options.cases)
+    table = read_table(store, captures, options.cases, ("thesis",))
+    work = _work(options, table, truth)
+    by_attribute = {name: _of(table, "thesis", name) for name in ("normals", "relief")}
+    trials = [trial for group in by_attribute.values() for trial in group]
+    rows = rate_rows(work, trials, options.jobs)
+    differences = difference_rows(work, by_attribute.values(), COMPARED, options.jobs)
+    _write(options, "cases", rows, differences)
+    for figure, name in (("figure-5-4", "normals"), ("figure-5-5", "relief")):
+        _rocs(options, work, figure, by_attribute[name], lambda trial: trial.case)
+    return _facts(table, trials)
+
+
+def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """The same cases by the ridge matcher and by minutiae."""
+    captures = read_captures(store, options.cases)
+    facts: Row = {}
+    rows, differences = [], []
+    for matcher in ("ridge", "minutiae"):
+        try:
+            table = read_table(store, captures, options.cases, (matcher,))
+        except SystemExit as nothing:
+            facts[matcher] = {"missing": [str(nothing)]}
+            continue
+        work = _work(options, table, truth)
+        trials = _of(table, matcher, "")
+        rows += rate_rows(work, trials, options.jobs)
+        differences += difference_rows(work, [trials], COMPARED, options.jobs)
+        _rocs(options, work, matcher, trials, lambda trial: trial.case)
+        facts[matcher] = _facts(table, trials)
+    if rows:
+        _write(options, "matchers", rows, differences)
+    return facts
+
+
+def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Genuine scores against roll, glare, moisture and partial views."""
+    captures = read_captures(store, options.cases)
+    rows: list[Row] = []
+    facts: Row = {}
+    for matcher, attributes in (("thesis", ("normals", "relief")), ("ridge", ("",)), ("minutiae", ("",))):
+        try:
+            table = read_table(store, captures, options.cases, (matcher,))
+        except SystemExit:
+            continue
+        rolls = rolls_of(table.pairs, _rolls(truth))
+        chosen = tuple(trial for name in attributes for trial in _of(table, matcher, name))
+        rows += sensitivity_rows(table, chosen, truth, rolls, options.replicates, options.seed)
+        facts[matcher] = _facts(table, chosen)
+    write_csv(options.out / "sensitivity.csv", rows)
+    for factor, (matcher, attribute) in (
+        (name, system) for name in ("roll", "glare") for system in (("thesis", "relief"), ("ridge", ""))
+    ):
+        series = [
+            (case, [row for row in rows if _key(row) == (case, matcher, attribute, factor)]) for case in options.cases
+        ]
+        words = f"{FACTORS[factor].words} {FACTORS[factor].unit}".strip()
+        chart = bins_figure(series, "gar@0.01", words, "GAR at FAR 1 %")
+        if chart:
+            save(chart, options.out / f"{factor}-{matcher}.svg")
+    return facts
+
+
+def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Failures to acquire of each case, and how many fingers and comparisons each rule of roll discards."""
+    rows = []
+    for case in options.cases:
+        try:
+            table = store.features(case, ["capture", "acquired", "failure", "area_mm2"])
+        except ValueError:
+            continue
+        acquired = np.asarray(table["acquired"].to_pylist(), dtype=bool)
+        reasons: dict[str, int] = {}
+        for words, good in zip(table["failure"].to_pylist(), acquired.tolist(), strict=True):
+            if not good:
+                reasons[str(words)] = reasons.get(str(words), 0) + 1
+        names = [str(name) for name in table["capture"].to_pylist()]
+        partial = np.array([bool(truth.get(name, {}).get("partial", False)) for name in names])
+        area = np.asarray(table["area_mm2"].to_pylist(), dtype=float)
+        rows.append(
+            {
+                "case": case, "captures": acquired.size, "failures": int((~acquired).sum()),
+                "failures_partial": int((~acquired & partial).sum()), "partial": int(partial.sum()),
+                "median_area_mm2": float(np.median(area[acquired])) if acquired.any() else None,
+                "reasons": "; ".join(f"{count} x {words}" for words, count in sorted(reasons.items())),
+            }
+        )  # fmt: skip
+    write_csv(options.out / "failures.csv", rows)
+    facts = discarded_by_roll(read_captures(store, options.cases), truth)
+    return {"failures": {row["case"]: row["failures"] for row in rows}, "roll": facts}
+
+
+def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
+    """Figure 3.21: scales of shapelets."""
+    from scales import scales_table  # noqa: PLC0415 - the others need no reconstruction
+
+    people = sorted({name.split("/")[0] for name in truth})[: options.people]
+    names = [name for name in truth if name.split("/")[0] in people]
+    table = scales_table(
+        options.population, names, options.scratch / "scales", options.scales_impostors, options.seed, options.jobs
+    )
+    work = _work(options, table, truth)
+    rows = rate_rows(work, table.trials, options.jobs)
+    three = next(trial for trial in table.trials if trial.case == "snk3")
+    groups = [(three, trial) for trial in table.trials if trial is not three]
+    _write(options, "scales", rows, difference_rows(work, groups, COMPARED, options.jobs))
+    _rocs(options, work, "figure-3-21", table.trials, lambda trial: trial.label)
+    return _facts(table, table.trials) | {"people": len(people), "impostor_share": options.scales_impostors}
+
+
+def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Make the tables and plots of one part; `store` is None for the scales, which need none."""
+    return run_scales(options, truth) if part == "scales" else PART_OF[part](options, store, truth)
+
+
+PARTS = ("fusion", "cases", "matchers", "sensitivity", "failures", "scales")
+PART_OF = {
+    "fusion": run_fusion,
+    "cases": run_cases,
+    "matchers": run_matchers,
+    "sensitivity": run_sensitivity,
+    "failures": run_failures,
+}
+
+
+def discarded_by_roll(captures: Captures, truth: Mapping[str, Row]) -> Row:
+    """Shares of the fingers, and of the genuine comparisons, that several limits discard."""
+    rolls = np.array([_rolls(truth).get(str(name), np.nan) for name in captures.names])
+    spread = np.array(list(spreads(captures.finger, rolls).values()))
+    same = [rolls[captures.finger == name] for name in np.unique(captures.finger)]
+    pairs = np.concatenate([np.abs(np.subtract.outer(one, one))[np.triu_indices(one.size, 1)] for one in same])
+    limits = (8.0, 10.0, 15.0, 20.0)
+    return {
+        "fingers": int(spread.size), "genuine_pairs": int(pairs.size),
+        "fingers_discarded": {f"{limit:g}": int((spread > limit).sum()) for limit in limits},
+        "pairs_discarded": {f"{limit:g}": int((pairs > limit).sum()) for limit in limits},
+    }  # fmt: skip
+
+
+def _of(table: Table, matcher: str, attribute: str) -> list[Trial]:
+    return [trial for trial in table.trials if (trial.matcher, trial.attribute) == (matcher, attribute)]
+
+
+def _in_figure(trial: Trial) -> bool:
+    return trial.attribute in ATTRIBUTES or trial.attribute.startswith("all three")
+
+
+def _key(row: Row) -> tuple[str, str, str, str]:
+    return row["case"], row["matcher"], row["attribute"], row["factor"]
+
+
+def _work(options: argparse.Namespace, table: Table, truth: Mapping[str, Row]) -> Work:
+    settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=0)
+    return Work(table, rolls_of(table.pairs, _rolls(truth)), passing_everywhere(table), settings)
+
+
+def _rolls(truth: Mapping[str, Row]) -> dict[str, float]:
+    return {name: float(row["roll_deg"]) for name, row in truth.items()}
+
+
+def _rocs(options: argparse.Namespace, work: Work, name: str, trials: Sequence[Trial], label: Any) -> None:
+    """As the thesis judges, and with neither gate nor averaging."""
+    settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=31, targets=(0.01,))
+    for ending, variant in (("", THESIS), ("-plain", PLAIN)):
+        scores = [
+            (label(trial), judged(work.table.pairs, trial, variant, work.rolls, work.passing)) for trial in trials
+        ]
+        curves = [(words, one) for words, one in scores if one is not None]
+        if curves:
+            save(roc_figure(curves, settings), options.out / f"{name}{ending}.svg")
+
+
+def _write(options: argparse.Namespace, name: str, rows: Sequence[Row], differences: Sequence[Row]) -> None:
+    write_csv(options.out / f"{name}.csv", rows)
+    write_csv(options.out / f"{name}_differences.csv", differences)
+
+
+def _facts(table: Table, trials: Sequence[Trial]) -> Row:
+    genuine = table.pairs.genuine
+    return {
+        "genuine": int(genuine.sum()), "impostors": int((~genuine).sum()),
+        "impostors_passing_everywhere": int((passing_everywhere(table) & ~genuine).sum()),
+        "fingers": int(np.unique(table.pairs.captures.finger[table.pairs.a]).size),
+        "trials": len(trials), "missing": list(table.missing),
+    }  # fmt: skip

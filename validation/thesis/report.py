@@ -1,0 +1,104 @@
+"""Write the tables of this folder into ``docs/thesis-tables.md``, between their marks.
+
+python validation/thesis/report.py            # writes
+python validation/thesis/report.py --check    # exit code 1 if the page does not show what lies here
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from page_tables import (
+    CASES,
+    JUDGED,
+    PLAIN,
+    Row,
+    difference_table,
+    failures_table,
+    order_table,
+    rate_table,
+    run_words,
+    sensitivity_table,
+    thesis_table,
+)
+
+HERE = Path(__file__).resolve().parent
+PAGE = HERE.parents[1] / "docs" / "thesis-tables.md"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true")
+    options = parser.parse_args()
+    page = PAGE.read_text(encoding="utf-8")
+    filled = fill(page, blocks(HERE))
+    if options.check:
+        return int(filled != page)
+    PAGE.write_text(filled, encoding="utf-8")
+    return 0
+
+
+def fill(page: str, made: Mapping[str, str]) -> str:
+    """The page with every block in its place.
+
+    A block stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``.
+    """
+    for name, text in made.items():
+        pattern = re.compile(rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
+        if not pattern.search(page):
+            raise SystemExit(f"{PAGE.name} has no marks for '{name}'.")
+        page = pattern.sub(lambda found, text=text: f"{found[1]}\n{text}\n\n{found[2]}", page)
+    return page
+
+
+def blocks(folder: Path) -> dict[str, str]:
+    """All generated parts of the page."""
+    runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
+    tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
+    differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
+    by_name = {case: case for case in CASES}
+    made = {
+        "run": run_words(runs),
+        "thesis": thesis_table(tables),
+        "order": order_table(tables, differ),
+        "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("snk")),
+        "scales_differences": difference_table(differ["scales"]),
+        "fusion": rate_table([row for row in tables["fusion"] if row["case"] == "snk"], "attribute", _attribute),
+        "fusion_metric": rate_table([r for r in tables["fusion"] if r["case"] == "metric"], "attribute", _attribute),
+        "fusion_differences": difference_table(differ["fusion"], (PLAIN,)),
+        "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
+    }
+    for name in ("normals", "relief"):
+        rows = [row for row in tables["cases"] if row["attribute"] == name]
+        made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))
+        made[f"{name}_differences"] = difference_table([r for r in differ["cases"] if r["attribute"] == name])
+    for name in ("ridge", "minutiae"):
+        rows = [row for row in tables["matchers"] if row["matcher"] == name]
+        made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))
+        made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
+    sensitivity = read(folder / "sensitivity.csv")
+    for factor in ("roll", "glare", "moisture", "partial"):
+        made[factor] = sensitivity_table([row for row in sensitivity if row["factor"] == factor])
+    return made
+
+
+def read(file: Path) -> list[Row]:
+    """Rows of a table; none where it was not made."""
+    if not file.is_file():
+        return []
+    with file.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def _attribute(row: Row) -> str:
+    return row["attribute"].replace("_", " ")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

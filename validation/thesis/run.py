@@ -1,0 +1,108 @@
+"""The thesis's matching experiments on a simulated population: one command each, tables and plots beside this file.
+
+    python validation/thesis/run.py all --store STORE --population POPULATION
+    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures --store STORE --population POPULATION
+    python validation/thesis/run.py scales --population POPULATION --people 8
+    python validation/thesis/run.py chain --population DIR            # from nothing: simulate, batch, then all
+    python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
+    python validation/thesis/report.py                                # docs/thesis-tables.md from what lies here
+
+STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
+finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from chain import run_chain
+from experiments import PARTS, run_part
+from tables import Row
+from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
+
+from splitknit.io.provenance import provenance
+
+HERE = Path(__file__).resolve().parent
+CASES = ("snk", "pr", "ea", "metric")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = _parser().parse_args(arguments)
+    if options.part == "chain":
+        run_chain(options)
+        options.part = "all"
+    parts = PARTS if options.part == "all" else (options.part,)
+    options.out.mkdir(parents=True, exist_ok=True)
+    truth = read_truth(options.population)
+    for part in parts:
+        started = time.perf_counter()
+        facts = run_part(part, options, None if part == "scales" else _store(options), truth)
+        facts |= {"seconds": round(time.perf_counter() - started, 1)}
+        _remember(options.out / "runs.json", part, facts | _origin(options))
+        print(part, json.dumps(facts), flush=True)
+    return 0
+
+
+def read_truth(population: Path) -> dict[str, Row]:
+    """``impression.json`` of each capture that is there, by its name."""
+    files = sorted(population.glob("*/session_*/*/impression.json"))
+    if not files:
+        raise SystemExit(f"'{population}' holds no impression.json: name a folder of splitknit simulate population.")
+    return {file.parent.relative_to(population).as_posix(): json.loads(file.read_text("utf-8")) for file in files}
+
+
+def _remember(file: Path, part: str, facts: Row) -> None:
+    known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    known[part] = facts
+    file.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _origin(options: argparse.Namespace) -> Row:
+    """What the figures follow from."""
+    population = json.loads((options.population / "population.json").read_text(encoding="utf-8"))
+    store = options.store / "store.json" if options.store is not None else None
+    cases = json.loads(store.read_text(encoding="utf-8"))["cases"] if store is not None and store.is_file() else {}
+    return {
+        "version": provenance()["version"], "seed": options.seed, "replicates": options.replicates,
+        "gate": GATE, "finger_limit_deg": FINGER_LIMIT_DEG, "pair_limit_deg": PAIR_LIMIT_DEG,
+        "population_seed": population.get("settings", {}).get("seed"),
+        "population_scale": population.get("settings", {}).get("scale"),
+        "population_sha256": population["settings_sha256"],
+        "cases_sha256": {name: case["settings_sha256"] for name, case in sorted(cases.items())},
+    }  # fmt: skip
+
+
+def _store(options: argparse.Namespace) -> Any:
+    from splitknit.batch import Store  # noqa: PLC0415
+
+    if options.store is None:
+        raise SystemExit("--store is needed: the folder that splitknit batch wrote.")
+    return Store(options.store)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=[*PARTS, "all", "chain"])
+    parser.add_argument("--population", type=Path, required=True)
+    parser.add_argument("--store", type=Path, default=None)
+    parser.add_argument("--out", type=Path, default=HERE)
+    parser.add_argument("--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="of the part scales")
+    parser.add_argument("--cases", nargs="+", default=list(CASES))
+    parser.add_argument("--people", type=int, default=8, help="whose fingers the part scales takes, from the first on")
+    parser.add_argument("--scales-impostors", type=float, default=0.25, help="share of its impostor pairs")
+    parser.add_argument("--impostors", type=float, default=0.1, help="share of the impostor pairs of a chain's batch")
+    parser.add_argument("--replicates", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=680)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--small", action="store_true", help="of chain: 3 people, 2 fingers, 2 sessions, small images")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""The same scores judged in several ways: gate, sessions, roll."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from trials import Pairs, Table, Trial, Values, scores_of
+
+from splitknit.evaluate import Scores, average_sessions
+
+GATE = 0.9
+FINGER_LIMIT_DEG = 15.0
+"""A finger is discarded if its roll differs by more between any two of its sessions."""
+PAIR_LIMIT_DEG = 10.0
+"""A genuine comparison is discarded if its two rolls differ by more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way of judging."""
+
+    gate: str
+    """``none``: all pairs are compared. ``gate``: pairs that overlap by less than 0.9 are rejected, as the thesis does.
+    ``passing``: likewise, and of the impostor pairs only those count that pass in every case of the table."""
+    sessions: str
+    """``single``: every comparison of two captures. ``averaged``: the mean over pairs of sessions, as the thesis."""
+    rolls: str
+    """``all``; ``fingers``: without fingers whose roll differs; ``pairs``: without such genuine comparisons."""
+
+
+VARIANTS = tuple(
+    Variant(gate, *rest)
+    for gate, rest in product(
+        ("none", "gate", "passing"),
+        (("single", "all"), ("single", "pairs"), ("averaged", "all"), ("averaged", "fingers")),
+    )
+)
+THESIS = Variant("gate", "averaged", "all")
+PLAIN = Variant("none", "single", "all")
+PASSING = Variant("passing", "single", "all")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rolls:
+    """What is known of the fingers' roll, from the truth of the captures."""
+
+    difference_deg: Values
+    """(N,) of the two captures of each comparison; NaN where it is not known."""
+    discarded: NDArray[np.bool_]
+    """(N,) comparisons with a finger that the rule for fingers discards."""
+
+
+def rolls_of(pairs: Pairs, roll_deg: Mapping[str, float]) -> Rolls:
+    """Apply the rule for fingers; `roll_deg` by capture."""
+    captures = pairs.captures
+    rolls = np.array([roll_deg.get(str(name), np.nan) for name in captures.names])
+    gone = [name for name, spread in spreads(captures.finger, rolls).items() if spread > FINGER_LIMIT_DEG]
+    out = np.isin(captures.finger, gone)
+    sides = pairs.of_both(rolls)
+    return Rolls(np.abs(sides[:, 0] - sides[:, 1]), out[pairs.a] | out[pairs.b])
+
+
+def spreads(finger: NDArray[np.str_], rolls: Values) -> dict[str, float]:
+    """Largest difference between two sessions, by finger."""
+    return {
+        str(name): float(np.nanmax(of_one) - np.nanmin(of_one))
+        for name in np.unique(finger)
+        if np.isfinite(of_one := rolls[finger == name]).any()
+    }
+
+
+def passing_everywhere(table: Table) -> NDArray[np.bool_]:
+    """(N,) comparisons whose masks overlap enough in every case of a table; empty without overlaps."""
+    passing = np.ones(table.pairs.a.shape, dtype=np.bool_)
+    for trial in table.trials:
+        if trial.ratio is not None:
+            passing &= np.nan_to_num(trial.ratio) >= GATE
+    return passing
+
+
+def judged(pairs: Pairs, trial: Trial, variant: Variant, rolls: Rolls, passing: NDArray[np.bool_]) -> Scores | None:
+    """Scores of a trial in one way; None where it cannot be (no overlaps known, or a class is empty)."""
+    similarity = trial.similarity
+    if variant.gate != "none":
+        if trial.ratio is None:
+            return None
+        floor = np.full(similarity.shape, np.nanmin(similarity)) if trial.gated is None else trial.gated
+        similarity = np.where(trial.ratio < GATE, floor, similarity)
+    genuine = pairs.genuine
+    kept = genuine | passing if variant.gate == "passing" else np.ones(genuine.shape, dtype=np.bool_)
+    if variant.rolls == "fingers":
+        kept &= ~rolls.discarded
+    elif variant.rolls == "pairs":
+        kept &= ~(genuine & (rolls.difference_deg > PAIR_LIMIT_DEG))
+    known = np.isfinite(similarity)
+    if not (kept & known & genuine).any() or not (kept & known & ~genuine).any():
+        return None
+    scores = scores_of(pairs.taken(kept), similarity[kept], trial.name)
+    return average_sessions(scores) if variant.sessions == "averaged" else scores
