@@ -1,0 +1,138 @@
+"""Minutiae records of ANSI/INCITS 378-2009 and of its amendment 1 (2010): byte for byte.
+
+Every view has its own image size and resolution, qualities may be 254 (not computed) and 255 (failed). All numbers are
+big-endian::
+
+    header, 21 bytes                      each view, 19 bytes and 6 for each minutia
+     0  "FMR" NUL                          0  finger position, 0 to 10
+     4  "030" NUL, or "035" NUL            1  view number
+     8  length of the record (4 bytes)     2  impression type
+    12  owner (not 0) of the product       3  quality of the finger
+    14  type of the product                4  vendor (not 0), 6 algorithm of the quality
+    16  certificates (1 byte)              8  columns, 10 rows of the image
+    17  device                            12  pixels per cm along columns, 14 along rows
+    19  number of views                   16  number of minutiae
+    20  0                                 17  minutiae, as in ANSI/INCITS 378-2004
+                                              length of the extended data (2 bytes), extended data
+
+References
+----------
+ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from splitknit.check import require
+from splitknit.io.finger_codes import ANSI_2009_IMPRESSIONS, FINGER_CODES, code_of, name_of
+from splitknit.io.fmr_bytes import (
+    ANSI_STEPS,
+    Cursor,
+    check_length,
+    check_rest,
+    check_writable,
+    decode_minutiae,
+    encode_minutiae,
+    make_record,
+    make_view,
+)
+from splitknit.io.fmr_identify import ANSI_2009, ANSI_2009_AM1, MAGIC_030, MAGIC_035, require_standard, standard_of
+from splitknit.io.minutiae_record import FAILED, FingerView, MinutiaeRecord
+
+_HEADER = struct.Struct(">8sIHHBHBB")
+_VIEW = struct.Struct(">BBBBHHHHHHB")
+_EXTENDED = struct.Struct(">H")
+
+
+def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> bytes:
+    """Bytes of a record; directions are rounded to 2 deg.
+
+    Parameters
+    ----------
+    record : what to write
+    amendment : as amendment 1 of 2010, which differs in the version alone
+
+    Raises
+    ------
+    BadInput
+        If the standard has no way to say what the record holds.
+    """
+    standard, magic = (ANSI_2009_AM1, MAGIC_035) if amendment else (ANSI_2009, MAGIC_030)
+    check_writable(record, standard, 16, 8)
+    owner, kind = record.product
+    require(
+        0 < owner <= 65535 and 0 <= kind <= 65535,
+        f"the product's owner must lie between 1 and 65535 (0x0103: not registered) and its type between 0 and 65535, "
+        f"but they are {record.product}.",
+    )
+    body = b"".join(_encode_view(view) for view in record.views)
+    length = _HEADER.size + len(body)
+    return _HEADER.pack(magic, length, owner, kind, record.certification, record.device, len(record.views), 0) + body
+
+
+def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
+    """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes.
+
+    Parameters
+    ----------
+    data : the whole file
+    name : of the file, for messages
+
+    Raises
+    ------
+    BadInput
+        If it is truncated, of another standard, or says what the standard does not allow.
+    """
+    amended = standard_of(data) == ANSI_2009_AM1
+    standard = ANSI_2009_AM1 if amended else ANSI_2009
+    require_standard(data, standard, MAGIC_035 if amended else MAGIC_030, name)
+    cursor = Cursor(data, name)
+    _, length, owner, kind, certification, device, count, reserved = cursor.unpack(_HEADER, "its header")
+    check_length(data, length, name)
+    require(owner != 0, f"{name}: the owner of its product is 0, which {standard} does not allow.")
+    require(reserved == 0, f"{name}: the reserved byte of its header is {reserved}, but it must be 0.")
+    views = tuple(_decode_view(cursor, f"view {number}") for number in range(1, count + 1))
+    check_rest(cursor, count)
+    return make_record(
+        name, views=views, device=device, certification=certification, product=(owner, kind), standard=standard
+    )
+
+
+def _encode_view(view: FingerView) -> bytes:
+    (rows, columns), impression = view.size, code_of(view.impression, ANSI_2009_IMPRESSIONS, "impression type")
+    require(view.quality_algorithm[0] > 0, "the vendor of the quality's algorithm must not be 0 (0x0103: unknown).")
+    minutiae = encode_minutiae(view, ANSI_STEPS, FAILED)
+    head = _VIEW.pack(
+        FINGER_CODES[view.finger],
+        view.view,
+        impression,
+        view.finger_quality,
+        *view.quality_algorithm,
+        columns,
+        rows,
+        *view.resolution_ppcm,
+        view.count,
+    )
+    return head + minutiae + _EXTENDED.pack(len(view.extended)) + view.extended
+
+
+def _decode_view(cursor: Cursor, what: str) -> FingerView:
+    name = cursor.name
+    position, number, impression, quality, vendor, algorithm, columns, rows, x_ppcm, y_ppcm, count = cursor.unpack(
+        _VIEW, f"the header of {what}"
+    )
+    table = decode_minutiae(cursor, count, ANSI_STEPS, what)
+    (extended,) = cursor.unpack(_EXTENDED, f"the length of the extended data of {what}")
+    require(vendor != 0, f"{name}: the vendor of the quality of {what} is 0, which the standard does not allow.")
+    fields = {
+        "size": (rows, columns),
+        "finger_quality": quality,
+        "finger": name_of(position, FINGER_CODES, f"finger position of {what} of {name}"),
+        "impression": name_of(impression, ANSI_2009_IMPRESSIONS, f"impression type of {what} of {name}"),
+        "view": number,
+        "resolution_ppcm": (x_ppcm, y_ppcm),
+        "quality_algorithm": (vendor, algorithm),
+        "extended": cursor.take(extended, f"the extended data of {what}"),
+    }
+    return make_view(name, what, **table, **fields)

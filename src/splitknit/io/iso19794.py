@@ -1,0 +1,111 @@
+"""Minutiae records of ISO/IEC 19794-2:2005 (with corrigendum 1:2009), the record format: byte for byte.
+
+All numbers are big-endian::
+
+    header, 24 bytes                      each view, 6 bytes and 6 for each minutia
+     0  "FMR" NUL                          0  finger position, 0 to 10
+     4  " 20" NUL                          1  view number (4 bits), impression type (4 bits)
+     8  length of the record (4 bytes)     2  quality of the finger, 0 to 100
+    12  certificates (4 bits), device      3  number of minutiae
+    14  columns of the image               4  minutiae:  2 bits type, 14 bits column
+    16  rows of the image                                2 bits 0, 14 bits row
+    18  pixels per cm along columns                      direction, steps of 360/256 deg
+    20  pixels per cm along rows                         quality, 0 (none known) to 100
+    22  number of views                       length of the extended data (2 bytes)
+    23  0                                     extended data
+
+References
+----------
+ISO/IEC 19794-2:2005, clause 7; ISO/IEC 29109-2 (conformance).
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+
+from splitknit.check import require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.finger_codes import ISO_2005_IMPRESSIONS
+from splitknit.io.fmr_bytes import (
+    ISO_STEPS,
+    Cursor,
+    check_length,
+    check_writable,
+    common_image,
+    make_record,
+    read_record_bytes,
+)
+from splitknit.io.fmr_identify import ISO_2005, MAGIC_20, require_standard
+from splitknit.io.fmr_views import ViewCodes, decode_views, encode_views
+from splitknit.io.minutiae_record import MinutiaeRecord
+
+_HEADER = struct.Struct(">8sIHHHHHBB")
+_LEAST_RESOLUTION = 99
+"""Pixels per cm; the standard asks for no less (250 ppi)."""
+_CODES = ViewCodes(
+    ISO_2005, ISO_STEPS, ISO_2005_IMPRESSIONS, {"contactless": "live_plain", "contactless_rolled": "live_rolled"}
+)
+"""The standard has no code for contactless prints: what they imitate is written."""
+
+
+def encode_iso19794(record: MinutiaeRecord) -> bytes:
+    """Bytes of a record.
+
+    Contactless prints are written as live-scan plain (or rolled) ones: the standard has no code of their own for them.
+    Directions are rounded to 1.40625 deg.
+
+    Raises
+    ------
+    BadInput
+        If the standard has no way to say what the record holds.
+    """
+    check_writable(record, ISO_2005, 12, 4)
+    (rows, columns), resolution = common_image(record, ISO_2005)
+    require(
+        min(resolution) >= _LEAST_RESOLUTION,
+        f"{ISO_2005} needs at least {_LEAST_RESOLUTION} pixels per cm, but the image has {min(resolution)}.",
+    )
+    body = encode_views(record.views, _CODES)
+    device = record.certification << 12 | record.device
+    length = _HEADER.size + len(body)
+    return _HEADER.pack(MAGIC_20, length, device, columns, rows, *resolution, len(record.views), 0) + body
+
+
+def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
+    """Read the bytes of a record; writing it again gives the same bytes.
+
+    Parameters
+    ----------
+    data : the whole file
+    name : of the file, for messages
+
+    Raises
+    ------
+    BadInput
+        If it is truncated, of another standard, or says what the standard does not allow.
+    """
+    require_standard(data, ISO_2005, MAGIC_20, name)
+    cursor = Cursor(data, name)
+    _, length, device, columns, rows, x_ppcm, y_ppcm, count, reserved = cursor.unpack(_HEADER, "its header")
+    check_length(data, length, name)
+    require(reserved == 0, f"{name}: the reserved byte 23 is {reserved}, but it must be 0.")
+    require(
+        min(x_ppcm, y_ppcm) >= _LEAST_RESOLUTION,
+        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} asks for {_LEAST_RESOLUTION} at "
+        "least; its producer does not keep to the standard.",
+    )
+    views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
+    return make_record(name, views=views, device=device & 0xFFF, certification=device >> 12, standard=ISO_2005)
+
+
+def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
+    """Write a record to a file, whole or not at all; see :func:`encode_iso19794`."""
+    data = encode_iso19794(record)
+    with atomic_file(path) as stream:
+        stream.write(data)
+
+
+def read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
+    """Read a record's file; see :func:`decode_iso19794`."""
+    return decode_iso19794(read_record_bytes(path), os.fspath(path))
