@@ -19,8 +19,11 @@ from typing import Any
 from splitknit import __version__
 from splitknit.apps.batch_verb import add_batch
 from splitknit.apps.capture_verb import add_capture
+from splitknit.apps.enroll_verb import add_enroll
 from splitknit.apps.evaluate_verb import add_evaluate
 from splitknit.apps.finger_verbs import add_demo, add_reconstruct, add_simulate
+from splitknit.apps.gallery_verb import add_gallery_verbs
+from splitknit.apps.identify_verb import add_identify
 from splitknit.apps.match_verb import add_match
 from splitknit.apps.separate_verb import add_separate
 from splitknit.apps.training.verbs import add_train
@@ -64,6 +67,9 @@ def build_parser() -> argparse.ArgumentParser:
     _add_rig(verbs)
     add_evaluate(verbs)
     add_match(verbs)
+    add_enroll(verbs)
+    add_identify(verbs)
+    add_gallery_verbs(verbs)
     add_batch(verbs)
     return parser
 

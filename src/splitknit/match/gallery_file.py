@@ -166,3 +166,32 @@ def transaction(database: sqlite3.Connection, path: Path, *, write: bool) -> Ite
             with contextlib.suppress(sqlite3.Error):
                 database.execute("ROLLBACK")
             raise
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """What anyone can see of a gallery without its key: kind of key, number of rows, sizes.
+
+    Raises
+    ------
+    BadInput
+        If it is no gallery, damaged, or of another version.
+    """
+    with contextlib.closing(connect(path)) as database, transaction(database, path, write=False):
+        about = read_about(database, path)
+        counted = database.execute(
+            "SELECT count(*), count(code), count(images), total(length(template)), total(length(images)) FROM finger"
+        ).fetchone()
+    captures, codes, images, template_bytes, image_bytes = (int(one) for one in counted)
+    return {
+        "version": VERSION,
+        "encrypted": about.get("box") != "plain",
+        "key": about.get("key"),
+        "template_version": about.get("template_version"),
+        "settings_sha256": about.get("settings_sha256"),
+        "captures": captures,
+        "with_code": codes,
+        "with_images": images,
+        "template_bytes": template_bytes,
+        "image_bytes": image_bytes,
+        "file_bytes": path.stat().st_size,
+    }

@@ -1,0 +1,145 @@
+"""A gallery as a folder of plain files, and back: ``templates/0001.skt`` ..., ``gallery.csv``, ``gallery.json``."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from splitknit.apps.enrolling import gallery_facts
+from splitknit.check import BadInput, require
+from splitknit.io import atomic_folder
+from splitknit.io.templates import encode_template, read_template
+from splitknit.match import VERSION, unpack
+from splitknit.match.code import CODE_VERSION, code_of
+from splitknit.match.gallery import Gallery, NewCapture
+from splitknit.match.gallery_entry import Entry
+from splitknit.match.gallery_key import Key
+
+TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
+_FORMAT, _VERSION = "splitknit-gallery-export", 1
+_FIELDS = ("person", "finger", "session", "kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "images")
+_COLUMNS = ("template", *_FIELDS, "image")
+_SUFFIX = {"thumbnail": "png", "raw": "zip"}
+
+
+def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: bool = False) -> dict[str, Any]:
+    """Write all of a gallery, **not encrypted**, into a folder that only its owner may read; return facts.
+
+    Raises
+    ------
+    BadInput
+        If the gallery or a row of it cannot be read, or the folder not be written; nothing is written then.
+    """
+    with Gallery.open(gallery, key) as opened:
+        rows = opened.entries()
+        templates = opened.templates()
+        kept = opened.images() if images else {}
+        about = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "template_version": opened.template_version,
+            "settings_sha256": opened.settings_sha256,
+        }
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(_COLUMNS)
+    with atomic_folder(out) as folder:
+        folder.chmod(0o700)
+        for number, one in enumerate((one for one in rows if one.row in templates), start=1):
+            name = f"templates/{number:04d}.skt"
+            _write(folder / name, encode_template(templates[one.row], int(str(about["template_version"]))))
+            image = ""
+            if one.row in kept:
+                image = f"images/{number:04d}.{_SUFFIX[one.entry.images]}"
+                _write(folder / image, kept[one.row])
+            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image])
+        _write(folder / TABLE_FILE, text.getvalue().encode("utf-8"))
+        _write(folder / FACTS_FILE, (json.dumps(about, indent=1) + "\n").encode("ascii"))
+    return {"gallery": str(gallery), "out": str(out), "captures": len(rows), "images": len(kept)}
+
+
+def import_gallery(gallery: Path, folder: Path, *, key: Key | None = None, replace: bool = False) -> dict[str, Any]:
+    """Put what was exported into a gallery (made where there is none), all or none; return facts.
+
+    Raises
+    ------
+    BadInput
+        If the folder is no export, damaged or of another version, or its templates were made with other settings
+        than the gallery's.
+    """
+    about = _read_about(folder)
+    captures = _read_table(folder)
+    created = not gallery.exists()
+    opened = Gallery.create(gallery, about["settings_sha256"], key) if created else Gallery.open(gallery, key)
+    with opened:
+        opened.require_comparable(about["settings_sha256"])
+        added = opened.add(captures, replace=replace)
+        facts = gallery_facts(opened, created=created)
+    return {**facts, "folder": str(folder), "found": len(captures), "new": sum(added)}
+
+
+def _write(file: Path, data: bytes) -> None:
+    file.parent.mkdir(mode=0o700, exist_ok=True)
+    file.touch(mode=0o600)
+    file.write_bytes(data)
+
+
+def _read_about(folder: Path) -> dict[str, Any]:
+    file = folder / FACTS_FILE
+    require(file.is_file(), f"'{folder}' is no export of a gallery: it holds no {FACTS_FILE}.")
+    try:
+        document = dict(json.loads(file.read_text(encoding="utf-8")))
+        known = document["format"] == _FORMAT and re.fullmatch("[0-9a-f]{64}", document["settings_sha256"]) is not None
+        require(known, "not ours")
+        versions = int(document["version"]), int(document["template_version"])
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BadInput(f"'{file}' is damaged, or not of an export; export the gallery again.") from error
+    require(
+        versions == (_VERSION, VERSION),
+        f"'{folder}' is an export of version {versions[0]} with templates of version {versions[1]}, but this program "
+        f"reads {_VERSION} and {VERSION}; enrol the fingers again.",
+    )
+    return document
+
+
+def _read_table(folder: Path) -> list[NewCapture]:
+    file = folder / TABLE_FILE
+    try:
+        rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8-sig"), newline=""), strict=True))
+    except (OSError, ValueError, csv.Error) as error:
+        raise BadInput(f"'{file}' cannot be read as a table; export the gallery again.") from error
+    require(len(rows) > 0, f"'{file}' lists no finger.")
+    found = []
+    for number, row in enumerate(rows, start=2):
+        complete = all(isinstance(row.get(column), str) for column in _COLUMNS)
+        require(complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected.")
+        try:
+            found.append(_capture(folder, row))
+        except (BadInput, ValueError) as error:
+            raise BadInput(f"'{file}', line {number}: {error}") from error
+    return found
+
+
+def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
+    # names of files are checked: a table from elsewhere must not lead out of the folder
+    named = re.fullmatch(r"templates/\d{1,9}\.skt", row["template"]) is not None
+    require(named, f"a template is named such as templates/0001.skt, not {row['template'][:60]!a}.")
+    payload = read_template(folder / row["template"], VERSION)
+    template = unpack(payload)
+    image = None
+    if row["image"]:
+        named = re.fullmatch(r"images/\d{1,9}\.(png|zip)", row["image"]) is not None
+        require(named, f"an image is named such as images/0001.png, not {row['image'][:60]!a}.")
+        try:
+            image = (folder / row["image"]).read_bytes()
+        except OSError as error:
+            raise BadInput(f"{row['image']} cannot be read: {error.strerror}.") from error
+    values: dict[str, Any] = {column: row[column] for column in _FIELDS}
+    values["area_mm2"] = 0.0 if template.empty else float(row["area_mm2"])
+    values["images"] = row["images"] if image is not None else ""
+    code = None if template.empty else code_of(template).tobytes()
+    return NewCapture(Entry(**values), payload, code, None if code is None else CODE_VERSION, image)

@@ -1,0 +1,71 @@
+"""What the verbs of a gallery share: the key, which never stands on the command line, and the settings' hash."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from splitknit.check import BadInput
+
+if TYPE_CHECKING:
+    from splitknit.match.gallery_key import Key
+    from splitknit.recipe.matchable import MatchingSettings
+
+KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
+
+
+def add_gallery(verb: argparse.ArgumentParser) -> None:
+    """Add the gallery and its key."""
+    verb.add_argument("gallery", type=Path, metavar="GALLERY", help="file of the gallery")
+    add_key(verb)
+
+
+def add_key(verb: argparse.ArgumentParser) -> None:
+    """Add ``--key-file``."""
+    verb.add_argument(
+        "--key-file",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help=f"key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable {KEY_VARIABLE})",
+    )
+
+
+def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
+    """Key from a file, else from the environment; None where neither has one.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read, or what it holds is no key.
+    """
+    from splitknit.match.gallery_key import key_from_bytes  # noqa: PLC0415 - verbs import what they need
+
+    if file is not None:
+        try:
+            with file.open("rb") as stream:
+                content = stream.read(4097)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise BadInput(f"the key file '{file}' cannot be read: {reason}.") from error
+        return key_from_bytes(content, f"the key file '{file}'")
+    text = os.environ.get(variable)
+    return None if text is None else key_from_bytes(os.fsencode(text), f"the variable {variable}")
+
+
+def key_notes(file: Path | None) -> list[str]:
+    """What should be said of a key file."""
+    if file is None or os.name != "posix" or file.stat().st_mode & 0o077 == 0:
+        return []
+    return [f"the key file '{file}' can be read by others on this computer (chmod 600 ends that)."]
+
+
+def templates_hash(settings: MatchingSettings) -> str:
+    """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
+    from splitknit.io import settings_hash  # noqa: PLC0415
+    from splitknit.match import VERSION  # noqa: PLC0415
+
+    document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
+    return settings_hash(document)
