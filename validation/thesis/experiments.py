@@ -37,7 +37,8 @@ def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
         trials += [*single, *joined]
         named = {trial.attribute: trial for trial in (*single, *joined)}
         first = "all three, mean"
-        groups += [(named[first], named[name].labelled(name)) for name in named if first in named and name != first]
+        named = {name: trial.labelled(f"{case}: {name.replace('_', ' ')}") for name, trial in named.items()}
+        groups += [(named[first], named[name]) for name in named if first in named and name != first]
     rows = rate_rows(work, trials, options.jobs)
     differences = difference_rows(work, groups, COMPARED, options.jobs)
     _write(options, "fusion", rows, differences)
@@ -104,7 +105,7 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
         series = [
             (case, [row for row in rows if _key(row) == (case, matcher, attribute, factor)]) for case in options.cases
         ]
-        words = f"{FACTORS[factor].words} {FACTORS[factor].unit}".strip()
+        words = ", ".join(part for part in (FACTORS[factor].words, FACTORS[factor].unit) if part)
         chart = bins_figure(series, "gar@0.01", words, "GAR at FAR 1 %")
         if chart:
             save(chart, options.out / f"{factor}-{matcher}.svg")

@@ -21,7 +21,7 @@ THESIS, PLAIN, PASSING = ("gate", "averaged", "all"), ("none", "single", "all"),
 SHORT = (THESIS, PLAIN, PASSING)
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
-CASES = ("snk", "pr", "ea", "metric")
+CASES = ("snk", "ea", "pr", "metric")
 Row = dict[str, str]
 Pick = Callable[[Row], bool]
 
@@ -186,7 +186,7 @@ def failures_table(rows: Sequence[Row], roll: Mapping[str, Any]) -> str:
         f"{float(row['median_area_mm2'] or 'nan'):.0f} |"
         for row in rows
     ]
-    limits = list(roll["fingers_discarded"])
+    limits = sorted(roll["fingers_discarded"], key=float)
     lines += ["", "| differ by more than | " + " | ".join(f"{limit} deg" for limit in limits) + " |"]
     lines += ["| --- " * (1 + len(limits)) + "|"]
     for words, kind, total in (

@@ -15,8 +15,8 @@ from splitknit.evaluate import BootstrapSettings, Scores, bootstrap, roc
 def save(chart: str, file: Path) -> None:
     """Write a chart as a file of its own."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    text = str(chart).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
-    text = text.replace("<text", '<rect width="100%" height="100%" fill="#ffffff"/><text', 1)
+    opening, rest = str(chart).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).split(">", 1)
+    text = f'{opening}><rect width="100%" height="100%" fill="#ffffff"/>{rest}'
     file.write_text(text + "\n", encoding="utf-8")
 
 
@@ -34,7 +34,7 @@ def roc_figure(curves: Sequence[tuple[str, Scores]], settings: BootstrapSettings
 
 
 def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_label: str, y_label: str) -> str:
-    """A rate over the mean of a factor in each bin, with its interval as a band."""
+    """A rate over the mean of a factor in each bin, with the interval of the first and last series as a band."""
     curves, lowest, xs = [], 1.0, []
     for name, rows in series:
         known = [row for row in rows if row[figure] is not None]
@@ -42,7 +42,7 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
             continue
         x = np.array([row["mean_factor"] for row in known])
         y, low, high = (np.array([row[figure + end] for row in known]) for end in ("", "_low", "_high"))
-        curves.append(Curve(name, x, y, (x, low, high)))
+        curves.append(Curve(name, x, y, (x, low, high) if name in (series[0][0], series[-1][0]) else None))
         lowest, xs = min(lowest, float(low.min())), [*xs, *x]
     if not curves:
         return ""

@@ -29,7 +29,7 @@ from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
 from splitknit.io.provenance import provenance
 
 HERE = Path(__file__).resolve().parent
-CASES = ("snk", "pr", "ea", "metric")
+CASES = ("snk", "ea", "pr", "metric")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
