@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from fusion import SETS, linear, trained
+from fusion import SETS, fused
 from measure import Work, difference_rows, rate_rows
 from plots import bins_figure, roc_figure, save
 from sensitivity import FACTORS, sensitivity_rows
@@ -25,15 +25,12 @@ def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
     """Figure 5.3: attributes and their fusion."""
     cases = [case for case in ("snk", "metric") if case in options.cases]
     captures = read_captures(store, cases)
-    table = read_table(store, captures, cases, ("thesis",))
+    table = read_table(store, captures, cases, ("thesis", "minutiae", "ridge"))
     work = _work(options, table, truth)
     trials, groups = [], []
     for case in cases:
         single = [trial for name in ATTRIBUTES if (trial := table.trial(case, "thesis", name)) is not None]
-        joined = []
-        for words, chosen in SETS.items():
-            for way, trial in {**linear(table, case, chosen), **trained(table, case, chosen, options.seed)}.items():
-                joined.append(trial.other(f"{words}, {way}", trial.similarity))
+        joined = [trial for name in SETS for trial in fused(table, case, name, options.seed)]
         trials += [*single, *joined]
         named = {trial.attribute: trial for trial in (*single, *joined)}
         first = "all three, mean"
@@ -193,7 +190,7 @@ def _of(table: Table, matcher: str, attribute: str) -> list[Trial]:
 
 
 def _in_figure(trial: Trial) -> bool:
-    return trial.attribute in ATTRIBUTES or trial.attribute.startswith("all three")
+    return trial.attribute in ATTRIBUTES or trial.attribute.startswith("all three,")
 
 
 def _key(row: Row) -> tuple[str, str, str, str]:

@@ -1,36 +1,44 @@
-"""Attributes of the thesis's matcher joined into one score (figure 5.3)."""
+"""Attributes of the thesis's matcher, and other matchers, joined into one score (figure 5.3)."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from trials import ATTRIBUTES, Table, Trial, Values
+from trials import ATTRIBUTES, Table, Trial, scores_of
 
-SETS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
+from splitknit.check import BadInput
+from splitknit.evaluate.fusion import FusionSettings, fuse
+
+OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
 """What is joined; the thesis's figure 5.3 has all three, its further figures the first two apart."""
+SETS = {
+    **{name: tuple(("thesis", one) for one in chosen) for name, chosen in OF_THESIS.items()},
+    "all three + minutiae": (*(("thesis", one) for one in ATTRIBUTES), ("minutiae", "")),
+    "all three + minutiae + ridge": (*(("thesis", one) for one in ATTRIBUTES), ("minutiae", ""), ("ridge", "")),
+}
 
 
-def linear(table: Table, case: str, chosen: tuple[str, ...]) -> dict[str, Trial]:
-    """The thesis's "linear combination", whose weights it does not give, in the two ways that need no training.
+def fused(table: Table, case: str, name: str, seed: int) -> list[Trial]:
+    """A set of :data:`SETS` joined in several ways; none where a part is missing.
 
-    ``mean``: of the scores (5.2) as they are. ``scaled``: each attribute brought to [0, 1] by its least and its
-    largest score (without labels), as the figure's "normalised LBP score" may be meant, then the mean.
+    ``mean``: of the thesis's scores (5.2) as they are, the plainest "linear combination". ``linear``: each part brought
+    to [0, 1] by its least and largest score, then the mean, as the figure's "normalised LBP score" may be meant.
+    ``trained``: logistic regression. Both learn from other people than those of the comparison: cross-validated by
+    subject.
     """
-    parts = [table.trial(case, "thesis", name) for name in chosen]
+    parts = [table.trial(case, matcher, attribute) for matcher, attribute in SETS[name]]
     known = [part for part in parts if part is not None]
-    if len(known) < len(chosen):
-        return {}
-    scores = np.stack([part.similarity for part in known])
-    low, high = (limit[:, None] for limit in (np.nanmin(scores, axis=1), np.nanmax(scores, axis=1)))
-    return {
-        "mean": known[0].other("", scores.mean(axis=0)),
-        "scaled": known[0].other("", _scaled(scores, low, high).mean(axis=0)),
-    }
-
-
-def _scaled(scores: Values, low: Values, high: Values) -> Values:
-    return np.asarray((scores - low) / np.maximum(high - low, 1e-12))
-
-
-def trained(table: Table, case: str, chosen: tuple[str, ...], seed: int) -> dict[str, Trial]:
-    """A trained combination, cross-validated by subject."""
-    return {}
+    if len(known) < len(parts):
+        return []
+    ways = {}
+    if name in OF_THESIS:
+        ways["mean"] = known[0].other("", np.mean([part.similarity for part in known], axis=0))
+    systems = [scores_of(table.pairs, part.similarity, part.name) for part in known]
+    for way in ("linear", "trained"):
+        try:
+            made = fuse(systems, FusionSettings(method=way, normalisation="minmax", seed=seed))
+        except BadInput:  # too few people to learn from others
+            continue
+        ways[way] = replace(known[0], similarity=made.scores.score, gated=None)
+    return [replace(trial, attribute=f"{name}, {way}") for way, trial in ways.items()]
