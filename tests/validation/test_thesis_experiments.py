@@ -171,6 +171,19 @@ def test_the_gate_follows_the_thesis_and_only_impostors_that_pass_are_kept(thesi
     assert judged("none", "averaged", "all").score.size == 4  # AB and BA stay two
 
 
+def test_averages_over_unlike_numbers_of_sessions_are_not_given(thesis: Script) -> None:
+    trials, variants = thesis("trials"), thesis("variants")
+    names = np.array([f"{finger}/{session}" for finger in "ABC" for session in "123"])
+    finger, session = np.array([name[0] for name in names]), np.array([name[2] for name in names])
+    a, b = np.nonzero(session[:, None] < session[None, :])
+    pairs = trials.Pairs(trials.Captures(names, finger, finger, session), a, b)
+    assert variants.averages_are_alike(pairs)
+    drawn_one_by_one = pairs.taken(pairs.genuine | ((a + b) % 3 == 0))
+    assert not variants.averages_are_alike(drawn_one_by_one)
+    drawn_by_fingers = pairs.taken(pairs.genuine | (finger[a] == "A"))
+    assert variants.averages_are_alike(drawn_by_fingers)
+
+
 def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None:
     variants = thesis("variants")
     finger = np.array(["A", "A", "A", "B", "B"])

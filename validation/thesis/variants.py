@@ -19,6 +19,10 @@ PAIR_LIMIT_DEG = 10.0
 """A genuine comparison is discarded if its two rolls differ by more."""
 
 
+ALIKE_SHARE = 0.75
+"""Comparisons of a pair of two fingers over those of one finger with itself, at least, for averages to be given."""
+
+
 @dataclass(frozen=True, slots=True)
 class Variant:
     """One way of judging."""
@@ -99,5 +103,21 @@ def judged(pairs: Pairs, trial: Trial, variant: Variant, rolls: Rolls, passing: 
     known = np.isfinite(similarity)
     if not (kept & known & genuine).any() or not (kept & known & ~genuine).any():
         return None
-    scores = scores_of(pairs.taken(kept), similarity[kept], trial.name)
-    return average_sessions(scores) if variant.sessions == "averaged" else scores
+    if variant.sessions == "averaged":
+        if not averages_are_alike(pairs):
+            return None
+        return average_sessions(scores_of(pairs.taken(kept), similarity[kept], trial.name))
+    return scores_of(pairs.taken(kept), similarity[kept], trial.name)
+
+
+def averages_are_alike(pairs: Pairs) -> bool:
+    """Whether a pair of two fingers was compared in about as many pairs of sessions as one finger with itself.
+
+    A mean over one or two comparisons scatters more than one over six: where single comparisons of impostors were drawn
+    instead of pairs of fingers, averaged scores of both kinds cannot be judged by one threshold.
+    """
+    finger = np.unique(pairs.captures.finger, return_inverse=True)[1]
+    key = finger[pairs.a] * pairs.captures.names.size + finger[pairs.b]
+    genuine = pairs.genuine
+    own, other = (np.sum(side) / max(1, np.unique(key[side]).size) for side in (genuine, ~genuine))
+    return bool(other >= ALIKE_SHARE * own)
