@@ -1,0 +1,140 @@
+"""Prints as WSQ, the FBI's lossy compression for prints of 500 ppi, through the package `wsq` (NIST's own code).
+
+That code ends the whole process on some damaged files, and keeps state in global variables. So it runs in a process of
+its own, which may end: 50 ms more, and whatever the bytes, an image or one sentence. The package serves Pillow; its
+codec is called without it here.
+
+References
+----------
+FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biometric Image Software", 2007: cwsq, dwsq.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.images import ImageSettings, read_bytes
+from splitknit.io.prints import PrintFile
+from splitknit.io.wsq_structure import wsq_header
+
+BIT_RATE = 0.75
+"""Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass another one on; files
+come out smaller, about 1/15 of the pixels' bytes."""
+LEAST_SIDE_PX = 96
+"""Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
+LARGEST_SIDE_PX = 8000
+TIMEOUT_S = 60.0
+_WSQ_FILE = ImageSettings(max_bytes=100_000_000)
+_CHILD = f"""
+import sys
+sys.path.insert(0, sys.argv[1])
+import _wsq
+data = sys.stdin.buffer.read()
+if sys.argv[2] == "encode":
+    sys.stdout.buffer.write(_wsq.compress(data[8:], int.from_bytes(data[:4]), int.from_bytes(data[4:8]), {BIT_RATE}))
+else:
+    pixels, columns, rows, _ = _wsq.decompress(data)
+    sys.stdout.buffer.write(rows.to_bytes(4) + columns.to_bytes(4) + pixels)
+"""
+
+
+def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
+    """Compress a print; what comes back differs a little from it.
+
+    Parameters
+    ----------
+    image : (H, W) uint8, ridges dark, at least 96 pixels each way
+    ppi : its resolution, 500 within 1 %: WSQ is defined for no other; its comment says 500
+
+    Raises
+    ------
+    BadInput
+        If the image or the resolution is of another kind, or the package `wsq` is not installed.
+    """
+    array = np.asarray(image)
+    require(
+        array.ndim == 2 and array.dtype == np.uint8, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}."
+    )
+    require(
+        min(array.shape) >= LEAST_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
+        f"WSQ takes images of {LEAST_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
+        f"{array.shape[1]}; pad or crop the print, or write PNG.",
+    )
+    require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
+    rows, columns = array.shape
+    data = _run("encode", rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes())
+    if data is None or wsq_header(data, "the compressed print").rows != rows:
+        raise BadInput("the print cannot be compressed as WSQ; write it as PNG.")
+    return data
+
+
+def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
+    """Decompress a print.
+
+    Parameters
+    ----------
+    data : the whole file
+    name : of the file, for messages
+
+    Returns
+    -------
+    PrintFile
+        Its resolution is that of the comment, None where there is none.
+
+    Raises
+    ------
+    BadInput
+        If it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
+    """
+    header = wsq_header(data, name)
+    decoded = _run("decode", data)
+    size = header.rows.to_bytes(4, "big") + header.columns.to_bytes(4, "big")
+    if decoded is None or decoded[:8] != size or len(decoded) != 8 + header.rows * header.columns:
+        raise BadInput(f"{name} is damaged: its WSQ image cannot be decoded; copy it again.")
+    pixels = np.frombuffer(decoded, dtype=np.uint8, offset=8).reshape(header.rows, header.columns)
+    return PrintFile(pixels.copy(), None if header.ppi is None else float(header.ppi), {})
+
+
+def write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0) -> None:
+    """Write a print as WSQ; see :func:`encode_wsq`."""
+    data = encode_wsq(image, ppi)
+    with atomic_file(path) as stream:
+        stream.write(data)
+
+
+def read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
+    """Read a WSQ file; see :func:`decode_wsq`."""
+    return decode_wsq(read_bytes(path, _WSQ_FILE), os.fspath(path))
+
+
+def _run(task: str, data: bytes) -> bytes | None:
+    """Return what the package makes of the bytes in a process of its own; None if it failed or ended."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", _CHILD, str(_package_folder()), task],
+            input=data,
+            capture_output=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return None
+    except OSError as error:
+        raise BadInput(f"WSQ needs a Python process of its own, which could not be started: {error}.") from error
+    return done.stdout if done.returncode == 0 else None
+
+
+def _package_folder() -> Path:
+    found = importlib.util.find_spec("_wsq")
+    if found is None or found.origin is None:
+        raise BadInput("WSQ needs the package wsq: pip install 'splitknit[records]'; or write PNG.")
+    return Path(found.origin).parent
