@@ -25,8 +25,25 @@ def add_batch(verbs: Any) -> None:
         metavar="NAME=PRESET:STAGE.FIELD=VALUE,...",
         help="a case of your own: a preset with settings changed; may be repeated",
     )
-    verb.add_argument("--matchers", default="ridge", metavar="LIST", help="matchers with commas, or none")
+    verb.add_argument(
+        "--matchers", default="ridge", metavar="LIST", help="ridge (default), thesis, minutiae, with commas; or none"
+    )
+    verb.add_argument(
+        "--impostors", type=_share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"
+    )
+    verb.add_argument("--seed", type=natural, default=0, metavar="N", help="which of them (default: 0)")
+    verb.add_argument(
+        "--no-surfaces",
+        action="store_true",
+        help="keep no surfaces, which only the matcher thesis needs: a tenth of the disk",
+    )
+    verb.add_argument(
+        "--csv", type=Path, default=None, metavar="DIR", help="folder of score files (default: csv in STORE)"
+    )
     verb.add_argument("--jobs", type=natural, default=2, metavar="N", help="processes (default: 2)")
+    verb.add_argument(
+        "--cluster", default=None, metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do it instead"
+    )
 
 
 def run_verb(options: argparse.Namespace) -> Outcome:
@@ -37,10 +54,35 @@ def run_verb(options: argparse.Namespace) -> Outcome:
     if options.cases is not None:
         cases = (*preset_cases(tuple(_names(options.cases))), *cases)
     matchers = () if options.matchers == "none" else tuple(_names(options.matchers))
-    settings = BatchSettings(cases=cases or preset_cases(), matchers=matchers)
+    settings = BatchSettings(
+        cases=cases or preset_cases(),
+        matchers=matchers,
+        impostors=options.impostors,
+        seed=options.seed,
+        surfaces=not options.no_surfaces,
+    )
     with Progress(options) as progress:
-        facts = run_batch(options.population, options.out, settings, jobs=options.jobs, progress=progress.update)
+        facts = run_batch(
+            options.population,
+            options.out,
+            settings,
+            jobs=options.jobs,
+            cluster=options.cluster,
+            csv=options.csv,
+            progress=progress.update,
+        )
     return facts, _words(facts)
+
+
+def _share(text: str) -> float:
+    """Read a share (a type for argparse)."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a number from 0 to 1")
+    return value
 
 
 def _names(text: str) -> list[str]:
@@ -76,4 +118,10 @@ def _words(facts: dict[str, Any]) -> list[str]:
     failures = facts["failures"]
     if failures:
         lines.append(f"{len(failures)} failures to acquire now; the first: {failures[0]}")
+    for one in facts["scores"]:
+        each = one["ms_per_comparison"]
+        speed = f" ({each:.1f} ms each on one core)" if each is not None else ""
+        lines.append(f"{one['case']}, {one['matcher']}: {one['compared']} comparisons made now{speed}.")
+    if facts["csv"]:
+        lines.append(f"Score files for 'splitknit evaluate --scores': {', '.join(facts['csv'])}.")
     return lines

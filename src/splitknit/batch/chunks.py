@@ -50,8 +50,9 @@ def read_chunk(path: Path, columns: Sequence[str] | None = None) -> Any:
         table = pq.read_table(path, columns=None if columns is None else list(columns), partitioning=None)
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path) from error
-    if columns is not None and table.column_names != list(columns):
-        raise _damaged(path)
+    missing = [name for name in columns or () if name not in table.column_names]
+    if missing:
+        raise BadInput(f"'{path}' holds no column '{missing[0]}': it is of another version; {_REMEDY}.")
     return table.replace_schema_metadata(None)
 
 

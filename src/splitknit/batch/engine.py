@@ -1,18 +1,24 @@
-"""A whole population, reconstructed in all cases: what is missing, in chunks, by several processes."""
+"""A whole population, reconstructed in all cases and compared: what is missing, in chunks, by several processes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from splitknit.batch.execution import run_tasks
-from splitknit.batch.features import FeatureTask, reconstruct_group
+from splitknit.batch.export import write_csv
+from splitknit.batch.features import reconstruct_group
 from splitknit.batch.lock import alone
+from splitknit.batch.matchers import matcher
 from splitknit.batch.packages import load
-from splitknit.batch.population import CaptureRef, Population, read_population
+from splitknit.batch.population import Population, read_population
+from splitknit.batch.prints import extract_minutiae
+from splitknit.batch.scores import score_block
 from splitknit.batch.settings import BatchSettings
+from splitknit.batch.stages import feature_tasks, minutiae_tasks, score_tasks
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.check import require
 
@@ -23,12 +29,39 @@ def no_progress(stage: str, share: float) -> None:
     """Say nothing."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One call of :func:`run_batch`."""
+
+    store: Store
+    population: Population
+    settings: BatchSettings
+    jobs: int
+    cluster: str | None
+    progress: Progress
+    peaks_mb: list[float] = field(default_factory=list)
+
+    def done(self, work: Callable[[Any], Any], tasks: Sequence[Any], words: str, sizes: Sequence[int]) -> list[Any]:
+        """Do tasks, saying how far they are."""
+        total, made, results = max(sum(sizes), 1), 0, []
+        if tasks:
+            self.progress(words, 0.0)
+        for result in run_tasks(work, tasks, self.jobs, self.cluster):
+            results.append(result)
+            made += result.size
+            self.peaks_mb.append(result.peak_memory_mb)
+            self.progress(words, made / total)
+        return results
+
+
 def run_batch(
     population: Path,
     out: Path,
     settings: BatchSettings | None = None,
     *,
     jobs: int = 2,
+    cluster: str | None = None,
+    csv: Path | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Do what the store lacks; return the facts.
@@ -42,13 +75,15 @@ def run_batch(
     out : folder of the store
     settings : BatchSettings, optional
     jobs : processes; nothing but time depends on their number
+    cluster : address of a Dask scheduler whose workers do it instead; they must see both folders under the same names
+    csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
     progress : called with words and the share that is done
 
     Raises
     ------
     BadInput
-        If the population holds no capture, the store is of something else, damaged or being written by another run, or
-        a worker is killed.
+        If the population holds no capture, the store is of something else, damaged or being written by another run, a
+        worker is killed, or the cluster cannot be reached.
     """
     started = time.perf_counter()
     settings = settings or BatchSettings()
@@ -56,61 +91,68 @@ def run_batch(
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     there = read_population(population)
     check_target(out)
-    with alone(out):
-        store = open_store(out, there, settings)
-        sweep(out)
-        facts = _reconstruct(store, there, settings, jobs, progress)
-    return facts | {"seconds": time.perf_counter() - started}
+    folder = out.resolve()
+    with alone(folder):
+        run = _Run(open_store(folder, there, settings), there, settings, jobs, cluster, progress)
+        sweep(folder)
+        facts = _reconstruct(run) | {"scores": _match(run)}
+        written = _export(run, folder / "csv" if csv is None else csv)
+    return (
+        {"out": str(out)}
+        | facts
+        | {"csv": written, "peak_memory_mb": max(run.peaks_mb, default=None), "seconds": time.perf_counter() - started}
+    )
 
 
-def feature_tasks(store: Store, population: Population, settings: BatchSettings) -> list[FeatureTask]:
-    """Captures that a case lacks, in groups that do not depend on what is there already."""
-    lacking = [(case, store.captures(case.name)) for case in settings.cases]
-    groups: dict[int, list[CaptureRef]] = {}
-    for capture in population.captures:
-        groups.setdefault(capture.place // settings.chunk_captures, []).append(capture)
-    tasks = []
-    for group, captures in sorted(groups.items()):
-        wanted = [
-            (case, tuple(capture.name for capture in captures if capture.name not in found)) for case, found in lacking
-        ]
-        missing = tuple((case, names) for case, names in wanted if names)
-        if missing:
-            named = {name for _, names in missing for name in names}
-            chosen = tuple(capture for capture in captures if capture.name in named)
-            tasks.append(
-                FeatureTask(
-                    group,
-                    population.folder,
-                    population.sha256,
-                    store.folder,
-                    chosen,
-                    missing,
-                    settings.matching,
-                    images=True,
-                )
-            )
-    return tasks
-
-
-def _reconstruct(
-    store: Store, population: Population, settings: BatchSettings, jobs: int, progress: Progress
-) -> dict[str, Any]:
-    tasks = feature_tasks(store, population, settings)
-    rows = sum(len(names) for task in tasks for _, names in task.cases)
-    done = 0
-    failures: list[str] = []
-    progress("reconstructing", 0.0)
-    for result in run_tasks(reconstruct_group, tasks, jobs):
-        done += result.rows
-        failures += result.failures
-        progress("reconstructing", done / max(rows, 1))
+def _reconstruct(run: _Run) -> dict[str, Any]:
+    started = time.perf_counter()
+    tasks = feature_tasks(run.store, run.population, run.settings)
+    sizes = [sum(len(names) for _, names in task.cases) for task in tasks]
+    results = run.done(reconstruct_group, tasks, "reconstructing", sizes)
     return {
-        "out": str(store.folder),
-        "captures": len(population.captures),
-        "planned": population.planned,
-        "cases": [case.name for case in settings.cases],
-        "reconstructed": rows,
-        "found": len(population.captures) * len(settings.cases) - rows,
-        "failures": failures,
+        "captures": len(run.population.captures),
+        "planned": run.population.planned,
+        "cases": [case.name for case in run.settings.cases],
+        "reconstructed": sum(sizes),
+        "found": len(run.population.captures) * len(run.settings.cases) - sum(sizes),
+        "failures": sorted(failure for result in results for failure in result.failures),
+        "reconstruction_s": time.perf_counter() - started,
     }
+
+
+def _match(run: _Run) -> list[dict[str, Any]]:
+    facts = []
+    for case in run.settings.cases:
+        for name in run.settings.matchers:
+            started = time.perf_counter()
+            using = matcher(name, run.settings.matching)
+            if using.source == "minutiae":
+                prints = minutiae_tasks(run.store, case)
+                run.done(extract_minutiae, prints, f"{case.name}: minutiae", [1] * len(prints))
+            extraction_s = time.perf_counter() - started
+            tasks = score_tasks(run.store, run.population, run.settings, case, using)
+            sizes = [len(task.pairs) for task in tasks]
+            results = run.done(score_block, tasks, f"{case.name}: {name}", sizes)
+            work_s = sum(result.seconds for result in results)
+            facts.append(
+                {
+                    "case": case.name,
+                    "matcher": name,
+                    "compared": sum(sizes),
+                    "extraction_s": extraction_s,
+                    "seconds": time.perf_counter() - started,
+                    "ms_per_comparison": 1000 * work_s / sum(sizes) if tasks else None,
+                }
+            )
+    return facts
+
+
+def _export(run: _Run, folder: Path) -> list[str]:
+    files = []
+    for case in run.settings.cases:
+        for name in run.settings.matchers:
+            run.progress(f"{case.name}: {name}, CSV", 1.0)
+            file = folder / f"{case.name}_{name}.csv"
+            write_csv(file, run.store.scores(case.name, name))
+            files.append(str(file))
+    return files

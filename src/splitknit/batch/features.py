@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.batch.chunks import SUFFIX, write_chunk
+from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
@@ -56,6 +57,12 @@ class FeatureDone:
     rows: int
     failures: tuple[str, ...]
     """Case, capture and sentence of each failure to acquire."""
+    peak_memory_mb: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Reconstructions."""
+        return self.rows
 
 
 def feature_schema() -> Any:
@@ -111,7 +118,7 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
         with atomic_file(timings) as stream:
             stream.write((canonical_json(seconds[case.name]) + "\n").encode("ascii"))
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
-    return FeatureDone(task.group, sum(map(len, rows.values())), tuple(failures))
+    return FeatureDone(task.group, sum(map(len, rows.values())), tuple(failures), peak_memory_mb())
 
 
 def features_hash(matching: MatchingSettings) -> str:

@@ -25,6 +25,8 @@ class CaptureRef:
     session: str
     place: int
     """In the order of subjects, fingers and sessions of the plan, captured or not."""
+    number: int = 0
+    """Of the finger in that order: the same in every session."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,9 @@ def read_population(folder: Path) -> Population:
     ):
         place = Place(subject, session, finger)
         if enrolment.finished(place):
-            captures.append(CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number))
+            captures.append(
+                CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number, number // plan.sessions)
+            )
     require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
     return Population(folder, _hash(folder), plan.total, tuple(captures))
 

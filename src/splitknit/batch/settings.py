@@ -14,7 +14,7 @@ from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings
 from splitknit.recipe.matchable import MatchingSettings
 from splitknit.settings import override
 
-MATCHERS = ("ridge", "thesis")
+MATCHERS = ("ridge", "thesis", "minutiae")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +66,8 @@ class BatchSettings:
     seed: int = 0
     """Which of them, where not all are."""
     matching: MatchingSettings = field(default_factory=MatchingSettings)
+    surfaces: bool = True
+    """Keep the surfaces, about 2.3 MB a reconstruction at 30 px/mm: the thesis's matcher needs them."""
     chunk_captures: int = 10
     """Captures that are reconstructed, and stored, together: what a killed run loses at most, for each job."""
 

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.chunks import chunk_files, read_chunk
+from splitknit.batch.matchers import matcher
 from splitknit.batch.packages import load
 from splitknit.batch.population import Population
+from splitknit.batch.reading import images_of, places_of
 from splitknit.batch.settings import BatchSettings
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_file, provenance
 from splitknit.io.provenance import plain_json, settings_hash
+from splitknit.match import FingerImages
 
 STORE_FILE = "store.json"
 FORMAT, VERSION = "splitknit-batch", 1
@@ -56,30 +59,68 @@ class Store:
         """Names of the cases."""
         return tuple(self.document()["cases"])
 
-    def feature_files(self, case: str) -> list[Path]:
-        """Finished chunks of a case."""
-        return chunk_files(self.folder / "features" / case)
+    def files(self, kind: str, name: str) -> list[Path]:
+        """Finished chunks of ``features`` or ``minutiae`` of a case, or of ``scores/CASE`` of a matcher."""
+        return chunk_files(self.folder / kind / name)
 
     def captures(self, case: str) -> set[str]:
         """Names of the captures that are finished in a case."""
         found: set[str] = set()
-        for file in self.feature_files(case):
+        for file in self.files("features", case):
             found.update(read_chunk(file, ["capture"]).column("capture").to_pylist())
         return found
 
     def features(self, case: str, columns: Sequence[str] | None = None) -> Any:
         """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, each once.
 
+        Columns as in ``docs/batch.md``; ``seconds``, which is kept apart from the chunks, only where it is named.
+
         Raises
         ------
         BadInput
             If there is nothing of this case, or a chunk is damaged.
         """
-        files = self.feature_files(case)
+        files = self.files("features", case)
         require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
-        wanted = None if columns is None else list(dict.fromkeys(["capture", *columns]))
+        wanted = None
+        if columns is not None:
+            wanted = list(dict.fromkeys(["capture", *(name for name in columns if name != "seconds")]))
         table = _joined([read_chunk(file, wanted) for file in files], ["capture"])
-        return table if columns is None else table.select(list(columns))
+        if columns is None:
+            return table
+        if "seconds" in columns:
+            known, pa = self.seconds(case), load("pyarrow", "batch")
+            taken = [known.get(name) for name in table.column("capture").to_pylist()]
+            table = table.append_column("seconds", pa.array(taken, pa.float64()))
+        return table.select(list(columns))
+
+    def scores(self, case: str, matcher: str) -> Any:
+        """Comparisons of a case by a matcher as a ``pyarrow.Table``, ordered by both captures, every pair once.
+
+        Raises
+        ------
+        BadInput
+            If there are none, or a chunk is damaged.
+        """
+        files = self.files(f"scores/{case}", matcher)
+        require(
+            len(files) > 0, f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
+        )
+        return _joined([read_chunk(file) for file in files], ["a", "b"])
+
+    def images(self, case: str, capture: str) -> FingerImages:
+        """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them.
+
+        Raises
+        ------
+        BadInput
+            If the store holds no surface of it.
+        """
+        place = places_of(self.files("features", case)).get(capture)
+        found = None if place is None else images_of(place)
+        if found is None:
+            raise BadInput(f"the store '{self.folder}' holds no surface of '{capture}' in case '{case}'.")
+        return found
 
     def seconds(self, case: str) -> dict[str, float]:
         """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
@@ -115,8 +156,10 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
         "population": {"sha256": population.sha256},
         "matching": _hashed({"band": settings.matching.band, "template": settings.matching.template}),
         "cases": {case.name: plain_json(case.document()) for case in settings.cases},
-        "matchers": {},
+        "matchers": {name: _hashed(matcher(name, settings.matching).document()) for name in settings.matchers},
     }
+    if settings.matchers:
+        document["pairs"] = {"seed": settings.seed, "impostors": settings.impostors}
     store = Store(folder)
     file = folder / STORE_FILE
     if file.is_file():
@@ -124,6 +167,8 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
         _check_same(folder, earlier, document)
         document["cases"] = earlier["cases"] | document["cases"]
         document["matchers"] = earlier["matchers"] | document["matchers"]
+        pairs = _pairs(folder, earlier.get("pairs"), document.get("pairs"))
+        document |= {"pairs": pairs} if pairs else {}
         if document == earlier:
             return store
     with atomic_file(file) as stream:
@@ -133,7 +178,7 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
 
 def sweep(folder: Path) -> None:
     """Remove what killed runs left half-written; the caller holds the store's lock."""
-    for kind in ("features", "scores", "timings"):
+    for kind in ("features", "minutiae", "scores", "timings", "csv"):
         for leftover in (folder / kind).glob("**/.*.tmp"):
             leftover.unlink(missing_ok=True)
 
@@ -179,6 +224,18 @@ def _check_same(folder: Path, earlier: Mapping[str, Any], wanted: Mapping[str, A
         for name in earlier[kind].keys() & wanted[kind].keys():
             _check_settings(folder, f"{words} '{name}'", earlier[kind][name], wanted[kind][name])
     _check_settings(folder, "templates", earlier["matching"], wanted["matching"])
+
+
+def _pairs(folder: Path, earlier: Any, wanted: Any) -> Any:
+    """Which comparisons: a later run may ask for more of them, drawn alike."""
+    if not earlier or not wanted:
+        return wanted or earlier
+    require(
+        earlier.get("seed") == wanted["seed"],
+        f"the impostors in the store '{folder}' were drawn with the seed {earlier.get('seed')}, not {wanted['seed']}; "
+        "use the same, or another folder.",
+    )
+    return wanted | {"impostors": max(wanted["impostors"], float(earlier.get("impostors", 0.0)))}
 
 
 def _check_settings(folder: Path, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:

@@ -1,0 +1,162 @@
+"""The matchers of a batch: each makes a side ready once, and compares two sides.
+
+What is ready is kept in two bounded stores: the sides of a block's database, and one query. A process that goes on with
+the same database finds it ready.
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from splitknit.batch.pairs import Blocks
+from splitknit.batch.reading import Place, images_of, small_column
+from splitknit.match import Prepared, RidgeMatchSettings, ThesisSettings, ridge_match, similarity_of, unpack
+from splitknit.match.minutiae import minutiae_match
+from splitknit.match.minutiae_record import unpack_minutiae
+from splitknit.match.thesis import ATTRIBUTES
+from splitknit.match.thesis_many import database_finger, match_database
+from splitknit.recipe.matchable import MatchingSettings
+
+Values = Mapping[str, float]
+
+
+class Matcher(ABC):
+    """One way to compare two captures."""
+
+    name: ClassVar[str]
+    columns: ClassVar[tuple[str, ...]]
+    """Beside the similarity."""
+    source: ClassVar[str] = "features"
+    """Folder of the store that it reads."""
+    blocks: ClassVar[Blocks]
+
+    def blocks_for(self, impostors: float) -> Blocks:
+        """Blocks of about as many comparisons where only a share of the impostors is compared."""
+        return Blocks(self.blocks.database, round(self.blocks.query / max(impostors, 0.02)))
+
+    @abstractmethod
+    def database(self, place: Place) -> Any:
+        """One side, ready, or None where it could not be acquired."""
+
+    def query(self, place: Place) -> Any:
+        """The other side."""
+        return self.database(place)
+
+    @abstractmethod
+    def compare(self, a: Any, b: Any) -> Values:
+        """``similarity`` and the columns."""
+
+    @abstractmethod
+    def document(self) -> Any:
+        """All settings."""
+
+
+class RidgeMatcher(Matcher):
+    """Ridge templates; a side that is ready takes up to 9 MB."""
+
+    name = "ridge"
+    columns = ("correlation", "overlap_mm2", "rotation_deg")
+    blocks = Blocks(48, 43)
+
+    def __init__(self, settings: RidgeMatchSettings) -> None:  # noqa: D107 - the class says it
+        self.settings = settings
+
+    def database(self, place: Place) -> Prepared | None:  # noqa: D102
+        payload = small_column(place, "template")
+        return Prepared(unpack(payload), self.settings) if payload else None
+
+    def compare(self, a: Prepared, b: Prepared) -> Values:  # noqa: D102
+        found = ridge_match(a, b)
+        return {
+            "similarity": found.similarity,
+            "correlation": found.correlation,
+            "overlap_mm2": found.overlap_mm2,
+            "rotation_deg": found.rotation_deg,
+        }
+
+    def document(self) -> Any:  # noqa: D102
+        return self.settings
+
+
+class ThesisMatcher(Matcher):
+    """The thesis's matcher without its gate, of all attributes; a side of the database takes about 1.5 MB."""
+
+    name = "thesis"
+    columns = ("ratio", "shift_px", *(f"dissimilarity_{name}" for name in ATTRIBUTES))
+    blocks = Blocks(128, 16)
+
+    def __init__(self, settings: ThesisSettings) -> None:  # noqa: D107
+        self.attributes = settings.attributes
+        self.settings = replace(settings, gate=0.0, attributes=tuple(ATTRIBUTES))
+
+    def database(self, place: Place) -> Any:  # noqa: D102
+        images = images_of(place)
+        return None if images is None else database_finger(images, self.settings)
+
+    def query(self, place: Place) -> Any:  # noqa: D102
+        return images_of(place)
+
+    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+        found = match_database(a, b, self.settings)
+        chosen = [found.dissimilarity[name] for name in self.attributes]
+        return {
+            "similarity": similarity_of(sum(chosen) / len(chosen)),
+            "ratio": found.ratio,
+            "shift_px": float(found.shift_px),
+            **{f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()},
+        }
+
+    def document(self) -> Any:  # noqa: D102
+        return {"thesis": self.settings, "similarity_of": list(self.attributes)}
+
+
+class MinutiaeMatcher(Matcher):
+    """Minutiae by mindtct, compared by bozorth3."""
+
+    name = "minutiae"
+    columns = ("bozorth3",)
+    source = "minutiae"
+    blocks = Blocks(170, 30)
+
+    def database(self, place: Place) -> Any:  # noqa: D102
+        found = unpack_minutiae(small_column(place, "minutiae"))
+        return found if found.acquired else None
+
+    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+        score = minutiae_match(a, b)
+        return {"similarity": score, "bozorth3": score}
+
+    def document(self) -> Any:  # noqa: D102
+        return {"extraction": "mindtct", "comparison": "bozorth3"}
+
+
+def matcher(name: str, settings: MatchingSettings) -> Matcher:
+    """The matcher of that name."""
+    if name == RidgeMatcher.name:
+        return RidgeMatcher(settings.ridge)
+    return ThesisMatcher(settings.thesis) if name == ThesisMatcher.name else MinutiaeMatcher()
+
+
+class Ready(threading.local):
+    """Sides of the database that this thread has ready: those of one block."""
+
+    def __init__(self) -> None:  # noqa: D107
+        self.key: Any = None
+        self.sides: OrderedDict[str, Any] = OrderedDict()
+
+    def of(self, key: Any, capture: str, matcher: Matcher, place: Place) -> Any:
+        """The side of `capture`; all that is kept of another `key` is let go."""
+        if key != self.key:
+            self.key = key
+            self.sides.clear()
+        if capture not in self.sides:
+            self.sides[capture] = matcher.database(place)
+        return self.sides[capture]
+
+
+READY = Ready()

@@ -1,0 +1,77 @@
+"""Minutiae of a chunk's prints: found once a capture, kept beside the features."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk
+from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.packages import load
+from splitknit.check import require
+from splitknit.io import atomic_file, canonical_json
+from splitknit.io.png import decode_png
+from splitknit.match.minutiae import extract
+from splitknit.match.minutiae_record import no_minutiae, pack_minutiae
+
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class MinutiaeTask:
+    """A chunk of features whose prints' minutiae are wanted."""
+
+    store: Path
+    case: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class MinutiaeDone:
+    """What a task did."""
+
+    rows: int
+    peak_memory_mb: float
+
+    @property
+    def size(self) -> int:
+        """Chunks."""
+        return 1
+
+
+def minutiae_schema() -> Any:
+    """Columns of a chunk of minutiae."""
+    pa = load("pyarrow", "batch")
+    return pa.schema([("capture", pa.string()), ("acquired", pa.bool_()), ("minutiae", pa.binary())])
+
+
+def extract_minutiae(task: MinutiaeTask) -> MinutiaeDone:
+    """Find the minutiae of all prints of a chunk and write them under the same name."""
+    file = task.store / "features" / task.case / f"{task.name}{SUFFIX}"
+    table = read_chunk(file, ["capture", "print"])
+    captures = table.column("capture").to_pylist()
+    seconds, found = {}, []
+    for capture, data in zip(captures, table.column("print").to_pylist(), strict=True):
+        started = time.perf_counter()
+        found.append(no_minutiae() if data is None else extract(_image(data, f"{file}: {capture}")))
+        seconds[capture] = round(time.perf_counter() - started, 3)
+    columns = {
+        "capture": captures,
+        "acquired": [one.acquired for one in found],
+        "minutiae": [pack_minutiae(one) for one in found],
+    }
+    origin = read_origin(file) | {"kind": "minutiae", "kind_version": VERSION}
+    with atomic_file(task.store / "timings" / task.case / "extraction" / f"{task.name}.json") as stream:
+        stream.write((canonical_json(seconds) + "\n").encode("ascii"))
+    write_chunk(task.store / "minutiae" / task.case / f"{task.name}{SUFFIX}", columns, minutiae_schema(), origin)
+    return MinutiaeDone(len(captures), peak_memory_mb())
+
+
+def _image(data: bytes, name: str) -> Any:
+    pixels = decode_png(data, name)
+    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+    return pixels[..., 0]

@@ -1,0 +1,73 @@
+"""What a matcher reads of the store: templates, prints' minutiae and surfaces, of single captures.
+
+Each process keeps the small ones; a surface is unpacked when it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from splitknit.batch.chunks import read_chunk
+from splitknit.batch.surfaces import unpack_surface
+from splitknit.check import BadInput, require
+from splitknit.match import FingerImages
+from splitknit.recipe.matchable import surface_images
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a capture lies in the store."""
+
+    file: Path
+    row: int
+
+
+def small_column(place: Place, column: str) -> Any:
+    """Value of a column of which a process may keep every chunk that it reads."""
+    return _column(place.file, column, _version(place.file))[place.row]
+
+
+def images_of(place: Place) -> FingerImages | None:
+    """Channels for the thesis's matcher, exactly those of the reconstruction; None where there is no surface."""
+    payload = _surfaces(place.file, _version(place.file))[place.row]
+    if payload is None:
+        require(
+            small_column(place, "area_mm2") == 0.0,
+            f"'{place.file}' holds no surfaces: it was made without them; delete it and run the same again with them.",
+        )
+        return None
+    try:
+        return surface_images(unpack_surface(payload))
+    except BadInput as error:
+        raise BadInput(f"'{place.file}': {error}") from error
+
+
+def places_of(files: list[Path]) -> Mapping[str, Place]:
+    """Where each capture lies; of one that lies in two chunks, the first."""
+    found: dict[str, Place] = {}
+    for file in files:
+        for row, name in enumerate(read_chunk(file, ["capture"]).column("capture").to_pylist()):
+            found.setdefault(name, Place(file, row))
+    return found
+
+
+def _version(file: Path) -> int:
+    """Tell a file that was made anew from what is kept of the old one."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError as error:
+        raise BadInput(f"'{file}' cannot be read: {error.strerror or error}.") from error
+
+
+@lru_cache(maxsize=512)
+def _column(file: Path, column: str, version: int) -> list[Any]:
+    return list(read_chunk(file, [column]).column(column).to_pylist())
+
+
+@lru_cache(maxsize=1)
+def _surfaces(file: Path, version: int) -> list[bytes | None]:
+    return list(read_chunk(file, ["images"]).column("images").to_pylist())

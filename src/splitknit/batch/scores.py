@@ -1,0 +1,108 @@
+"""Comparisons of one block: one chunk of the store."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splitknit.batch.chunks import SUFFIX, write_chunk
+from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.matchers import READY, matcher
+from splitknit.batch.packages import load
+from splitknit.batch.reading import Place, small_column
+from splitknit.io import atomic_file, canonical_json, provenance
+from splitknit.recipe.matchable import MatchingSettings
+
+VERSION = 1
+"""Of the columns of a chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreTask:
+    """Comparisons that are made together, and where they go."""
+
+    store: Path
+    case: str
+    case_sha256: str
+    population_sha256: str
+    matcher: str
+    matching: MatchingSettings
+    block: int
+    database: str
+    """By which a process knows what it has ready."""
+    pairs: tuple[tuple[str, str, bool], ...]
+    """Earlier capture, later capture, whether they are of one finger."""
+    places: Mapping[str, Place]
+    """Of what the matcher reads."""
+    origins: Mapping[str, Place]
+    """Of the features, for the hashes of the input."""
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreDone:
+    """What a task did."""
+
+    pairs: int
+    seconds: float
+    """Of one core."""
+    peak_memory_mb: float
+
+    @property
+    def size(self) -> int:
+        """Comparisons."""
+        return self.pairs
+
+
+def score_schema(columns: tuple[str, ...]) -> Any:
+    """Columns of a chunk of scores."""
+    pa = load("pyarrow", "batch")
+    return pa.schema(
+        [
+            ("a", pa.string()), ("b", pa.string()), ("genuine", pa.bool_()),
+            ("similarity", pa.float64()), ("compared", pa.bool_()),
+            *((name, pa.float64()) for name in columns),
+        ]
+    )  # fmt: skip
+
+
+def chunk_name(task: ScoreTask, settings: Any) -> str:
+    """Name of a chunk's file without suffix: its block, and what its content follows from."""
+    content = canonical_json([task.case_sha256, task.matcher, settings, [[a, b] for a, b, _ in task.pairs]])
+    return f"{task.block:012d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
+
+
+def score_block(task: ScoreTask) -> ScoreDone:
+    """Make the comparisons of a task and write its chunk."""
+    started = time.thread_time()
+    using = matcher(task.matcher, task.matching)
+    missing: dict[str, Any] = dict.fromkeys(("similarity", *using.columns), math.nan)
+    rows: list[dict[str, Any]] = []
+    key = (task.store, task.database, canonical_json(using.document()))
+    held: tuple[str, Any] = ("", None)
+    for a, b, genuine in sorted(task.pairs, key=lambda pair: (pair[1], pair[0])):  # one query after the other
+        if held[0] != b:
+            held = (b, using.query(task.places[b]))
+        left, right = READY.of(key, a, using, task.places[a]), held[1]
+        compared = left is not None and right is not None
+        values = using.compare(left, right) if compared else missing
+        rows.append({"a": a, "b": b, "genuine": genuine, "compared": compared, **values})
+    rows.sort(key=lambda row: (row["a"], row["b"]))
+    schema = score_schema(using.columns)
+    captures = sorted({name for a, b, _ in task.pairs for name in (a, b)})
+    origin = provenance(using.document(), {name: small_column(task.origins[name], "input_sha256") for name in captures})
+    origin |= {"kind": "scores", "kind_version": VERSION, "case": task.case, "case_sha256": task.case_sha256}
+    origin |= {"matcher": task.matcher, "population_sha256": task.population_sha256, "seed": task.seed}
+    name = chunk_name(task, using.document())
+    seconds = time.thread_time() - started
+    facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
+    with atomic_file(task.store / "timings" / task.case / task.matcher / f"{name}.json") as stream:
+        stream.write((canonical_json(facts) + "\n").encode("ascii"))
+    columns = {column: [row[column] for row in rows] for column in schema.names}
+    write_chunk(task.store / "scores" / task.case / task.matcher / f"{name}{SUFFIX}", columns, schema, origin)
+    return ScoreDone(len(rows), seconds, peak_memory_mb())
