@@ -91,12 +91,14 @@ def test_pixels_may_hold_separators_and_field_names() -> None:
         assert_same(decode_transaction(encode_transaction([item, item], FACTS)), [item, item])
 
 
-def replaced(old: bytes, new: bytes, prints: tuple[TransactionPrint, ...] = (SMALL,)) -> bytes:
+def replaced(old: bytes, new: bytes, wide: bool = False) -> bytes:
     """Replace a field, and the lengths with it."""
     message = nistitl.Message()
-    message.parse(encode_transaction(list(prints), FACTS))
+    message.parse(encode_transaction([SMALL], FACTS))
     kind, tag = (int(number) for number in old.split(b"."))
     record = next(record for record in message if record.type == kind)
+    if wide:
+        record[6].value = new.decode()
     if new == b"":
         del record[tag]
     elif tag == 999:
@@ -112,6 +114,7 @@ def replaced(old: bytes, new: bytes, prints: tuple[TransactionPrint, ...] = (SMA
         (replaced(b"14.006", b"13"), "holds 120 pixels, but its record says 10 x 13"),
         (replaced(b"14.006", b"-1"), "whole number of at most 5 digits"),
         (replaced(b"14.006", b"123456"), "whole number"),
+        (replaced(b"14.007", b"99999", wide=True), "99999 x 99999 pixels; no print"),
         (replaced(b"14.006", b""), "lacks the field HLL"),
         (replaced(b"14.008", b"0"), "no resolution"),
         (replaced(b"14.010", b"501"), "square pixels"),

@@ -25,6 +25,7 @@ from splitknit.io.wsq_image import decode_wsq
 _FILE = ImageSettings(max_bytes=200_000_000)
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _MOST_RECORDS = 1000
+_MOST_PIXELS = 64_000_000
 _SEPARATOR = b"\x1c"
 _INCH_MM, _CM_MM = 25.4, 10.0
 
@@ -103,6 +104,7 @@ def _facts(record: Any, name: str) -> TransactionFacts:
 
 def _print(record: Any, name: str) -> TransactionPrint:
     rows, columns = _number(record, "VLL", name), _number(record, "HLL", name)
+    require(rows * columns <= _MOST_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
     compression = _text(record, "CGA", name)
     names = {code: word for word, code in COMPRESSIONS.items()}
     require(
