@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from enrolled import people
 from handmade import capture_of, finger
 
 from splitknit.apps.outputs import write_results
@@ -19,3 +20,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, A
     folder = tmp_path_factory.mktemp("written") / "result"
     write_results(result, capture_of(result), folder, truth)
     return folder, json.loads((folder / "report.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Enrolment of two people, three fingers, two sessions, as result folders; not to be changed."""
+    return people(tmp_path_factory.mktemp("people"))

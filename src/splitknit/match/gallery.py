@@ -227,7 +227,8 @@ class Gallery:
         """
         with self._rows.changing() as database:
             gone = sum(database.execute("DELETE FROM finger WHERE id = ?", (row,)).rowcount for row in set(rows))
-        self._rows.compact()
+        if gone:
+            self._rows.compact()
         return gone
 
     def rekey(self, key: Key | None, scrypt: ScryptSettings | None = None) -> int:
