@@ -45,6 +45,13 @@ def add_evaluate(verbs: Any) -> None:
     verb.add_argument(
         "--average-sessions", action="store_true", help="give the figures of scores averaged over sessions as well"
     )
+    verb.add_argument(
+        "--fuse",
+        choices=("linear", "trained"),
+        default=None,
+        help="join the systems' scores into one more system: their mean after normalisation, or a logistic regression; "
+        "cross-validated by subject (fingers where subjects are not named)",
+    )
 
 
 def run(options: argparse.Namespace) -> Outcome:
@@ -57,6 +64,7 @@ def run(options: argparse.Namespace) -> Outcome:
         dissimilarity=options.dissimilarity,
         cluster=options.cluster,
         average=options.average_sessions,
+        fuse=options.fuse,
         bootstrap=BootstrapSettings(replicates=options.replicates, seed=options.seed),
     )
     with Progress(options) as progress:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.evaluation_facts import Result, difference_facts, notes_of, system_facts
+from splitknit.apps.evaluation_fusion import fused_system
 from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
 from splitknit.check import require
 from splitknit.evaluate.intervals import BootstrapSettings, Interval, bootstrap, differences
@@ -35,11 +36,15 @@ class EvaluationSettings:
     """What intervals are drawn by: ``plain``, ``finger``, ``subject``; ``auto``: fingers, else subjects, else plain."""
     average: bool = False
     """Whether scores are averaged over sessions as well."""
+    fuse: str | None = None
+    """Whether the systems' fusion is one more: ``linear`` or ``trained``, cross-validated by subject."""
     bootstrap: BootstrapSettings = BootstrapSettings()  # noqa: RUF009 - frozen
 
     def __post_init__(self) -> None:
         known = ("auto", "plain", "finger", "subject")
         require(self.cluster in known, f"cluster is one of {', '.join(known)}, but it is '{self.cluster}'.")
+        ways = (None, "linear", "trained")
+        require(self.fuse in ways, f"scores are fused by linear or trained, not by '{self.fuse}'.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +79,10 @@ def evaluate_to_folder(
     if exclusions is not None:
         listed, hashes[str(exclusions)] = read_exclusion_list(exclusions, systems[0])
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
+    fusion: dict[str, Any] | None = None
+    if settings.fuse is not None:
+        joined, fusion, told = fused_system(systems, settings.fuse, settings.bootstrap.seed)
+        systems, notes = [*systems, joined], notes + told
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
     require(
@@ -87,6 +96,8 @@ def evaluate_to_folder(
         notes += notes_of(result, variant=all(result.scores is not one for one in systems))
     notes += [f"{a} and {b} did not score the same pairs, so that they are not compared." for a, b in compared[1]]
     facts = _facts(results, compared[0], settings, notes)
+    if fusion is not None:
+        facts["fusion"] = fusion
     facts["inputs_sha256"] = dict(sorted(hashes.items()))
     facts["timings_s"] = {"read": read_s, "total": time.perf_counter() - started}
     progress("report", 1.0)
