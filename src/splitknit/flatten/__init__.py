@@ -1,5 +1,46 @@
-"""From the relief of a finger to a flat print."""
+"""From a finger in space to a flat print: sampling, unrolling, curvature, ink, enhancement."""
 
+from splitknit.flatten.curvature import Curvature, CurvatureSettings, curvature
+from splitknit.flatten.enhance import Enhanced, GaborSettings, gabor_enhance
+from splitknit.flatten.enhance_stft import StftSettings, stft_enhance
+from splitknit.flatten.ink import ink
+from splitknit.flatten.print_map import PrintMap, plane_map, unrolled_map
+from splitknit.flatten.resample import resample
+from splitknit.flatten.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
 from splitknit.flatten.ridges import PrintSettings, relief_print
+from splitknit.flatten.thin import as_print, ridge_mask, thin
+from splitknit.flatten.unroll import Unrolled, UnrollSettings, unroll
+from splitknit.flatten.unroll_distortion import Distortion, distortion
+from splitknit.flatten.unroll_grid import GridSettings, SurfaceGrid, surface_grid
 
-__all__ = ["PrintSettings", "relief_print"]
+__all__ = [
+    "Curvature",
+    "CurvatureSettings",
+    "Distortion",
+    "Enhanced",
+    "GaborSettings",
+    "GridSettings",
+    "PrintMap",
+    "PrintSettings",
+    "RidgeField",
+    "RidgeFieldSettings",
+    "StftSettings",
+    "SurfaceGrid",
+    "UnrollSettings",
+    "Unrolled",
+    "as_print",
+    "curvature",
+    "distortion",
+    "gabor_enhance",
+    "ink",
+    "plane_map",
+    "relief_print",
+    "resample",
+    "ridge_field",
+    "ridge_mask",
+    "stft_enhance",
+    "surface_grid",
+    "thin",
+    "unroll",
+    "unrolled_map",
+]

@@ -1,0 +1,168 @@
+"""Enhancement by Gabor filters that follow the ridges.
+
+At every node (a few pixels apart) one complex Gabor coefficient is computed with the node's own direction and
+frequency: no filter bank, nothing quantised. Between nodes the print is the mean of the four plane waves around,
+weighted bilinearly. That is what filtering every pixel with its own filter gives (a test compares), at a fraction of
+the work: the demodulated ridges are smooth over a filter's width.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.flatten.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
+from splitknit.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class GaborSettings:
+    """How ridges are enhanced."""
+
+    sigma_periods: float = 0.5
+    """Standard deviation of the filter, in local ridge periods."""
+    contrast: float = 2.0
+    """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
+    floor: float = 0.15
+    """Ridges weaker than this share of the print's median are not raised further."""
+    field: RidgeFieldSettings = field(default_factory=RidgeFieldSettings)
+
+    def __post_init__(self) -> None:
+        require(0.2 <= self.sigma_periods <= 2, "gabor.sigma_periods must lie between 0.2 and 2.")
+        require(np.isfinite(self.contrast) and self.contrast > 0, "gabor.contrast must be a positive number.")
+        require(0 < self.floor <= 1, "gabor.floor must lie between 0 and 1.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Enhanced:
+    """An enhanced print."""
+
+    image: NDArray[np.uint8]
+    """(h, w) ridges dark, background white."""
+    wave: FloatArray
+    """(h, w) the ridges as a wave about zero, negative on ridges, about one in amplitude; 0 outside the mask."""
+    mask: BoolArray
+    """(h, w) where there are ridges."""
+    field: RidgeField
+
+
+def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: GaborSettings | None = None) -> Enhanced:
+    """Enhance a print.
+
+    Parameters
+    ----------
+    image : (h, w) uint8
+        Ridges dark.
+    ppi : float
+        Pixels per inch.
+    settings : GaborSettings, optional
+
+    Raises
+    ------
+    BadInput
+        If the image is of another kind, or has no ridges.
+
+    References
+    ----------
+    L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
+    """
+    settings = settings or GaborSettings()
+    found = ridge_field(image, ppi, settings.field)
+    coefficients = _at_nodes(image, found, settings.sigma_periods)
+    amplitude = np.abs(coefficients)
+    around = np.asarray(cv2.GaussianBlur(amplitude, (0, 0), 2.5), dtype=np.float32)
+    typical = float(np.median(around[found.mask]))
+    require(typical > 0.05, "the print has no ridges; check focus and light of the capture.")
+    coefficients = (coefficients / np.maximum(around, np.float32(settings.floor * typical))).astype(np.complex64)
+    found = replace(found, mask=found.mask & (around > np.float32(settings.floor * typical)))
+    require(bool(found.mask.any()), "the print has no ridges; check focus and light of the capture.")
+    wave = _plane_waves(coefficients, found, image.shape[:2])
+    return finished(wave, found, settings.contrast)
+
+
+def finished(wave: FloatArray, found: RidgeField, contrast: float) -> Enhanced:
+    """Grey values of a wave inside the print's mask."""
+    shape = wave.shape[0], wave.shape[1]
+    step = found.step_px
+    large = (found.mask.shape[1] * step, found.mask.shape[0] * step)
+    smooth = cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 1.5, borderType=cv2.BORDER_REPLICATE)
+    soft = cv2.resize(smooth, large, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+    mask = soft > 0.5
+    grey = 0.5 - 0.5 * np.tanh(np.float32(contrast) * wave)  # dark = 1 on ridges
+    image = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)
+    return Enhanced(image, np.where(mask, wave, np.float32(0.0)).astype(np.float32), mask, found)
+
+
+def _wave_vectors(found: RidgeField) -> tuple[FloatArray, FloatArray]:
+    """Radians per column and per row, across the ridges."""
+    across = found.orientation_rad - np.float32(np.pi / 2)
+    turn = np.float32(2 * np.pi) * found.frequency_px
+    return turn * np.cos(across), -turn * np.sin(across)  # rows run downwards
+
+
+def _at_nodes(image: NDArray[np.uint8], found: RidgeField, sigma_periods: float) -> NDArray[np.complex64]:
+    """(n, m) complex amplitude of the ridges at the nodes; zero outside the mask."""
+    step, (n, m) = found.step_px, found.mask.shape
+    frequency = found.frequency_px[found.mask]
+    sigma = np.float32(sigma_periods) / frequency
+    reach = int(np.ceil(2.5 * float(np.percentile(sigma, 90))))
+    middle = 0.5 * (step - 1)  # of a node's cell
+    offset = np.arange(-reach, reach + 2 if step % 2 == 0 else reach + 1, dtype=np.float32)
+    offset = offset - np.float32(middle - int(middle))
+    size = offset.size
+    first = reach - int(middle)
+    padded = cv2.copyMakeBorder(
+        image, first, n * step + size - image.shape[0], first, m * step + size - image.shape[1], cv2.BORDER_REFLECT
+    ).astype(np.float32)
+    windows = sliding_window_view(padded, (size, size))[::step, ::step][:n, :m]
+    kx, ky = (part[found.mask] for part in _wave_vectors(found))
+    rows, columns = np.nonzero(found.mask)
+    result = np.zeros((n, m), dtype=np.complex64)
+
+    def work(part: slice) -> None:
+        patch = windows[rows[part], columns[part]]
+        envelope = np.exp(-0.5 * (offset / sigma[part, None]) ** 2)
+        across, down = kx[part, None] * offset, ky[part, None] * offset
+        # real arithmetic twice is faster than complex: patch (N, s, s) times (N, s, 2), then times (N, s)
+        wave = np.stack([envelope * np.cos(across), -envelope * np.sin(across)], axis=2)
+        plain = envelope / envelope.sum(axis=1, keepdims=True)
+        mean = np.einsum("nis,ni->ns", np.matmul(patch, plain[..., None]), plain)  # takes out the local mean
+        along = np.matmul(patch, wave)
+        along = along - mean[:, None] * wave.sum(axis=1)[:, None]
+        cos, sin = envelope * np.cos(down), -envelope * np.sin(down)
+        real = np.einsum("ni,ni->n", along[..., 0], cos) - np.einsum("ni,ni->n", along[..., 1], sin)
+        imaginary = np.einsum("ni,ni->n", along[..., 0], sin) + np.einsum("ni,ni->n", along[..., 1], cos)
+        norm = np.float32(2.0) / envelope.sum(axis=1) ** 2
+        result[rows[part], columns[part]] = (real + 1j * imaginary) * norm
+
+    chunks = [slice(k, k + 1024) for k in range(0, rows.size, 1024)]
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(work, chunks))
+    return result
+
+
+def _plane_waves(coefficients: NDArray[np.complex64], found: RidgeField, shape: tuple[int, ...]) -> FloatArray:
+    """Bilinear mean of the plane waves of the four nodes around every pixel (h, w)."""
+    step, (n, m) = found.step_px, found.mask.shape
+    # a node's wave covers the two cells beside it along each axis
+    offset = np.arange(2 * step, dtype=np.float32) - np.float32(step - 0.5)
+    tent = np.float32(1.0) - np.abs(offset) / np.float32(step)
+    kx, ky = _wave_vectors(found)
+    kx, ky = np.where(found.mask, kx, np.float32(0.0)), np.where(found.mask, ky, np.float32(0.0))
+    x = (tent * np.exp(1j * kx[..., None] * offset)).astype(np.complex64)
+    y = (tent * np.exp(1j * ky[..., None] * offset)).astype(np.complex64) * coefficients[..., None]
+    # real part of the outer product, (n, 2 s, m, 2 s)
+    tiles = np.einsum("nmi,nmj->nimj", y.real, x.real) - np.einsum("nmi,nmj->nimj", y.imag, x.imag)
+    wave = np.zeros(((n + 1) * step, (m + 1) * step), dtype=np.float32)
+    for i in range(2):
+        for j in range(2):
+            part = tiles[:, i * step : (i + 1) * step, :, j * step : (j + 1) * step].reshape(n * step, m * step)
+            wave[i * step : i * step + n * step, j * step : j * step + m * step] += part
+    start = step - step // 2
+    return wave[start : start + shape[0], start : start + shape[1]]

@@ -1,0 +1,217 @@
+"""Where the pixels of a print lie in the image, and the other way round.
+
+A map is made of a coarse grid of nodes whose places are known in the input and on the print, read by cubic
+interpolation (Catmull and Rom 1974); its inverse is found by Newton's method and stored densely. Points are (column,
+row), as everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from splitknit.check import require
+from splitknit.flatten.lattice import cubic, inverted, linear, weights
+from splitknit.flatten.ridges import MM_PER_INCH
+from splitknit.flatten.unroll import Unrolled
+from splitknit.flatten.unroll_grid import SurfaceGrid, extrapolated, slant_cos
+from splitknit.types import FloatArray
+
+Array = NDArray[np.float64]
+NOWHERE = -1e6
+"""Where a print's pixel lies in the input if it shows nothing."""
+_STEP_MM = 0.25
+"""Of the coarse grid on the print on which the inverse is found."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintMap:
+    """Between the input's pixels and a print's."""
+
+    surface: str
+    """``plane``, or the kind of unrolling."""
+    ppi: float
+    columns: FloatArray
+    """(h, w) column of the input that each pixel of the print shows; :data:`NOWHERE` if none."""
+    rows: FloatArray
+    """(h, w) row, likewise."""
+    input_from_grid: Array
+    """(3, 3) where the nodes lie in the input."""
+    print_of_grid: Array
+    """(n, m, 2) where the nodes lie on the print, pixels; NaN where nowhere."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the print."""
+        return self.columns.shape[0], self.columns.shape[1]
+
+    def print_from_input(self, points: Array) -> Array:
+        """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
+        nodes = _moved(_inverse(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
+        return cubic(self.print_of_grid, nodes)[0]
+
+    def input_from_print(self, points: Array) -> Array:
+        """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows nothing."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        nodes = np.full(points.shape, np.nan)
+        there = np.isfinite(points).all(axis=1)
+        there &= ((points > -0.5) & (points < [self.size[1] - 0.5, self.size[0] - 0.5])).all(axis=1)
+        at = np.rint(points[there]).astype(np.intp)
+        start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(np.float64)
+        start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
+        nodes[there] = _moved(_inverse(self.input_from_grid), start)
+        return _moved(self.input_from_grid, inverted(self.print_of_grid, points, nodes))
+
+    def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
+        """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
+        return _carried(self.print_from_input, points, angles_rad)
+
+    def directions_in_input(self, points: Array, angles_rad: Array) -> Array:
+        """Directions (N,) in the input of directions at places (N, 2) of the print; both counter-clockwise as seen."""
+        return _carried(self.input_from_print, points, angles_rad)
+
+
+def plane_map(
+    pitch_mm: float, input_from_upright: Array, upright_size: tuple[int, int], ppi: float = 500.0
+) -> PrintMap:
+    """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
+
+    Raises
+    ------
+    BadInput
+        If pitch or resolution are not positive.
+    """
+    _check_scale(pitch_mm, ppi)
+    step = MM_PER_INCH / ppi / pitch_mm
+    size = (max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
+    upright_from_print = np.array(
+        [
+            [-step, 0.0, (upright_size[1] - 1) / 2 + step * (size[1] - 1) / 2],
+            [0.0, step, (upright_size[0] - 1) / 2 - step * (size[0] - 1) / 2],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    input_from_print = input_from_upright @ upright_from_print
+    column, row = np.meshgrid(np.arange(size[1], dtype=np.float64), np.arange(size[0], dtype=np.float64))
+    columns = input_from_print[0, 0] * column + input_from_print[0, 1] * row + input_from_print[0, 2]
+    rows = input_from_print[1, 0] * column + input_from_print[1, 1] * row + input_from_print[1, 2]
+    # a grid of nodes wider than any input: straight lines are read exactly
+    reach = 4.0 * max(size)
+    print_from_grid = np.array([[reach, 0.0, -2.0 * reach], [0.0, reach, -2.0 * reach], [0.0, 0.0, 1.0]])
+    node = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), axis=2)
+    print_of_grid = _moved(print_from_grid, node.reshape(-1, 2)).reshape(node.shape)
+    return PrintMap(
+        "plane", ppi, columns.astype(np.float32), rows.astype(np.float32), input_from_print @ print_from_grid,
+        print_of_grid,
+    )  # fmt: skip
+
+
+def unrolled_map(
+    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float = 70.0, margin_mm: float = 0.5
+) -> PrintMap:
+    """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
+
+    Raises
+    ------
+    BadInput
+        If the resolution is not positive.
+    """
+    _check_scale(unrolled.grid.pitch_mm, ppi)
+    px_per_mm = ppi / MM_PER_INCH
+    flat, grid = unrolled.flat_mm, unrolled.grid
+    facing = grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
+    require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
+    used = flat[facing]
+    low, high = used.min(axis=0) - margin_mm, used.max(axis=0) + margin_mm
+    require(bool((high - low < 200.0).all()), "the finger is laid out over more than 200 mm; check its scale.")
+    size = (int(np.ceil((high[1] - low[1]) * px_per_mm)), int(np.ceil((high[0] - low[0]) * px_per_mm)))
+    middle = 0.5 * (low + high)
+    print_of_grid = np.stack(
+        [
+            0.5 * (size[1] - 1) - (flat[..., 0] - middle[0]) * px_per_mm,  # mirrored, as paper shows it
+            0.5 * (size[0] - 1) - (flat[..., 1] - middle[1]) * px_per_mm,
+        ],
+        axis=2,
+    )
+    columns, rows = _dense_inverse(print_of_grid, grid, size, _STEP_MM * px_per_mm, slant_deg)
+    return PrintMap(kind, ppi, columns, rows, grid.input_from_grid, print_of_grid)
+
+
+def _check_scale(pitch_mm: float, ppi: float) -> None:
+    require(
+        bool(np.isfinite(pitch_mm)) and pitch_mm > 0,
+        f"a print needs the scale of its input, but pitch_mm is {pitch_mm}; calibrate the camera.",
+    )
+    require(bool(np.isfinite(ppi)) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
+
+
+def _dense_inverse(
+    print_of_grid: Array, grid: SurfaceGrid, size: tuple[int, int], step: float, slant_deg: float
+) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of the input for every pixel of the print."""
+    lines = [np.arange(-2, int(np.ceil((n - 1) / step)) + 3) * step for n in size]
+    coarse = np.stack(np.meshgrid(lines[1], lines[0]), axis=2)
+    near = np.isfinite(print_of_grid).all(axis=2)
+    near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    places = np.argwhere(near)[:, ::-1].astype(np.float64)
+    distance, nearest = cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
+    gaps = _gaps(print_of_grid)[near]
+    start = np.where((distance < gaps[nearest])[:, None], places[nearest], np.nan)
+    nodes = inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)
+    found = np.isfinite(nodes).all(axis=2)
+    filled = extrapolated(nodes, 3)
+    holes = ~np.isfinite(filled).all(axis=2)
+    filled[holes] = 0.0
+    input_of_coarse = _moved(grid.input_from_grid, filled.reshape(-1, 2)).reshape(filled.shape)
+    input_of_coarse[holes] = 0.0
+    down, across = (weights(np.arange(n) / step + 2.0, len(line)) for n, line in zip(size, lines, strict=True))
+    columns, rows = (down @ input_of_coarse[..., d].astype(np.float32) @ across.T for d in range(2))
+    trusted = linear(np.asarray(found, dtype=np.float32), size, step) > 0.999
+    column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
+    cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    trusted &= linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
+    return (
+        np.where(trusted, columns, np.float32(NOWHERE)).astype(np.float32),
+        np.where(trusted, rows, np.float32(NOWHERE)).astype(np.float32),
+    )
+
+
+def _gaps(print_of_grid: Array) -> Array:
+    """(n, m) largest distance of a node from its four neighbours, on the print."""
+    across = np.linalg.norm(np.diff(print_of_grid, axis=1), axis=2)
+    down = np.linalg.norm(np.diff(print_of_grid, axis=0), axis=2)
+    return np.fmax.reduce(
+        [
+            np.pad(across, ((0, 0), (0, 1))), np.pad(across, ((0, 0), (1, 0))),
+            np.pad(down, ((0, 1), (0, 0))), np.pad(down, ((1, 0), (0, 0))),
+        ]
+    )  # fmt: skip
+
+
+def _facing(grid: SurfaceGrid) -> FloatArray:
+    """(n, m) cosine of the slant, evened out over neighbours so that its contours are smooth; continued outwards."""
+    cosine = np.where(grid.inside, slant_cos(grid.points_mm), np.nan)[..., None]
+    cosine = np.clip(np.nan_to_num(extrapolated(cosine, 4)[..., 0]), 0.0, 1.0).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8), dtype=np.float32)
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _moved(matrix: Array, points: Array) -> Array:
+    return points @ matrix[:2, :2].T + matrix[:2, 2]
+
+
+def _carried(move: object, points: Array, angles_rad: Array) -> Array:
+    """Directions that a map gives to directions, by a small step to both sides."""
+    assert callable(move)
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    angles = np.asarray(angles_rad, dtype=np.float64).reshape(-1)
+    step = 0.5 * np.stack([np.cos(angles), -np.sin(angles)], axis=1)  # rows run downwards
+    along = move(points + step) - move(points - step)
+    return np.asarray(np.arctan2(-along[:, 1], along[:, 0]))

@@ -1,0 +1,204 @@
+"""Where a print has ridges, which way they run and how close they lie.
+
+Directions come from the structure tensor at two widths (the narrow one where it is sure of itself: cores and deltas
+stay sharp), frequencies from the power spectra of overlapping windows. Everything lives on nodes a few pixels apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+from splitknit.flatten.ridges import MM_PER_INCH
+from splitknit.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class RidgeFieldSettings:
+    """How ridges are looked for; lengths in mm on the print."""
+
+    step_mm: float = 0.2
+    """Between two nodes (rounded to whole pixels)."""
+    narrow_mm: float = 0.3
+    """Standard deviation over which the narrow structure tensor is averaged."""
+    wide_mm: float = 0.8
+    """Standard deviation over which the wide one is averaged."""
+    window_mm: float = 1.63
+    """Side of the windows whose spectra give the frequency."""
+    shortest_mm: float = 0.25
+    """Shortest ridge period that is believed."""
+    longest_mm: float = 0.9
+    """Longest ridge period that is believed."""
+    least_strength: float = 0.2
+    """Contrast below this share of the print's strong parts is background."""
+
+    def __post_init__(self) -> None:
+        for name in ("step_mm", "narrow_mm", "wide_mm", "window_mm", "shortest_mm", "longest_mm"):
+            value = getattr(self, name)
+            require(np.isfinite(value) and value > 0, f"ridges.{name} must be a positive number, but it is {value}.")
+        require(self.shortest_mm < self.longest_mm, "ridges.shortest_mm must be less than ridges.longest_mm.")
+        require(0 < self.least_strength < 1, "ridges.least_strength must lie between 0 and 1.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RidgeField:
+    """Ridges of a print, at nodes ``step_px`` apart; node (i, j) is at pixel ``step_px * (i + 0.5) - 0.5``."""
+
+    step_px: int
+    orientation_rad: FloatArray
+    """(n, m) direction of the ridges, counter-clockwise from the right as seen, 0 to pi."""
+    coherence: FloatArray
+    """(n, m) 0 (no direction) to 1 (one direction)."""
+    frequency_px: FloatArray
+    """(n, m) ridges per pixel."""
+    mask: BoolArray
+    """(n, m) where there are ridges."""
+
+    def period_mm(self, ppi: float) -> FloatArray:
+        """(n, m) ridge period, NaN where there are no ridges."""
+        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.float32(np.nan)).astype(np.float32)
+
+
+def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeFieldSettings | None = None) -> RidgeField:
+    """Find direction, frequency and extent of the ridges of a print.
+
+    Parameters
+    ----------
+    image : (h, w) uint8
+        Ridges dark.
+    ppi : float
+        Pixels per inch.
+    settings : RidgeFieldSettings, optional
+
+    Raises
+    ------
+    BadInput
+        If the image is of another kind, or has no ridges.
+
+    References
+    ----------
+    A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular points of
+    fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
+    Fingerprint enhancement using STFT analysis, section 3 (frequencies).
+    """
+    settings = settings or RidgeFieldSettings()
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise BadInput(f"a print must be (h, w) uint8, but it is {image.shape} {image.dtype}.")
+    require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
+    require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
+    px = ppi / MM_PER_INCH
+    step = max(2, round(settings.step_mm * px))
+    n, m = (-(-size // step) for size in image.shape)
+    grey = cv2.copyMakeBorder(
+        image, 0, n * step - image.shape[0], 0, m * step - image.shape[1], cv2.BORDER_REPLICATE
+    ).astype(np.float32)
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.05 * px), dtype=np.float32)
+    right, down = cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)
+    xx, xy, yy = (
+        cv2.resize(product, (m, n), interpolation=cv2.INTER_AREA)
+        for product in (right * right, right * down, down * down)
+    )
+    energy, double_cos, double_sin = xx + yy, xx - yy, 2.0 * xy
+    sigmas = [length * px / step for length in (settings.narrow_mm, settings.wide_mm)]
+    narrow, wide = ([_blur(part, sigma) for part in (energy, double_cos, double_sin)] for sigma in sigmas)
+    strength = np.sqrt(np.maximum(wide[0], 0.0))
+    mask = _extent(strength, settings.least_strength, px / step)
+    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    sure = [np.hypot(c, s) / np.maximum(e, np.float32(1e-6)) for e, c, s in (narrow, wide)]
+    trust = sure[0] ** 4
+    vector = [
+        trust * part / np.maximum(narrow[0], np.float32(1e-6))
+        + (1 - trust) * other / np.maximum(wide[0], np.float32(1e-6))
+        for part, other in zip(narrow[1:], wide[1:], strict=True)
+    ]
+    # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
+    orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
+    frequency, peaked = _frequencies(grey, orientation, step, px, mask, settings)
+    mask = np.logical_and(mask, peaked)
+    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    return RidgeField(step, orientation.astype(np.float32), np.clip(sure[0], 0, 1).astype(np.float32), frequency, mask)
+
+
+def _blur(image: FloatArray, sigma: float) -> FloatArray:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+
+
+def _extent(strength: FloatArray, least: float, nodes_per_mm: float) -> BoolArray:
+    """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
+    high = float(np.percentile(strength, 90))
+    if high < 1.0:  # less than a grey level
+        return np.zeros(strength.shape, dtype=np.bool_)
+    raw = (strength > least * high).astype(np.uint8)
+    size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
+    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
+    closed = closed[size:-size, size:-size]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
+    keep = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > 4 * nodes_per_mm**2]
+    mask = np.isin(labels, keep)
+    holes = (~mask).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
+    small = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] < 4 * nodes_per_mm**2]
+    return np.asarray(mask | np.isin(labels, small))
+
+
+def _frequencies(  # noqa: PLR0917
+    grey: FloatArray, orientation: FloatArray, step: int, px: float, mask: BoolArray, settings: RidgeFieldSettings
+) -> tuple[FloatArray, BoolArray]:
+    """Frequency at the nodes (n, m), ridges per pixel, and where a frequency was found nearby.
+
+    Windows around every second node. The strongest frequency across the ridges is refined to the centroid of the power
+    within two bins of it: under a Hann window that has no bias, wherever between the bins a wave lies.
+    """
+    nodes = mask.shape
+    side = scipy.fft.next_fast_len(max(16, round(settings.window_mm * px)), real=True)
+    pad = side // 2
+    wide = cv2.copyMakeBorder(grey, pad, pad + 2 * step, pad, pad + 2 * step, cv2.BORDER_REFLECT)
+    windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
+    count = -(-nodes[0] // 2), -(-nodes[1] // 2)
+    padded = np.pad(mask, ((0, 2 * count[0] - nodes[0]), (0, 2 * count[1] - nodes[1])))
+    wanted = np.asarray(padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3)))
+    patches = windows[: count[0], : count[1]][wanted]
+    hann = np.hanning(side + 2)[1:-1].astype(np.float32)
+    spectrum = scipy.fft.rfft2((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
+    power = spectrum.real**2 + spectrum.imag**2
+    total = power.sum(axis=(1, 2))
+    # columns -3 to the end: a wave near column 0 has half of its peak on the other side
+    mirrored = np.roll(power[:, ::-1], 1, axis=1)[:, :, 3:0:-1]
+    power = np.concatenate([mirrored, power], axis=2).reshape(len(patches), -1)
+    ky, kx = np.meshgrid(scipy.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
+    radius = np.hypot(kx, ky).ravel()
+    reach = 2.5 / side
+    band = (radius > 1.0 / (settings.longest_mm * px) - reach) & (radius < 1.0 / (settings.shortest_mm * px) + reach)
+    x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
+    low, high = 1.0 / (settings.longest_mm * px), 1.0 / (settings.shortest_mm * px)
+    believed = (radius[band] > low) & (radius[band] < high) & (x >= 0)
+    power = power[:, band]
+    angle = 2.0 * (orientation[::2, ::2][wanted] + np.float32(0.5 * np.pi))
+    toward = 2.0 * np.arctan2(-y, x)
+    across = 0.5 + 0.5 * (np.cos(angle)[:, None] * np.cos(toward) + np.sin(angle)[:, None] * np.sin(toward))
+    best = np.argmax(power * across * believed, axis=1)
+    near = (np.abs(x - x[best, None]) < reach) & (np.abs(y - y[best, None]) < reach)
+    near_power = np.where(near, power, np.float32(0.0))
+    weight = np.maximum(near_power.sum(axis=1), np.float32(1e-9))
+    found = np.hypot(near_power @ x / weight, near_power @ y / weight)
+    share = weight / np.maximum(total, np.float32(1e-9))
+    sure = (share > 0.1) & (found > low) & (found < high)
+    if not bool(sure.any()):
+        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
+    trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
+    trust[wanted] = np.where(sure, share, np.float32(0.0))
+    value[wanted] = found
+    around = _blur(trust, 1.5)
+    smooth = _blur(trust * value, 1.5) / np.maximum(around, np.float32(1e-9))
+    smooth = np.where(around > 0.01, smooth, np.float32(np.median(found[sure]))).astype(np.float32)
+    large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
+    known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
+    return np.ascontiguousarray(large[: nodes[0], : nodes[1]]), known[: nodes[0], : nodes[1]] > 0
