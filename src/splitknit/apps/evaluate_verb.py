@@ -6,16 +6,18 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from splitknit.apps.gallery_options import add_key
 from splitknit.apps.verb import Outcome, Progress, natural, new_verb
+from splitknit.check import require
 
 
 def add_evaluate(verbs: Any) -> None:
     """Add ``splitknit evaluate``."""
     verb = new_verb(verbs, "evaluate", "error rates of anybody's scores, with confidence intervals", run)
-    verb.add_argument(
+    source = verb.add_mutually_exclusive_group(required=True)
+    source.add_argument(
         "--scores",
         type=Path,
-        required=True,
         nargs="+",
         action="extend",
         metavar="FILE",
@@ -23,6 +25,13 @@ def add_evaluate(verbs: Any) -> None:
         "if known finger_a, finger_b, subject_a, subject_b, session_a, session_b; several files, or a column "
         "system, are compared",
     )
+    source.add_argument(
+        "--gallery",
+        type=Path,
+        metavar="GALLERY",
+        help="instead: compare all sessions of a gallery with each other; scores.csv is written as well",
+    )
+    add_key(verb)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the report into")
     verb.add_argument("--dissimilarity", action="store_true", help="the scores are distances: lower is more alike")
     verb.add_argument(
@@ -68,9 +77,12 @@ def run(options: argparse.Namespace) -> Outcome:
         bootstrap=BootstrapSettings(replicates=options.replicates, seed=options.seed),
     )
     with Progress(options) as progress:
+        gallery = _gallery(options, progress) if options.gallery is not None else None
+        require(gallery is not None or options.key_file is None, "--key-file is for --gallery.")
         facts = evaluate_to_folder(
-            options.scores, options.out, settings, exclusions=options.exclude, progress=progress.update
-        )
+            options.scores or [options.gallery], options.out, settings,
+            exclusions=options.exclude, gallery=gallery, progress=progress.update,
+        )  # fmt: skip
     lines = []
     for name, one in facts["systems"].items():
         counts = one["comparisons"]
@@ -80,3 +92,11 @@ def run(options: argparse.Namespace) -> Outcome:
     lines += [f"Please note: {note}" for note in facts["notes"]]
     lines.append(f"Open {options.out / 'report.html'} in a browser.")
     return {"out": str(options.out), **facts}, lines
+
+
+def _gallery(options: argparse.Namespace, progress: Progress) -> Any:
+    from splitknit.apps.evaluation_gallery import gallery_scores  # noqa: PLC0415
+    from splitknit.apps.gallery_options import key_of  # noqa: PLC0415
+
+    require(not options.dissimilarity, "--dissimilarity is for --scores; a gallery's scores are similarities.")
+    return gallery_scores(options.gallery, key=key_of(options.key_file), progress=progress.update)

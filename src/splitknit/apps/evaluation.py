@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from splitknit.apps.evaluation_facts import Result, difference_facts, notes_of, system_facts
 from splitknit.apps.evaluation_fusion import fused_system
@@ -21,8 +21,13 @@ from splitknit.evaluate.protocol import Exclusion, average_sessions, exclude
 from splitknit.evaluate.scores import Scores
 from splitknit.io import atomic_folder, plain_json
 
+if TYPE_CHECKING:
+    from splitknit.apps.evaluation_gallery import GalleryScores
+
 Progress = Callable[[str, float], None]
 FILES = ("report.html", "report.json")
+SCORES_FILE = "scores.csv"
+"""Where the scores of a gallery are written, beside the report."""
 MOST_SYSTEMS = 12
 
 
@@ -63,9 +68,10 @@ def evaluate_to_folder(
     settings: EvaluationSettings,
     *,
     exclusions: Path | None = None,
+    gallery: GalleryScores | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> dict[str, Any]:
-    """Evaluate score files and write the report.
+    """Evaluate score files and write the report; or the scores of the gallery that `files` names, and write them too.
 
     Raises
     ------
@@ -74,11 +80,15 @@ def evaluate_to_folder(
     """
     started = time.perf_counter()
     progress("reading", 0.0)
-    systems, hashes, ignored = read_systems(files, turn=settings.dissimilarity)
+    if gallery is None:
+        systems, hashes, ignored = read_systems(files, turn=settings.dissimilarity)
+    else:
+        systems, hashes, ignored = [gallery.scores], {str(files[0]): gallery.sha256}, []
     listed: list[Exclusion] = []
     if exclusions is not None:
         listed, hashes[str(exclusions)] = read_exclusion_list(exclusions, systems[0])
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
+    notes += [] if gallery is None else gallery.notes
     fusion: dict[str, Any] | None = None
     if settings.fuse is not None:
         joined, fusion, told = fused_system(systems, settings.fuse, settings.bootstrap.seed)
@@ -101,7 +111,9 @@ def evaluate_to_folder(
     facts["inputs_sha256"] = dict(sorted(hashes.items()))
     facts["timings_s"] = {"read": read_s, "total": time.perf_counter() - started}
     progress("report", 1.0)
-    _write(out, facts, results)
+    tables = {} if gallery is None else {SCORES_FILE: gallery.table}
+    facts["files"] += list(tables)
+    _write(out, facts, results, tables)
     return facts
 
 
@@ -200,11 +212,13 @@ def _facts(
     }
 
 
-def _write(out: Path, facts: dict[str, Any], results: list[Result]) -> None:
+def _write(out: Path, facts: dict[str, Any], results: list[Result], tables: Mapping[str, bytes]) -> None:
     from splitknit.apps.evaluation_page import page  # noqa: PLC0415
 
     html = page(facts, results)
     with atomic_folder(out) as folder:
+        for name, data in tables.items():
+            (folder / name).write_bytes(data)
         (folder / "report.html").write_text(html, encoding="utf-8")
         document = json.dumps(plain_json(facts), indent=1, allow_nan=False)
         (folder / "report.json").write_text(document + "\n", encoding="utf-8")
