@@ -16,6 +16,8 @@ from splitknit.check import BadInput
 from splitknit.geometry import height_gradients, normals_from_gradients, warp
 from splitknit.io import read_capture, read_npz
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
+from splitknit.recipe import surfaces
+from splitknit.recipe.memory import Memory
 from splitknit.settings import flatten
 from splitknit.simulate.finger import Pose
 from splitknit.simulate.twin import TwinSettings, simulate_capture
@@ -238,6 +240,28 @@ def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
     result = reconstruct(capture, "metric", {"skin.invert_blur": False})
     assert result.uncertainty_um is None
     assert result.facts["separation"].startswith("none")
+
+
+def test_cases_that_share_a_memory_are_what_they_are_alone(
+    capture: Capture, results: dict[str, Reconstruction], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    network = surfaces.direct_light
+    monkeypatch.setattr(surfaces, "direct_light", lambda *given: (asked.append(1), network(*given))[1])
+    memory = Memory(capture)
+    for preset, alone in results.items():
+        shared = reconstruct(capture, preset, memory=memory)
+        for name in ("height_mm", "ridge_mm", "shape_mm", "normals", "albedo", "mask"):
+            np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name), err_msg=f"{preset} {name}")
+        assert shared.warnings == alone.warnings and shared.quality == alone.quality
+    assert len(asked) == 1  # snk and pr share their direct light
+    # other settings of a stage that the slopes follow from are not mistaken for the same
+    coarse = {"enhance.cells.cell_px": 2 * preset_settings("snk").enhance.cells.cell_px}
+    np.testing.assert_array_equal(
+        reconstruct(capture, "snk", coarse, memory=memory).ridge_mm, reconstruct(capture, "snk", coarse).ridge_mm
+    )
+    with pytest.raises(BadInput, match="another"):
+        reconstruct(replace(capture), "ea", memory=memory)
 
 
 def test_what_is_refused(capture: Capture) -> None:

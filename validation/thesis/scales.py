@@ -1,7 +1,7 @@
 """Figure 3.21: the relief of case SnK with n = 2 to 7 scales of shapelets, compared by the thesis's matcher.
 
 Only the last step differs between the six, so that images are enhanced and separated once for each capture:
-:func:`relief_images` calls the recipe with what it shares and then the bank of each n. It gives the same relief as
+:func:`relief_images` lets all n share what comes before. It gives the same relief as
 ``splitknit reconstruct --preset snk --set shapelets.scales=n`` (tests/validation/test_thesis_experiments.py).
 """
 
@@ -11,30 +11,25 @@ import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Table, Trial
 
 from splitknit.evaluate import comparisons
-from splitknit.integrate import ShapeletSettings, shapelets
 from splitknit.io import read_capture
 from splitknit.io.provenance import settings_hash
 from splitknit.match import ThesisSettings, finger_images
 from splitknit.match.align import align_masks, to_box
 from splitknit.match.lbp import LbpSettings, lbp_features
 from splitknit.match.score import dissimilarity
-from splitknit.pipeline import preset_settings
-from splitknit.recipe import surfaces
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.rays import as_modelled
-from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.pipeline import preset_settings, reconstruct
+from splitknit.recipe.memory import Memory
 from splitknit.types import BoolArray, Capture, FloatArray
 
 SCALES = (2, 3, 4, 5, 6, 7)
@@ -60,26 +55,14 @@ def relief_images(capture: Capture, scales: Sequence[int] = SCALES) -> Reliefs:
     BadInput
         If it shows no finger.
     """
-    settings = preset_settings("pr")  # as snk up to the relief, without its near-infrared shape
-    capture = as_modelled(capture, settings)
-    finger = find_finger(capture, settings, Stopwatch())
-    taken: list[Any] = []
-
-    def noted(gradient_x: Any, gradient_y: Any, mask: Any, bank: ShapeletSettings) -> FloatArray:
-        taken.append((gradient_x, gradient_y, mask, bank))
-        return shapelets(gradient_x, gradient_y, mask, bank)
-
-    with patch.object(surfaces, "shapelets", noted):
-        surfaces.thesis(capture, finger, settings, Stopwatch())
-    gradient_x, gradient_y, mask, bank = taken[0]
-    pitch = capture.rig.camera.pitch_mm
+    memory = Memory(capture)  # the scales share all but the shapelets
     channels = []
     for count in scales:
-        relief = np.full(finger.mask.shape, np.nan, dtype=np.float32)
-        relief[finger.window] = shapelets(gradient_x, gradient_y, mask, replace(bank, scales=count)) * np.float32(pitch)
+        # as snk up to the relief, without its near-infrared shape
+        result = reconstruct(capture, "pr", {"shapelets.scales": count}, memory=memory)
         images = finger_images(
-            np.zeros((*relief.shape, 3), np.float32), relief, finger.mask, pitch,
-            finger.upright.input_from_upright, finger.upright.size,
+            result.normals, result.ridge_mm, result.mask, result.pitch_mm, result.input_from_upright,
+            result.upright_size,
         )  # fmt: skip
         channels.append(images.channels["relief"])
     return Reliefs(np.stack(channels), images.mask, images.px_per_mm)

@@ -24,6 +24,7 @@ from splitknit.io.prints import encode_print_png
 from splitknit.match import pack
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
+from splitknit.recipe.memory import Memory
 from splitknit.types import Capture, Reconstruction
 
 PRINT_PPI = 500.0
@@ -93,15 +94,17 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
     failures = []
     for ref in task.captures:
         capture: Capture | str
+        memory: Memory | None
         try:
             capture = read_capture(task.population / ref.name)
+            memory = Memory(capture)
         except BadInput as error:
-            capture = str(error)
+            capture, memory = str(error), None
         for case, wanted in task.cases:
             if ref.name not in wanted:
                 continue
             started = time.perf_counter()
-            row = _row(ref, capture, case, task)
+            row = _row(ref, capture, memory, case, task)
             seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
             rows[case.name].append(row)
             if not row["acquired"]:
@@ -126,7 +129,9 @@ def features_hash(matching: MatchingSettings) -> str:
     return settings_hash({"band": matching.band, "template": matching.template})
 
 
-def _row(ref: CaptureRef, capture: Capture | str, case: Case, task: FeatureTask) -> dict[str, Any]:
+def _row(
+    ref: CaptureRef, capture: Capture | str, memory: Memory | None, case: Case, task: FeatureTask
+) -> dict[str, Any]:
     row: dict[str, Any] = {
         "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
         "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",
@@ -137,7 +142,7 @@ def _row(ref: CaptureRef, capture: Capture | str, case: Case, task: FeatureTask)
         return row | {"failure": capture}
     row["input_sha256"] = settings_hash(dict(sorted(capture.hashes.items())))
     try:
-        result = reconstruct(capture, case.preset, case.settings())
+        result = reconstruct(capture, case.preset, case.settings(), memory=memory)
     except BadInput as error:
         return row | {"failure": str(error)}
     surface = surface_of(result)

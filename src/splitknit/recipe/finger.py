@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -62,6 +62,13 @@ class Finger:
     facts: Mapping[str, Any]
     quality: Mapping[str, Any]
     warnings: tuple[str, ...]
+
+
+def finger_key(settings: PipelineSettings) -> Hashable:
+    """What a finger follows from, beside its capture: equal keys, equal fingers."""
+    camera = settings.camera, settings.top_mm
+    found = settings.mask, settings.orientation, settings.crease, settings.cut_at_crease, settings.photometric
+    return "finger", *camera, *found, settings.quality, settings.motion
 
 
 def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) -> Finger:

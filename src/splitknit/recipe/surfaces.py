@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ from splitknit.knit import add, crossover
 from splitknit.normals import NearLightSettings, lambertian, near_light, robust
 from splitknit.preprocess import clahe
 from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
-from splitknit.recipe.finger import Finger
+from splitknit.recipe.finger import Finger, finger_key
+from splitknit.recipe.memory import Memory
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.direct import direct_light, direct_of_enhanced
@@ -37,8 +39,12 @@ class SurfaceParts:
     warnings: tuple[str, ...]
 
 
-def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
+def thesis(
+    capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch, memory: Memory
+) -> SurfaceParts:
     """Cases EA, PR and SnK: distant lights, least squares, Frankot-Chellappa and shapelets.
+
+    `memory` keeps the slopes, which cases with other shapelets or another way to knit share.
 
     References
     ----------
@@ -47,6 +53,26 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
     mask = finger.wider[finger.window]
     pitch = np.float32(capture.rig.camera.pitch_mm)
     white, nir, warnings = ridge_and_shape_bands(capture, settings)
+    seen = *finger_key(settings), settings.normals
+    split = "visible", *seen, settings.enhance, settings.direct
+    gradients, albedo = memory(split, partial(_visible, capture, white, finger, settings, watch))
+    with watch("surface"):
+        ridge = shapelets(*gradients, mask, _bank(settings, capture)) * pitch
+        if settings.knit.method == "none":
+            height = _integrate(gradients, mask, settings) * pitch
+            shape = height - ridge
+        else:
+            slopes = memory(("below", *seen, nir is white), partial(_below, capture, nir, finger, settings))
+            shape = _integrate(slopes, mask, settings) * pitch
+            height, ridge = _knitted(ridge, shape, gradients, mask, settings, capture)
+    return SurfaceParts(height, ridge, shape, albedo, None, facts_of(capture, settings, white, nir), warnings)
+
+
+def _visible(
+    capture: Capture, white: Band, finger: Finger, settings: PipelineSettings, watch: Stopwatch
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """Slopes and albedo of the white band: enhanced, and of direct light alone, where the settings say so."""
+    mask = finger.wider[finger.window]
     with watch("light"):
         visible = _grey(capture, white, finger.window)
         if settings.enhance.clahe:
@@ -55,19 +81,15 @@ def thesis(capture: Capture, finger: Finger, settings: PipelineSettings, watch: 
             visible = _direct(capture, white, finger.window, visible * mask, settings)
     with watch("normals"):
         normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
-        gradients = _slopes(normals, finger, capture, settings)
-    with watch("surface"):
-        ridge = shapelets(*gradients, mask, _bank(settings, capture)) * pitch
-        if settings.knit.method == "none":
-            height = _integrate(gradients, mask, settings) * pitch
-            shape = height - ridge
-        else:
-            invisible = _grey(capture, nir, finger.window)
-            below, _ = _distant_normals(invisible, capture.rig.select(nir.leds), mask, settings)
-            slopes = _slopes(below, finger, capture, settings)
-            shape = _integrate(slopes, mask, settings) * pitch
-            height, ridge = _knitted(ridge, shape, gradients, mask, settings, capture)
-    return SurfaceParts(height, ridge, shape, albedo, None, facts_of(capture, settings, white, nir), warnings)
+        return _slopes(normals, finger, capture, settings), albedo
+
+
+def _below(capture: Capture, nir: Band, finger: Finger, settings: PipelineSettings) -> tuple[FloatArray, FloatArray]:
+    """Slopes of the band of the shape."""
+    invisible = _grey(capture, nir, finger.window)
+    rig = capture.rig.select(nir.leds)
+    below, _ = _distant_normals(invisible, rig, finger.wider[finger.window], settings)
+    return _slopes(below, finger, capture, settings)
 
 
 def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
