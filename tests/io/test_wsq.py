@@ -66,7 +66,7 @@ def test_small_prints_are_sound(shape: tuple[int, int]) -> None:
 @pytest.mark.parametrize(
     ("image", "ppi", "words"),
     [
-        (np.zeros((95, 100), np.uint8), 500, "96 to 8000 pixels each way, not 95 x 100"),
+        (np.zeros((95, 100), np.uint8), 500, "96 to 5000 pixels each way, not 95 x 100"),
         (np.zeros((100, 100), np.uint8), 1000, "WSQ is for 500 ppi, but the print has 1000"),
         (np.zeros((100, 100)), 500, "uint8"),
         (np.zeros((100, 100, 1), np.uint8), 500, r"\(H, W\)"),

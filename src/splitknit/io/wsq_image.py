@@ -31,7 +31,7 @@ BIT_RATE = 0.75
 come out smaller, about 1/15 of the pixels' bytes."""
 LEAST_SIDE_PX = 96
 """Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
-LARGEST_SIDE_PX = 8000
+LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
 _WSQ_FILE = ImageSettings(max_bytes=100_000_000)
 _CHILD = f"""

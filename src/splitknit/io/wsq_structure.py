@@ -21,7 +21,7 @@ _TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
 """Filters, quantisers, Huffman codes, restart interval, comment."""
 _COMMENT = 0xA8
 _MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
-_MOST_PIXELS = 64_000_000
+_MOST_PIXELS = 25_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ def wsq_header(data: bytes, name: str) -> WsqHeader:
     Raises
     ------
     BadInput
-        If it is no WSQ file, ends early, is damaged, or claims more than 64 million pixels.
+        If it is no WSQ file, ends early, is damaged, or claims more than 25 million pixels.
     """
     require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (it begins with FF A0); name another file.")
     truncated = f"{name} is truncated: the WSQ file ends within the image; copy it again."
