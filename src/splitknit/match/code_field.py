@@ -18,14 +18,19 @@ from splitknit.match.template import Template
 from splitknit.match.unroll import blur
 from splitknit.types import FloatArray
 
-COLUMNS, ROWS, STEP_MM = 17, 20, 1.0
+COLUMNS, ROWS, STEP_MM = 17, 17, 1.0
 """The grid of a code: its first row lies one step below the finger's uppermost skin."""
 CELLS = COLUMNS * ROWS
 CHANNELS = 3
-"""Cosine and sine of twice the direction across the ridges, times coherence; logarithm of the ridges' frequency."""
+"""Cosine and sine of twice the direction across the ridges, times coherence; log of their frequency (rad a 0.1 mm)."""
 _WINDOW_MM = 0.7
 _TURN_MM = 10.0
 """A probe is turned about a point so far below the origin."""
+_DERIVATIVE = np.array([-1, 9, -45, 0, 45, -9, 1], dtype=np.float32) / 60
+"""Central difference of the sixth order: ridges have but four pixels of the template, too few for shorter ones."""
+_HERE = np.ones(1, dtype=np.float32)
+_STRANGE = 0.2
+"""Where the logarithm of the frequency is so far from the finger's median, a cell counts less, and at twice not."""
 _REDUCED = 2
 """Pixels of the template, each way, that share a pixel of the maps."""
 
@@ -60,9 +65,9 @@ def ridge_field(template: Template) -> RidgeField:
     valid = template.valid.astype(np.uint8)
     value = blur(template.value(), 0.6)
     # gradients beside the border of the valid skin are those of the border
-    inside = cv2.erode(valid, np.ones((3, 3), np.uint8), borderValue=0).astype(np.float32)
-    right = cv2.Sobel(value, cv2.CV_32F, 1, 0) * (inside / 8)
-    up = cv2.Sobel(value, cv2.CV_32F, 0, 1) * (-inside / 8)
+    inside = cv2.erode(valid, np.ones((5, 5), np.uint8), borderValue=0).astype(np.float32)
+    right = cv2.sepFilter2D(value, cv2.CV_32F, _DERIVATIVE, _HERE) * inside
+    up = cv2.sepFilter2D(value, cv2.CV_32F, _HERE, _DERIVATIVE) * -inside
     parts = (right * right, up * up, right * up, value * value * inside, inside)
     small = max(1, valid.shape[1] // _REDUCED), max(1, valid.shape[0] // _REDUCED)
     sigma = _WINDOW_MM / (pitch * _REDUCED)
@@ -71,15 +76,20 @@ def ridge_field(template: Template) -> RidgeField:
     )
     total = np.maximum(xx + yy, np.float32(1e-6))
     frequency = 0.5 * np.log(total / np.maximum(power, np.float32(1e-6)))
-    maps = np.stack([(xx - yy) / total, 2 * xy / total, frequency - np.float32(2 * np.log(pitch / 0.1)), weight])
-    column, row = _origin(template)
+    frequency -= np.float32(np.log(pitch / 0.1))
+    # creases and folds look like ridges, but for their width
+    usual = float(np.median(frequency[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
+    strange = np.abs(frequency - usual) / _STRANGE
+    weight = weight * np.clip(2.0 - strange, 0.0, 1.0)
+    maps = np.stack([(xx - yy) / total, 2 * xy / total, frequency, weight])
+    column, row = origin_of(template)
     scale = small[0] / valid.shape[1], small[1] / valid.shape[0]
     origin = (column + 0.5) * scale[0] - 0.5, (row + 0.5) * scale[1] - 0.5
     return RidgeField(maps.astype(np.float32), origin, pitch * _REDUCED)
 
 
-def _origin(template: Template) -> tuple[float, float]:
-    """Column of the finger's middle and row of its uppermost skin."""
+def origin_of(template: Template) -> tuple[float, float]:
+    """Column of the finger's middle and row of its uppermost skin: the origin of its frame, pixels of the template."""
     valid, pitch = template.valid, template.pitch_mm
     broad = np.flatnonzero(valid.sum(axis=1) >= min(2.0 / pitch, 0.5 * valid.sum(axis=1).max()))
     top = int(broad[0])
@@ -90,6 +100,17 @@ def _origin(template: Template) -> tuple[float, float]:
     first = rows.argmax(axis=1)
     last = rows.shape[1] - 1 - rows[:, ::-1].argmax(axis=1)
     return float(np.mean(first + last)) / 2, float(top)
+
+
+def laid_on(probe: Template, other: Template, turn_rad: float, right_mm: float, down_mm: float) -> NDArray[np.float64]:
+    """(2, 3) matrix from (column, row, 1) in the probe to the other template, for a variant of :func:`sampled`."""
+    pitch = probe.pitch_mm
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    below = np.array([0.0, _TURN_MM / pitch])
+    shift = np.array([right_mm, down_mm]) / pitch
+    target = np.array(origin_of(other)) + below + shift
+    return np.hstack([turn, (target - turn @ (np.array(origin_of(probe)) + below))[:, None]])
 
 
 def sampled(

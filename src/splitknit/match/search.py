@@ -1,4 +1,6 @@
-"""Search of one finger among very many, in two stages: codes of fixed length, then the ridges of the best few."""
+"""Search of one finger among very many, in stages: codes of fixed length, a glance at the ridges of the best, then
+the comparison of the ridges of a few.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +12,16 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.match.code import ProbeSettings, code_size, probe_codes
+from splitknit.match.code_field import laid_on
+from splitknit.match.elastic import compare_patches
 from splitknit.match.ridge import Prepared, RidgeMatchSettings, prepared, ridge_match
 from splitknit.match.template import Template
 from splitknit.types import FloatArray
 
 EXHAUSTIVE = 2000
 """In a gallery of no more fingers all are compared by their ridges (if it is asked for a sure answer)."""
-_BLOCK = 4096
+_BLOCK = 1024
+"""Codes that are widened to float32 at a time: what a core's cache holds."""
 
 Gallery = Mapping[str, Template | Prepared] | Callable[[str], Template | Prepared]
 
@@ -26,11 +31,14 @@ class SearchSettings:
     """How a gallery is searched."""
 
     candidates: int = 50
-    """Fingers that the codes let through to the comparison of ridges."""
+    """Fingers that the codes let through to a glance at their ridges, which are laid as the codes fit best."""
+    finalists: int = 5
+    """Of those the fingers whose ridges are compared in full."""
     probe: ProbeSettings = field(default_factory=ProbeSettings)
 
     def __post_init__(self) -> None:
         require(self.candidates >= 1, "search.candidates must be at least 1.")
+        require(self.finalists >= 1, "search.finalists must be at least 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,22 +159,27 @@ class CodeIndex:
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         if not self._ids:
             return [], np.zeros(0, dtype=np.float32)
-        scores = self.scores(probe_codes(probe, settings))
+        places, scores = self.nearest(probe_codes(probe, settings), k)
+        return [self._ids[place] for place in places], scores
+
+    def nearest(self, variants: FloatArray, k: int) -> tuple[list[int], FloatArray]:
+        """Places and scores of the `k` best, as :meth:`search`, for the variants (V, code_size()) of a probe."""
+        scores = self.scores(variants)
         k = min(k, len(scores))
         least = np.partition(scores, len(scores) - k)[len(scores) - k]
-        ranked = sorted((-float(scores[n]), self._ids[n]) for n in np.flatnonzero(scores >= least).tolist())[:k]
-        return [identity for _, identity in ranked], np.array([-score for score, _ in ranked], dtype=np.float32)
+        ranked = sorted((-float(scores[n]), self._ids[n], n) for n in np.flatnonzero(scores >= least).tolist())[:k]
+        return [n for _, _, n in ranked], np.array([-score for score, _, _ in ranked], dtype=np.float32)
 
     def scores(self, variants: FloatArray) -> FloatArray:
         """(N,) best product of each code with the variants (V, code_size()) of a probe."""
         best = np.empty(len(self._ids), dtype=np.float32)
-        right = np.ascontiguousarray(variants.T, dtype=np.float32)
+        left = np.ascontiguousarray(variants, dtype=np.float32)
         block = np.empty((_BLOCK, code_size()), dtype=np.float32)
         for start in range(0, len(best), _BLOCK):
             codes = self._codes[start : min(start + _BLOCK, len(best))]
             part = block[: len(codes)]
             part[...] = codes
-            best[start : start + len(codes)] = (part @ right).max(axis=1)
+            best[start : start + len(codes)] = (left @ part.T).max(axis=0)
         return best
 
 
@@ -178,7 +191,7 @@ def identify(  # noqa: PLR0917
     settings: SearchSettings | None = None,
     match: RidgeMatchSettings | None = None,
 ) -> list[Candidate]:
-    """Who is it? Codes choose `k` fingers of the gallery, their ridges are compared.
+    """Who is it? Codes choose `k` fingers of the gallery, a glance at their ridges a few, and those are compared.
 
     Parameters
     ----------
@@ -186,31 +199,58 @@ def identify(  # noqa: PLR0917
     gallery : templates (or prepared ones) by id, or a function that fetches one by its id; it is asked for the
         candidates only
     index : codes of the gallery
-    k : candidates; `settings.candidates` if None. Where k reaches the size of the index, codes are
-        not used at all: the search is exhaustive. For galleries up to `EXHAUSTIVE` fingers that is the recommended way.
+    k : candidates of the codes; `settings.candidates` if None. Where k reaches the size of the index, codes are not
+        used at all: all are compared. For galleries up to `EXHAUSTIVE` fingers that is the sure way.
     settings : SearchSettings, optional
     match : of the comparison of ridges
 
     Returns
     -------
-    list of Candidate, highest similarity first, at most k; equal ones in the order of their ids. Empty if the probe is
-    a failure to acquire. A finger is who it is taken for only where its similarity passes a threshold: `splitknit
-    match` prints false match rates of one comparison; a search among N fingers makes N chances of a false match.
+    list of Candidate, highest similarity first, at most `settings.finalists` (all of a gallery that is compared as a
+    whole); equal ones in the order of their ids. Empty if the probe is a failure to acquire. A finger is who it is
+    taken for only where its similarity passes a threshold: `splitknit match` prints false match rates of one
+    comparison; a search among N fingers makes N chances of a false match.
+
+    Raises
+    ------
+    BadInput
+        If k is less than 1, or a template has another pitch than the probe.
     """
     settings = settings or SearchSettings()
     k = settings.candidates if k is None else k
     require(k >= 1, f"k must be at least 1, but it is {k}.")
     if probe.empty or not len(index):
         return []
-    if k >= len(index):
-        ids = sorted(index.ids)
-        scores = np.full(len(ids), np.nan, dtype=np.float32)
-    else:
-        ids, scores = index.search(probe, k, settings.probe)
     fetch: Callable[[str], Template | Prepared] = gallery.__getitem__ if isinstance(gallery, Mapping) else gallery
     ready = prepared(probe, match)
+    if k >= len(index):
+        chosen = [(identity, float("nan"), prepared(fetch(identity), match)) for identity in sorted(index.ids)]
+    else:
+        variants = probe_codes(probe, settings.probe)
+        chosen = []
+        worths = []
+        for place, score in zip(*index.nearest(variants, k), strict=True):
+            code = index.codes[place].astype(np.float32)
+            other = prepared(fetch(index.ids[place]), match)
+            worths.append(_glance(ready, other, settings.probe, int(np.argmax(variants @ code))))
+            chosen.append((index.ids[place], float(score), other))
+        best = sorted(range(len(chosen)), key=lambda n: (-worths[n], chosen[n][0]))[: settings.finalists]
+        chosen = [chosen[n] for n in best]
     found = [
-        Candidate(identity, ridge_match(ready, fetch(identity), match).similarity, float(score))
-        for identity, score in zip(ids, scores, strict=True)
+        Candidate(identity, ridge_match(ready, other, match).similarity, score) for identity, score, other in chosen
     ]
     return sorted(found, key=lambda candidate: (-candidate.similarity, candidate.id))
+
+
+def _glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
+    """How well patches of the probe's ridges are found in the other finger, laid as its code fits best."""
+    if other.template.empty:
+        return -1.0
+    require(
+        probe.template.pitch_mm == other.template.pitch_mm,
+        f"templates have pitches of {probe.template.pitch_mm:g} and {other.template.pitch_mm:g} mm; make both new.",
+    )
+    turn, right, down = (float(values[variant]) for values in settings.variants())
+    start = laid_on(probe.template, other.template, turn, right, down)
+    seen = compare_patches(probe.first, other.value, other.template.valid, start, probe.settings.first)
+    return float(seen.mean * np.sqrt(len(seen.used)))
