@@ -64,7 +64,7 @@ class Finger:
     warnings: tuple[str, ...]
 
 
-def finger_key(settings: PipelineSettings) -> Hashable:
+def finger_key(settings: PipelineSettings) -> tuple[Hashable, ...]:
     """What a finger follows from, beside its capture: equal keys, equal fingers."""
     camera = settings.camera, settings.top_mm
     found = settings.mask, settings.orientation, settings.crease, settings.cut_at_crease, settings.photometric
