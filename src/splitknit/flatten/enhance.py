@@ -52,7 +52,12 @@ class Enhanced:
     field: RidgeField
 
 
-def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: GaborSettings | None = None) -> Enhanced:
+def gabor_enhance(
+    image: NDArray[np.uint8],
+    ppi: float = 500.0,
+    settings: GaborSettings | None = None,
+    inside: BoolArray | None = None,
+) -> Enhanced:
     """Enhance a print.
 
     Parameters
@@ -62,6 +67,8 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: GaborS
     ppi : float
         Pixels per inch.
     settings : GaborSettings, optional
+    inside : (h, w) bool, optional
+        Where the finger is, if it is known: nothing is printed beside it.
 
     Raises
     ------
@@ -73,7 +80,7 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: GaborS
     L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
     """
     settings = settings or GaborSettings()
-    found = ridge_field(image, ppi, settings.field)
+    found = ridge_field(image, ppi, settings.field, inside)
     coefficients = _at_nodes(image, found, settings.sigma_periods)
     amplitude = np.abs(coefficients)
     around = np.asarray(cv2.GaussianBlur(amplitude, (0, 0), 2.5), dtype=np.float32)
@@ -83,16 +90,18 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: GaborS
     found = replace(found, mask=found.mask & (around > np.float32(settings.floor * typical)))
     require(bool(found.mask.any()), "the print has no ridges; check focus and light of the capture.")
     wave = _plane_waves(coefficients, found, image.shape[:2])
-    return finished(wave, found, settings.contrast)
+    return finished(wave, found, settings.contrast, inside)
 
 
-def finished(wave: FloatArray, found: RidgeField, contrast: float) -> Enhanced:
-    """Grey values of a wave inside the print's mask."""
+def finished(wave: FloatArray, found: RidgeField, contrast: float, inside: BoolArray | None = None) -> Enhanced:
+    """Grey values of a wave inside the print's mask, and `inside` where that is given."""
     shape = wave.shape[0], wave.shape[1]
     step = found.step_px
     large = (found.mask.shape[1] * step, found.mask.shape[0] * step)
     smooth = cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 1.5, borderType=cv2.BORDER_REPLICATE)
     soft = cv2.resize(smooth, large, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+    if inside is not None:
+        soft = soft * cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 1.0)
     mask = soft > 0.5
     grey = 0.5 - 0.5 * np.tanh(np.float32(contrast) * wave)  # dark = 1 on ridges
     image = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)

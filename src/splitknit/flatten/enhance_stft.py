@@ -23,7 +23,7 @@ from splitknit.check import require
 from splitknit.flatten.enhance import Enhanced, finished
 from splitknit.flatten.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
 from splitknit.flatten.ridges import MM_PER_INCH
-from splitknit.types import FloatArray
+from splitknit.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,12 @@ class StftSettings:
         require(0 < self.floor <= 1, "stft.floor must lie between 0 and 1.")
 
 
-def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: StftSettings | None = None) -> Enhanced:
+def stft_enhance(
+    image: NDArray[np.uint8],
+    ppi: float = 500.0,
+    settings: StftSettings | None = None,
+    inside: BoolArray | None = None,
+) -> Enhanced:
     """Enhance a print.
 
     Parameters
@@ -64,6 +69,8 @@ def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: StftSet
     ppi : float
         Pixels per inch.
     settings : StftSettings, optional
+    inside : (h, w) bool, optional
+        Where the finger is, if it is known: nothing is printed beside it.
 
     Raises
     ------
@@ -71,13 +78,12 @@ def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: StftSet
         If the image is of another kind, or has no ridges.
     """
     settings = settings or StftSettings()
-    found = ridge_field(image, ppi, settings.field)
+    found = ridge_field(image, ppi, settings.field, inside)
     wave = _filtered(image, found, ppi / MM_PER_INCH, settings)
     sigma = settings.window_mm * ppi / MM_PER_INCH / 4
     level = np.sqrt(np.maximum(cv2.GaussianBlur(wave * wave, (0, 0), sigma), np.float32(1e-12)) * 2)
     large = cv2.resize(found.mask.astype(np.uint8), None, fx=found.step_px, fy=found.step_px) > 0
-    inside = large[: image.shape[0], : image.shape[1]]
-    typical = float(np.median(level[inside]))
+    typical = float(np.median(level[large[: image.shape[0], : image.shape[1]]]))
     require(typical > 0.05, "the print has no ridges; check focus and light of the capture.")
     wave = wave / np.maximum(level, np.float32(settings.floor * typical))
     padded = cv2.copyMakeBorder(
@@ -86,7 +92,7 @@ def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, settings: StftSet
     at_nodes = cv2.resize(padded, (found.mask.shape[1], found.mask.shape[0]), interpolation=cv2.INTER_AREA)
     found = replace(found, mask=found.mask & (at_nodes > np.float32(2.0 * settings.floor * typical)))
     require(bool(found.mask.any()), "the print has no ridges; check focus and light of the capture.")
-    return finished(wave.astype(np.float32), found, settings.contrast)
+    return finished(wave.astype(np.float32), found, settings.contrast, inside)
 
 
 def _filtered(image: NDArray[np.uint8], found: RidgeField, px: float, settings: StftSettings) -> FloatArray:

@@ -184,12 +184,9 @@ def _gaps(print_of_grid: Array) -> Array:
     """(n, m) largest distance of a node from its four neighbours, on the print."""
     across = np.linalg.norm(np.diff(print_of_grid, axis=1), axis=2)
     down = np.linalg.norm(np.diff(print_of_grid, axis=0), axis=2)
-    return np.fmax.reduce(
-        [
-            np.pad(across, ((0, 0), (0, 1))), np.pad(across, ((0, 0), (1, 0))),
-            np.pad(down, ((0, 1), (0, 0))), np.pad(down, ((1, 0), (0, 0))),
-        ]
-    )  # fmt: skip
+    left, right = np.pad(across, ((0, 0), (0, 1))), np.pad(across, ((0, 0), (1, 0)))
+    above, below = np.pad(down, ((0, 1), (0, 0))), np.pad(down, ((1, 0), (0, 0)))
+    return np.asarray(np.fmax(np.fmax(left, right), np.fmax(above, below)))
 
 
 def _facing(grid: SurfaceGrid) -> FloatArray:

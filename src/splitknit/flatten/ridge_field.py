@@ -65,7 +65,12 @@ class RidgeField:
         return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.float32(np.nan)).astype(np.float32)
 
 
-def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeFieldSettings | None = None) -> RidgeField:
+def ridge_field(
+    image: NDArray[np.uint8],
+    ppi: float = 500.0,
+    settings: RidgeFieldSettings | None = None,
+    inside: BoolArray | None = None,
+) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print.
 
     Parameters
@@ -75,6 +80,8 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeFie
     ppi : float
         Pixels per inch.
     settings : RidgeFieldSettings, optional
+    inside : (h, w) bool, optional
+        Where the finger is, if it is known.
 
     Raises
     ------
@@ -109,6 +116,10 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeFie
     narrow, wide = ([_blur(part, sigma) for part in (energy, double_cos, double_sin)] for sigma in sigmas)
     strength = np.sqrt(np.maximum(wide[0], 0.0))
     mask = _extent(strength, settings.least_strength, px / step)
+    if inside is not None:
+        require(inside.shape == image.shape, f"inside must have the print's shape {image.shape}, not {inside.shape}.")
+        padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
+        mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
     require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
     sure = [np.hypot(c, s) / np.maximum(e, np.float32(1e-6)) for e, c, s in (narrow, wide)]
     trust = sure[0] ** 4

@@ -1,0 +1,92 @@
+"""``splitknit print FINGER``: a flat print of a finger in space."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.apps.verb import Outcome, Progress, add_settings, new_verb
+
+
+def add_print(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "print", "turn a finger in space into a flat print of 500 pixels per inch", run_print)
+    verb.add_argument(
+        "finger", type=Path, metavar="FINGER", help="result folder, or capture folder (reconstructed first)"
+    )
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the print into")
+    verb.add_argument(
+        "--method",
+        choices=("relief", "unroll", "curvature", "photo"),
+        default="unroll",
+        help="unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's); "
+        "curvature: the shape index; photo: the photograph (needs a capture)",
+    )
+    verb.add_argument(
+        "--surface",
+        choices=("plane", "free", "arc", "tube", "cylinder"),
+        default=None,
+        help="where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least "
+        "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)",
+    )
+    verb.add_argument("--ppi", type=int, choices=(500, 1000), default=500, help="pixels per inch (default: 500)")
+    verb.add_argument(
+        "--preset",
+        choices=("metric", "snk", "pr", "ea"),
+        default="metric",
+        help="how a capture is reconstructed (default: metric)",
+    )
+    add_settings(verb)
+
+
+def run_print(options: argparse.Namespace) -> Outcome:
+    """Print."""
+    from splitknit.apps.options import read_changes  # noqa: PLC0415 - verbs import what they need
+    from splitknit.apps.printing import print_to_folder  # noqa: PLC0415
+
+    changes = read_changes(options.settings, options.assignments)
+    with Progress(options) as progress:
+        facts = print_to_folder(
+            options.finger,
+            options.out,
+            method=options.method,
+            surface=options.surface,
+            ppi=float(options.ppi),
+            preset=options.preset,
+            changes=changes,
+            progress=progress.update,
+        )
+    return facts, _words(facts)
+
+
+def _words(facts: dict[str, Any]) -> list[str]:
+    rows, columns = facts["size"]
+    where = {
+        "plane": "on the finger plane, seen straight from above",
+        "free": "on the skin laid flat with the least distortion",
+        "arc": "on the skin laid flat row by row",
+        "tube": "on the best-fit tube, unrolled",
+        "cylinder": "on the best-fit cylinder, unrolled",
+    }[facts["surface"]]
+    period = facts["ridge_period_mm"]["median"]
+    lines = [
+        f"Print ({facts['method']}) of {columns} x {rows} pixels at {facts['ppi']:g} ppi, {where}: "
+        f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart.",
+    ]
+    if "distortion" in facts:
+        figures = facts["distortion"]
+        lines.append(
+            f"Lengths are off by {figures['length_median_percent']:.1f} % (median) and "
+            f"{figures['length_p95_percent']:.1f} % (95th percentile), whichever way is worse."
+        )
+    minutiae = facts["minutiae"]
+    if minutiae["written"]:
+        quality = minutiae["nfiq2"]
+        lines.append(
+            f"{minutiae['count']} minutiae; NFIQ 2 is {quality['print']} (print) and {quality['enhanced']} (enhanced)."
+        )
+    else:
+        lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
+    lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
+    return lines

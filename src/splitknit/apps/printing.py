@@ -1,0 +1,269 @@
+"""Prints of a finger: what is inked (relief, curvature, photograph), where (finger plane, unrolled skin), its files."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.apps.printing_files import distortion_picture, write_minutiae
+from splitknit.apps.printing_sources import Source, read_source
+from splitknit.check import BadInput, require
+from splitknit.flatten import (
+    CurvatureSettings,
+    Enhanced,
+    GaborSettings,
+    PrintMap,
+    PrintSettings,
+    StftSettings,
+    Unrolled,
+    UnrollSettings,
+    as_print,
+    curvature,
+    gabor_enhance,
+    ink,
+    plane_map,
+    resample,
+    ridge_mask,
+    stft_enhance,
+    surface_grid,
+    thin,
+    unroll,
+    unrolled_map,
+)
+from splitknit.flatten.unroll import KINDS
+from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
+from splitknit.settings import override
+from splitknit.types import FloatArray
+
+METHODS = ("relief", "unroll", "curvature", "photo")
+SURFACES = ("plane", *KINDS)
+RESOLUTIONS = (500.0, 1000.0)
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class PrintingSettings:
+    """All that ``splitknit print --set`` can change."""
+
+    ink: PrintSettings = field(default_factory=PrintSettings)
+    unroll: UnrollSettings = field(default_factory=UnrollSettings)
+    curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
+    enhance: Literal["gabor", "stft"] = "gabor"
+    """How ``enhanced.png`` is made."""
+    minutiae: Literal["print", "enhanced"] = "print"
+    """In which picture minutiae are sought."""
+    gabor: GaborSettings = field(default_factory=GaborSettings)
+    stft: StftSettings = field(default_factory=StftSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print:
+    """A print, and where its pixels come from."""
+
+    image: NDArray[np.uint8]
+    """(h, w) ridges dark."""
+    weight: FloatArray
+    """(h, w) share of the pixel that lies on the finger, 0 to 1."""
+    map: PrintMap
+    unrolled: Unrolled | None = None
+
+
+def make_print(
+    source: Source, method: str, surface: str | None = None, ppi: float = 500.0,
+    settings: PrintingSettings | None = None,
+) -> Print:  # fmt: skip
+    """Make a print of a finger.
+
+    Parameters
+    ----------
+    source : Source
+        From :func:`splitknit.apps.printing_sources.read_source`.
+    method : ``relief``, ``unroll``, ``curvature`` or ``photo``
+    surface : ``plane``, ``free``, ``arc``, ``tube`` or ``cylinder``, optional
+        Where it is printed. ``relief``, ``curvature`` and ``photo`` are printed on the finger plane unless this says
+        otherwise; ``unroll`` is the relief on the skin laid flat (``free``).
+    ppi : float
+    settings : PrintingSettings, optional
+
+    Raises
+    ------
+    BadInput
+        If the source lacks what is needed, or there are no ridges.
+    """
+    settings = settings or PrintingSettings()
+    place = checked_surface(method, surface, settings)
+    inks = replace(settings.ink, ppi=ppi)
+    unrolled: Unrolled | None = None
+    if place == "plane":
+        print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
+    else:
+        unrolled, print_map = _laid_flat(source, place, ppi, settings.unroll)
+    if method == "curvature":
+        height = _needed(source.height_mm)
+        found = curvature(
+            height, source.mask, source.pitch_mm, settings.curvature, source.x_mm, source.y_mm
+        ).shape_index
+        known = source.mask & np.isfinite(found)
+        require(bool(known.any()), "the finger is too small for a curvature map.")
+        values, weight = resample(found, known, source.pitch_mm, print_map)
+        ink(values, weight, inks)  # refuses what has no ridges
+        grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1
+        image = np.round(255.0 * (1.0 - grey * weight)).astype(np.uint8)
+    else:
+        inked = _needed(source.photo if method == "photo" else source.ridge_mm)
+        values, weight = resample(inked, source.mask & np.isfinite(inked), source.pitch_mm, print_map)
+        image = ink(values, weight, inks)
+    return Print(image, weight, print_map, unrolled)
+
+
+def checked_surface(method: str, surface: str | None, settings: PrintingSettings) -> str:
+    """Where a print is made; refuses what does not go together.
+
+    Raises
+    ------
+    BadInput
+        If method or surface are not known, or ``unroll`` is asked for on the plane.
+    """
+    require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
+    require(surface is None or surface in SURFACES, f"surface must be one of {', '.join(SURFACES)}, not '{surface}'.")
+    if surface is None:
+        return settings.unroll.kind if method == "unroll" else "plane"
+    require(
+        not (method == "unroll" and surface == "plane"),
+        "--method unroll cannot be printed on the plane; use --method relief for that.",
+    )
+    return surface
+
+
+def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -> Enhanced:
+    """Enhance a print the way the settings say."""
+    settings = settings or PrintingSettings()
+    require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
+    if settings.enhance == "stft":
+        return stft_enhance(made.image, ppi, settings.stft, made.weight > 0.5)
+    return gabor_enhance(made.image, ppi, settings.gabor, made.weight > 0.5)
+
+
+def print_to_folder(
+    path: Path,
+    out: Path,
+    *,
+    method: str = "unroll",
+    surface: str | None = None,
+    ppi: float = 500.0,
+    preset: str = "metric",
+    changes: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
+
+    Raises
+    ------
+    BadInput
+        Naming the input at fault.
+    """
+    started = time.perf_counter()
+    tell = progress or (lambda stage, share: None)
+    settings = override(PrintingSettings(), dict(changes or {}))
+    place = checked_surface(method, surface, settings)
+    require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
+    require(out.resolve() != path.resolve(), f"'{out}' is the input; name another folder.")
+    photo = method == "photo"
+    with atomic_folder(out) as target:
+        source = read_source(path, photo=photo, surface=not photo or place != "plane", preset=preset, progress=tell)
+        timings = {"reading": time.perf_counter() - started}
+        tell("printing", 0.75)
+        try:
+            clock = time.perf_counter()
+            made = make_print(source, method, place, ppi, settings)
+            timings["printing"] = time.perf_counter() - clock
+            tell("enhancing", 0.85)
+            clock = time.perf_counter()
+            enhanced = enhance(made, ppi, settings)
+            ridges = ridge_mask(enhanced)
+            lines = thin(ridges)
+            timings["enhancing"] = time.perf_counter() - clock
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
+        tell("writing", 0.92)
+        origin = provenance({"method": method, "surface": place, "ppi": ppi, **asdict(settings)}, source.hashes)
+        texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+        pictures = {
+            "print.png": made.image,
+            "enhanced.png": enhanced.image,
+            "binary.png": as_print(ridges),
+            "thinned.png": as_print(lines),
+        }
+        for name, picture in pictures.items():
+            write_print_png(target / name, picture, ppi, texts)
+        write_npz(target / "map.npz", _map_arrays(made.map))
+        facts: dict[str, Any] = {
+            "method": method,
+            "surface": place,
+            "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
+            "ppi": ppi,
+            "size": list(made.image.shape),
+            "mirrored": True,
+            "ridges": "dark",
+            "enhanced": settings.enhance,
+            "ridge_period_mm": _periods(enhanced, ppi),
+            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+        }
+        if made.unrolled is not None:
+            facts["distortion"] = made.unrolled.distortion.figures()
+            write_image(target / "distortion.png", distortion_picture(made.map, made.unrolled))
+        facts["minutiae"] = write_minutiae(target, pictures, settings.minutiae, made.map, source, origin)
+        timings["total"] = time.perf_counter() - started
+        facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
+        facts["provenance"] = origin
+        facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
+        with atomic_file(target / "report.json") as stream:
+            stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+    tell("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def _needed(values: FloatArray | None) -> FloatArray:
+    if values is None:
+        raise BadInput("this kind of print needs a reconstruction or a photograph that the input does not hold.")
+    return values
+
+
+def _laid_flat(source: Source, kind: str, ppi: float, settings: UnrollSettings) -> tuple[Unrolled, PrintMap]:
+    grid = surface_grid(
+        _needed(source.shape_mm),
+        source.mask,
+        source.pitch_mm,
+        source.input_from_upright,
+        source.upright_size,
+        source.x_mm,
+        source.y_mm,
+        settings.grid,
+    )
+    unrolled = unroll(grid, override(settings, {"kind": kind}))
+    return unrolled, unrolled_map(unrolled, kind, ppi, settings.slant_deg)
+
+
+def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
+    period = enhanced.field.period_mm(ppi)[enhanced.field.mask]
+    low, middle, high = (round(float(value), 4) for value in np.percentile(period, [5, 50, 95]))
+    return {"p5": low, "median": middle, "p95": high}
+
+
+def _map_arrays(print_map: PrintMap) -> dict[str, Any]:
+    return {
+        "columns": print_map.columns,
+        "rows": print_map.rows,
+        "ppi": np.float64(print_map.ppi),
+        "input_from_grid": print_map.input_from_grid,
+        "print_of_grid": print_map.print_of_grid,
+        "surface": np.array(print_map.surface),
+    }

@@ -1,0 +1,161 @@
+"""What is written beside a print: its minutiae, on paper and in space, and a picture of its distortion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.apps.pictures import ColourArray, colour, on_paper
+from splitknit.apps.printing_sources import Source
+from splitknit.check import BadInput
+from splitknit.flatten import PrintMap, Unrolled
+from splitknit.flatten.print_map import NOWHERE
+from splitknit.geometry import height_gradients
+from splitknit.io.finger_codes import FINGER_CODES
+from splitknit.io.iso19794 import write_iso19794
+from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
+from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
+from splitknit.io.provenance import JsonValue
+from splitknit.types import FloatArray
+
+Array = NDArray[np.float64]
+AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
+"""Ends of the colour bars of the distortion picture."""
+
+
+def write_minutiae(  # noqa: PLR0917
+    target: Path,
+    pictures: Mapping[str, NDArray[np.uint8]],
+    sought_in: str,
+    print_map: PrintMap,
+    source: Source,
+    origin: dict[str, JsonValue],
+) -> dict[str, Any]:
+    """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them.
+
+    Minutiae are sought in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``) says.
+
+    Without the package that finds minutiae, nothing is written and the facts say what to install.
+    """
+    from splitknit.match.minutiae import NFIQ2_FAILED, extract, nfiq2  # noqa: PLC0415 - large, and not everywhere
+
+    try:
+        found = extract(pictures[f"{sought_in}.png"], print_map.ppi)
+        quality = {name: nfiq2(pictures[f"{name}.png"], print_map.ppi) for name in ("print", "enhanced")}
+    except BadInput as error:
+        return {"written": False, "missing": " ".join(str(error).split())}
+    finger = source.subject.get("finger", "unknown")
+    finger = finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
+    view = FingerView(
+        x_px=found.x_px,
+        y_px=found.y_px,
+        direction_rad=found.direction_rad,
+        type=found.type,
+        quality=found.quality,
+        size=found.size,
+        finger_quality=quality["print"] if quality["print"] != NFIQ2_FAILED else 0,
+        finger=finger,
+        resolution_ppcm=pixels_per_cm(500.0),
+    )
+    write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))
+    facts: dict[str, Any] = {
+        "written": True,
+        "sought_in": f"{sought_in}.png",
+        "count": len(found.x_px),
+        "nfiq2": quality,
+        "finger": finger,
+    }
+    if source.height_mm is not None:
+        scale = print_map.ppi / 500.0
+        places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
+        space = minutiae_in_space(places, found.direction_rad, print_map, source)
+        good = np.isfinite(space).all(axis=1)
+        theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
+        x, y, z = space[good, :3].T
+        record = Minutiae3D(x, y, z, theta, phi, found.type[good], found.quality[good], finger, origin)
+        write_minutiae3d(target / "minutiae3d.json", record)
+        facts["in_space"] = int(good.sum())
+    return facts
+
+
+def minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
+    """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
+
+    NaN where the print shows nothing, or the surface is not known.
+    """
+    assert source.height_mm is not None
+    there = print_map.input_from_print(places)
+    ahead = print_map.directions_in_input(places, directions_rad)
+    rows, columns = source.mask.shape
+    turn = np.linalg.inv(source.input_from_upright[:2, :2])
+    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
+    flip = np.diag([1.0, -1.0])
+    turn = flip @ turn @ flip
+    right, up = height_gradients(source.height_mm, source.pitch_mm)
+    z, slope_x, slope_y = (_read(field, there) for field in (source.height_mm, right, up))
+    if source.x_mm is not None and source.y_mm is not None:
+        x, y = _read(source.x_mm, there), _read(source.y_mm, there)
+    else:
+        x = (there[:, 0] - (columns - 1) / 2) * source.pitch_mm
+        y = ((rows - 1) / 2 - there[:, 1]) * source.pitch_mm
+    dx, dy = np.cos(ahead), np.sin(ahead)
+    flat = np.stack([x, y], axis=1) @ turn.T
+    along = np.stack([dx, dy], axis=1) @ turn.T
+    return np.column_stack([flat, z, along, slope_x * dx + slope_y * dy])
+
+
+def _read(field: FloatArray, places: Array) -> Array:
+    """Bilinear values at places (N, 2; column, row); NaN outside and beside NaN."""
+    if len(places) == 0:
+        return np.zeros(0)
+    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
+    values = cv2.remap(
+        field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+    )
+    return np.asarray(values[:, 0], dtype=np.float64)
+
+
+def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
+    """(h, w, 3) two maps side by side with their colour bars, on the pixels of the print.
+
+    Left: area on the print over area of the skin, blue too small, orange too large. Right: by how much more the skin is
+    stretched one way than the other.
+    """
+    node = np.linalg.inv(unrolled.grid.input_from_grid)
+    x = node[0, 0] * print_map.columns + node[0, 1] * print_map.rows + node[0, 2] - 0.5
+    y = node[1, 0] * print_map.columns + node[1, 1] * print_map.rows + node[1, 2] - 0.5
+    shown = print_map.columns > 0.5 * NOWHERE
+    panels = []
+    for field, low, high, title in (
+        (unrolled.distortion.area, -AREA_LIMIT, AREA_LIMIT, "area"),
+        (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
+    ):
+        known = np.isfinite(field)
+        filled, share = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
+        values, weight = (
+            np.asarray(cv2.remap(part, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR), dtype=np.float32)
+            for part in (filled, share)
+        )
+        evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
+        picture = colour(evened, low, high, diverging=low < 0)
+        picture = on_paper(picture, (shown & (weight > 0.01)).astype(np.float32))
+        panels.append(np.vstack([picture, _bar(picture.shape[1], low, high, title)]))
+    return np.hstack([panels[0], np.full((panels[0].shape[0], 12, 3), 255, np.uint8), panels[1]])
+
+
+def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
+    """A colour bar with its ends in percent."""
+    bar = np.full((46, width, 3), 255, dtype=np.uint8)
+    ramp = np.linspace(low, high, max(width - 40, 2), dtype=np.float32)[None].repeat(12, axis=0)
+    bar[6:18, 20 : 20 + ramp.shape[1]] = colour(ramp, low, high, diverging=low < 0)
+    texts = (f"{100 * low:+.0f} %" if low else "0", title, f"{100 * high:+.0f} %")
+    for text, share in zip(texts, (0.0, 0.5, 1.0), strict=True):
+        (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
+        place = int(4 + share * (width - 8 - length))
+        cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
+    return bar
