@@ -25,6 +25,7 @@ from splitknit.apps.finger_verbs import add_demo, add_reconstruct, add_simulate
 from splitknit.apps.gallery_verb import add_gallery_verbs
 from splitknit.apps.identify_verb import add_identify
 from splitknit.apps.match_verb import add_match
+from splitknit.apps.print_verb import add_print
 from splitknit.apps.separate_verb import add_separate
 from splitknit.apps.training.verbs import add_train
 from splitknit.apps.verb import Refused, group
@@ -71,6 +72,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_identify(verbs)
     add_gallery_verbs(verbs)
     add_batch(verbs)
+    add_print(verbs)
     return parser
 
 
