@@ -17,9 +17,10 @@ def add_match(verbs: Any) -> None:
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
     verb.add_argument(
         "--method",
-        choices=("ridge", "thesis"),
+        choices=("ridge", "thesis", "minutiae"),
         default="ridge",
-        help="ridge (ours, the default) or thesis (local binary patterns; needs captures or results)",
+        help="ridge (ours, the default), thesis (local binary patterns; needs captures or results) or minutiae (of the "
+        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux)",
     )
     verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
     verb.add_argument(
@@ -61,6 +62,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
                 f"overlap {facts['overlap']:.3f} of both outlines (intersection over union), "
                 f"B shifted {abs(facts['alignment']['right_mm']):.2f} mm to the {_side(facts)}"
             )
+        elif facts["method"] == "minutiae":
+            lines += [_print_words(facts[name]) for name in ("a", "b")]
         elif facts["compared"]:
             laid = facts["alignment"]
             lines.append(
@@ -69,7 +72,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
             )
     for name in ("a", "b"):
         if name in facts and not facts[name]["acquired"]:
-            lines.append(f"Please note: {facts[name]['path']} holds no ridges (failure to acquire).")
+            lacks = "fewer than ten minutiae" if facts["method"] == "minutiae" else "no ridges"
+            lines.append(f"Please note: {facts[name]['path']} holds {lacks} (failure to acquire).")
     if "template" in facts:
         made = facts["template"]
         lines.append(f"Template of {made['bytes']} bytes (version {made['version']}) written to {made['file']}.")
@@ -80,7 +84,16 @@ def _meaning(facts: dict[str, Any]) -> str:
     if not facts["compared"]:
         why = "too little overlap" if facts["method"] == "thesis" else "failure to acquire"
         return f"not compared: {why}"
-    return "1 = the same picture" if facts["method"] == "ridge" else "1 = equal, 0 = as unlike as can be"
+    return {
+        "ridge": "1 = the same picture",
+        "thesis": "1 = equal, 0 = as unlike as can be",
+        "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
+    }[facts["method"]]
+
+
+def _print_words(side: dict[str, Any]) -> str:
+    quality = "unknown" if side.get("nfiq2") is None else f"{side['nfiq2']} of 100"
+    return f"{side['path']}: {side.get('minutiae', 0)} minutiae, quality (NFIQ 2) {quality}"
 
 
 def _side(facts: dict[str, Any]) -> str:

@@ -24,7 +24,7 @@ from splitknit.io.templates import write_template
 from splitknit.match import VERSION, FmrTable, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override
 
-METHODS = ("ridge", "thesis")
+METHODS = ("ridge", "thesis", "minutiae")
 _FMR_TABLE = "match_fmr.json"
 """Made by validation/match/impostors.py."""
 _FMR_ROUNDING = 1e-5
@@ -48,7 +48,7 @@ def match_files(
     a, b
         Capture folder, result folder, template (``.skt``) or 500-ppi print. Without `b` only the template is made.
     method
-        ``ridge`` or ``thesis``.
+        ``ridge``, ``thesis`` or ``minutiae``.
     template
         File to write the template of `a` into.
     preset
@@ -59,7 +59,7 @@ def match_files(
     BadInput
         Naming the file at fault.
     """
-    require(method in METHODS, f"method must be 'ridge' or 'thesis', but it is '{method}'.")
+    require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
@@ -73,8 +73,11 @@ def match_files(
         second = read_side(b, preset, chosen, progress)
         facts["b"] = _facts(second)
         progress("comparing", 0.9)
-        compare = _by_ridges if method == "ridge" else _by_thesis
-        facts |= compare(first, second, chosen)
+        compare = {"ridge": _by_ridges, "thesis": _by_thesis, "minutiae": _by_minutiae}[method]
+        found = compare(first, second, chosen)
+        for name, side in zip("ab", found.pop("sides", ()), strict=False):
+            facts[name] |= side
+        facts |= found
     if template is not None:
         payload = pack(_template(first))
         write_template(template, payload, VERSION)
@@ -159,6 +162,12 @@ def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
         "distances": dict(found.distances),
         "alignment": {"right_mm": found.shift_px / images[0].px_per_mm},
     }
+
+
+def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    from splitknit.apps.matching_minutiae import compare_minutiae  # noqa: PLC0415 - only where it is asked for
+
+    return compare_minutiae(a, b)
 
 
 def _template(side: Side) -> Template:

@@ -23,6 +23,7 @@ __all__ = [
     "Surface",
     "naming",
     "no_progress",
+    "read_print",
     "read_side",
     "read_surface",
     "surface_images",
@@ -74,7 +75,7 @@ def read_side(path: Path, preset: str, settings: MatchingSettings, progress: Pro
         surface = read_surface(path)
         return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
     if path.suffix.lower() in _IMAGES:
-        image, ppi = _read_print(path)
+        image, ppi = read_print(path)
         band = naming(path, lambda: print_band(image, ppi, settings.band))
         return naming(path, lambda: Side(path, "print", None, make_template(band, settings.template)))
     payload = read_template(path, VERSION)
@@ -125,7 +126,14 @@ def _reconstructed(folder: Path, preset: str, progress: Progress) -> Surface:
     return surface_of(result)
 
 
-def _read_print(path: Path) -> tuple[NDArray[np.uint8], float]:
+def read_print(path: Path) -> tuple[NDArray[np.uint8], float]:
+    """Read a print (H, W) and its resolution in pixels per inch.
+
+    Raises
+    ------
+    BadInput
+        If it is no 8-bit grey image of about 500 ppi.
+    """
     ppi: float | None = None
     image: NDArray[Any]
     if path.suffix.lower() == ".png":

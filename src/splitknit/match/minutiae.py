@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
+from splitknit.match.minutiae_enhance import EnhanceSettings, enhance_print
 from splitknit.match.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -33,7 +34,7 @@ _LOCK = threading.Lock()
 """mindtct and NFIQ 2 keep state of their own."""
 
 
-def extract(print_image: NDArray[np.uint8], ppi: float = PPI) -> Minutiae:
+def extract(print_image: NDArray[np.uint8], ppi: float = PPI, enhance: EnhanceSettings | None = None) -> Minutiae:
     """Find the minutiae of a print with mindtct.
 
     Parameters
@@ -42,6 +43,9 @@ def extract(print_image: NDArray[np.uint8], ppi: float = PPI) -> Minutiae:
         Ridges dark, as ink on paper.
     ppi : float
         Its resolution; other ones than 500 are resampled first.
+    enhance : EnhanceSettings, optional
+        How the print is enhanced first: for prints that were pressed on glass or paper. Without, it is taken as it is:
+        right for the relief prints of reconstructions, whose contrast is even.
 
     Returns
     -------
@@ -60,6 +64,8 @@ def extract(print_image: NDArray[np.uint8], ppi: float = PPI) -> Minutiae:
     image = _at_500_ppi(print_image, ppi)
     if min(image.shape) < LEAST_SIDE_PX:
         return no_minutiae((image.shape[0], image.shape[1]))
+    if enhance is not None:
+        image = enhance_print(image, enhance)
     with _LOCK:
         found = _extractor(False).extract_minutiae(_png(image)).get()
     rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in found]

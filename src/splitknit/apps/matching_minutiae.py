@@ -1,0 +1,99 @@
+"""The method ``minutiae`` of ``splitknit match``: the prints of both sides, their minutiae, and what bozorth3 says."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.apps.matching_inputs import Side, naming, read_print
+from splitknit.check import BadInput
+from splitknit.flatten.ridges import relief_print
+from splitknit.match import FmrTable
+from splitknit.match.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit.match.minutiae_enhance import EnhanceSettings
+from splitknit.match.minutiae_record import Minutiae
+
+_FMR_TABLE = "match_fmr_minutiae.json"
+"""Made by validation/match/impostors_minutiae.py."""
+_PPI = 500.0
+
+
+def compare_minutiae(a: Side, b: Side) -> dict[str, Any]:
+    """Facts of a comparison by minutiae: similarity, false match rate, and what each side's print holds.
+
+    Surfaces are compared by their relief prints as they are, prints from files after enhancement.
+
+    Raises
+    ------
+    BadInput
+        If a side is a template of ridges, or nbis-py is not installed.
+    """
+    found, facts = [], []
+    for side in (a, b):
+        image, ppi, pressed = _print_of(side)
+        minutiae = naming(side.path, lambda: extract(image, ppi, EnhanceSettings() if pressed else None))  # noqa: B023
+        quality = nfiq2(image, ppi)
+        found.append(minutiae)
+        facts.append(
+            {
+                "minutiae": minutiae.count,
+                "nfiq2": None if quality == NFIQ2_FAILED else quality,
+                "acquired": minutiae.acquired,
+                "enhanced": pressed,
+            }
+        )
+    compared = all(one.acquired for one in found)
+    rate, why = _rate(a, b, found, compared)
+    return {
+        "similarity": minutiae_match(*found),
+        "fmr": rate,
+        "fmr_missing": why,
+        "compared": compared,
+        "sides": facts,
+    }
+
+
+def minutiae_false_match_rate(similarity: float) -> float | None:
+    """Rate at which other (simulated) fingers' relief prints reach this similarity; None without a table."""
+    table = _table()
+    return None if table is None else table(similarity)
+
+
+def _rate(a: Side, b: Side, found: list[Minutiae], compared: bool) -> tuple[float | None, str | None]:
+    """False match rate, or why there is none."""
+    if not compared:
+        return None, "nothing was compared"
+    if a.surface is None or b.surface is None:
+        return None, "rates were measured on relief prints of surfaces, not on prints from files"
+    rate = minutiae_false_match_rate(minutiae_match(*found))
+    return rate, None if rate is not None else "no rates were measured"
+
+
+def _print_of(side: Side) -> tuple[NDArray[np.uint8], float, bool]:
+    """The print of a side, its resolution, and whether it comes from a file."""
+    if side.surface is not None:
+        s = side.surface
+        image = naming(
+            side.path,
+            lambda: relief_print(s.ridge_mm, s.mask, 1 / s.pitch_mm, s.input_from_upright, s.upright_size, _PPI),
+        )
+        return image, _PPI, False
+    if side.kind != "print":
+        raise BadInput(
+            f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
+        )
+    return (*read_print(side.path), True)
+
+
+@cache
+def _table() -> FmrTable | None:
+    file = resources.files("splitknit.apps") / _FMR_TABLE
+    if not file.is_file():
+        return None
+    document = json.loads(file.read_text(encoding="utf-8"))
+    return FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))

@@ -1,0 +1,81 @@
+"""Prints of simulated fingers as a pressed sensor gives them: turned, shifted, stretched, partial, wet, dry, noisy.
+
+Made to choose settings of the minutiae route on prints that are nobody's. The ranges were fixed before any setting was
+tried on them; they are wide, so that the plain route fails on some.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.simulate.finger import FREQUENCIES
+from splitknit.simulate.master_print import MasterPrint, master_print
+from splitknit.simulate.orientation_field import smooth_noise
+
+STEP_MM = 25.4 / 500
+SIZE = (380, 380)
+"""Rows and columns of a print, pixels at 500 ppi."""
+MIDDLE_MM = 13.5
+"""Above the first crease lies the middle of a press."""
+
+
+@dataclass(frozen=True, slots=True)
+class PressRanges:
+    """How presses of one finger differ; spreads are standard deviations."""
+
+    turn_deg: float = 9.0
+    across_mm: float = 2.0
+    along_mm: float = 2.5
+    stretch_mm: float = 0.25
+    """Of the skin's smooth shift, over distances of 4 mm."""
+    half_width_mm: tuple[float, float] = (5.5, 8.5)
+    half_height_mm: tuple[float, float] = (7.0, 10.0)
+    moisture: tuple[float, float] = (0.42, 0.88)
+    """Skin above this height inks: low is wet, high is dry."""
+    patches: float = 0.1
+    """By which moisture varies over a print."""
+    dropouts: tuple[float, float] = (0.0, 0.45)
+    """How much ridges are broken up by dry skin."""
+    noise_grey: tuple[float, float] = (4.0, 16.0)
+    scratches: int = 3
+    """At most."""
+
+
+def finger(seed: int) -> MasterPrint:
+    """The ridges of one finger, of a class by its natural frequency."""
+    rng = np.random.default_rng([seed, 21])
+    return master_print(str(rng.choice(list(FREQUENCIES), p=np.array(list(FREQUENCIES.values())))), seed)
+
+
+def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> NDArray[np.uint8]:
+    """One print (380, 380) uint8 of a finger."""
+    r, rng = ranges or PressRanges(), np.random.default_rng([master.seed, seed, 22])
+    rows, columns = SIZE
+    down, right = np.mgrid[0:rows, 0:columns].astype(np.float64)
+    x, y = (right - (columns - 1) / 2) * STEP_MM, ((rows - 1) / 2 - down) * STEP_MM
+    half = rng.uniform(*r.half_width_mm), rng.uniform(*r.half_height_mm)
+    edge = np.hypot(x / half[0], y / half[1]) + 0.04 * smooth_noise(rng, SIZE, 1.5 / STEP_MM)
+    contact = 1 / (1 + np.exp((edge - 1) / 0.015))
+    turn = np.deg2rad(np.clip(rng.normal(0, r.turn_deg), -25, 25))
+    bent = [r.stretch_mm * smooth_noise(rng, SIZE, 4 / STEP_MM) for _ in range(2)]
+    u = -(np.cos(turn) * x - np.sin(turn) * y) + bent[0] + np.clip(rng.normal(0, r.across_mm), -5, 5)
+    v = np.sin(turn) * x + np.cos(turn) * y + bent[1] + MIDDLE_MM + np.clip(rng.normal(0, r.along_mm), -6, 5)
+    pitch = float(master.u_mm[1] - master.u_mm[0])
+    skin = cv2.GaussianBlur(np.clip(master.ridge - 0.6 * master.pores, 0, 1), (0, 0), 0.4 * STEP_MM / pitch)
+    place = ((u - master.u_mm[0]) / pitch).astype(np.float32), ((master.v_mm[0] - v) / pitch).astype(np.float32)
+    height = cv2.remap(skin, *place, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    level = rng.uniform(*r.moisture) + r.patches * smooth_noise(rng, SIZE, 2.5 / STEP_MM)
+    dry = rng.uniform(*r.dropouts) * smooth_noise(rng, SIZE, 0.09 / STEP_MM)
+    ink = 1 / (1 + np.exp(-(height - level + dry) / 0.12))
+    for _ in range(rng.integers(0, r.scratches + 1)):
+        angle, offset = rng.uniform(0, np.pi), rng.uniform(-6, 6)
+        away = np.abs(np.cos(angle) * x + np.sin(angle) * y - offset)
+        ink *= 1 - np.exp(-((away / rng.uniform(0.08, 0.2)) ** 2))
+    paper, dark = rng.uniform(215, 250), rng.uniform(20, 90)
+    grey = paper - (paper - dark) * contact * ink + rng.normal(0, rng.uniform(*r.noise_grey), SIZE)
+    soft = cv2.GaussianBlur(grey, (0, 0), 0.6)
+    return np.asarray(np.clip(np.round(soft), 0, 255).astype(np.uint8))
