@@ -12,10 +12,11 @@ from splitknit.batch.execution import run_tasks
 from splitknit.batch.export import write_csv
 from splitknit.batch.features import reconstruct_group
 from splitknit.batch.lock import alone
-from splitknit.batch.matchers import matcher
+from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.packages import load
 from splitknit.batch.population import Population, read_population
 from splitknit.batch.prints import extract_minutiae
+from splitknit.batch.reading import forget
 from splitknit.batch.scores import score_block
 from splitknit.batch.settings import BatchSettings
 from splitknit.batch.stages import feature_tasks, minutiae_tasks, score_tasks
@@ -144,6 +145,8 @@ def _match(run: _Run) -> list[dict[str, Any]]:
                     "ms_per_comparison": 1000 * work_s / sum(sizes) if tasks else None,
                 }
             )
+    READY.forget()
+    forget()
     return facts
 
 

@@ -99,7 +99,8 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
             capture = read_capture(task.population / ref.name)
             memory = Memory(capture)
         except BadInput as error:
-            capture, memory = str(error), None
+            # wherever the population lies, the row is the same
+            capture, memory = str(error).replace(f"{task.population}/", ""), None
         for case, wanted in task.cases:
             if ref.name not in wanted:
                 continue

@@ -158,5 +158,10 @@ class Ready(threading.local):
             self.sides[capture] = matcher.database(place)
         return self.sides[capture]
 
+    def forget(self) -> None:
+        """Let go of all that is kept."""
+        self.key = None
+        self.sides.clear()
+
 
 READY = Ready()

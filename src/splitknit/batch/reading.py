@@ -55,6 +55,12 @@ def places_of(files: list[Path]) -> Mapping[str, Place]:
     return found
 
 
+def forget() -> None:
+    """Let go of all that this process keeps."""
+    _column.cache_clear()
+    _surfaces.cache_clear()
+
+
 def _version(file: Path) -> int:
     """Tell a file that was made anew from what is kept of the old one."""
     try:

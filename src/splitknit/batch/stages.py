@@ -36,7 +36,7 @@ def feature_tasks(store: Store, population: Population, settings: BatchSettings)
             tasks.append(
                 FeatureTask(
                     group,
-                    population.folder,
+                    population.folder.resolve(),
                     population.sha256,
                     store.folder,
                     tuple(capture for capture in captures if capture.name in named),

@@ -1,0 +1,296 @@
+"""The batch itself: what it writes, that it goes on where it stopped, and what it refuses."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_stores import EA, chunks, pairs_of
+
+from splitknit.batch import BatchSettings, Case, Store, preset_cases, run_batch, to_scores
+from splitknit.batch.chunks import read_chunk, read_origin
+from splitknit.check import BadInput
+from splitknit.flatten import relief_print
+from splitknit.io import read_capture, read_print_png
+from splitknit.io.scores import read_scores
+from splitknit.match import TemplateSettings, ThesisSettings, pack, ridge_match, thesis_match, unpack
+from splitknit.pipeline import reconstruct
+from splitknit.recipe.matchable import MatchingSettings, surface_images, surface_of, surface_template
+
+RIDGE = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",))
+
+
+def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path, tmp_path: Path) -> None:
+    table = Store(reconstructed).features("ea")
+    assert table.column("capture").to_pylist() == sorted(
+        f"S{s:02d}/session_{k}/right_index" for s in (1, 2) for k in (1, 2)
+    )
+    row = {name: table.column(name)[1].as_py() for name in table.column_names}
+    result = reconstruct(read_capture(people / row["capture"]), "ea")
+    surface = surface_of(result)
+    assert row["finger"] == "S01/right_index"
+    assert row["session"] == "2"
+    assert row["acquired"]
+    assert row["template"] == pack(surface_template(surface, MatchingSettings()))
+    assert row["area_mm2"] == pytest.approx(result.mask.sum() * result.pitch_mm**2)
+    assert row["sharpness_white"] == result.quality["white"]["sharpness"]
+    (tmp_path / "print.png").write_bytes(row["print"])
+    shown = read_print_png(tmp_path / "print.png")
+    place = result.input_from_upright, result.upright_size
+    np.testing.assert_array_equal(shown.image, relief_print(result.ridge_mm, result.mask, 1 / result.pitch_mm, *place))
+    assert shown.resolution_ppi == pytest.approx(500, rel=1e-3)
+    kept, made = Store(reconstructed).images("ea", row["capture"]), surface_images(surface)
+    for name, channel in made.channels.items():
+        np.testing.assert_array_equal(kept.channels[name], channel)
+    assert Store(reconstructed).features("ea", ["seconds"]).column("seconds").to_pylist()[0] > 0
+
+
+def test_chunks_say_where_they_come_from(people: Path, reconstructed: Path) -> None:
+    file = Store(reconstructed).files("features", "ea")[0]
+    origin = read_origin(file)
+    assert origin["software"] == "splitknit"
+    assert origin["kind"] == "features"
+    assert (
+        origin["settings_sha256"] == EA.cases[0].document()["settings_sha256"] or origin["settings"]["preset"] == "ea"
+    )
+    assert origin["inputs"].keys() == set(read_chunk(file, ["capture"]).column("capture").to_pylist())
+    assert all(len(one) == 64 for one in origin["inputs"].values())
+
+
+def test_two_processes_leave_what_one_leaves(people: Path, reconstructed: Path, tmp_path: Path) -> None:
+    run_batch(people, tmp_path / "other", EA, jobs=2)
+    assert chunks(tmp_path / "other") == chunks(reconstructed)
+    assert len(chunks(reconstructed)) == 2
+
+
+def test_what_is_there_is_not_done_again(people: Path, store: Path) -> None:
+    before = {file: file.stat().st_mtime_ns for file in store.rglob("*.parquet")}
+    facts = run_batch(people, store, EA, jobs=1)
+    assert (facts["reconstructed"], facts["found"]) == (0, 4)
+    assert {file: file.stat().st_mtime_ns for file in store.rglob("*.parquet")} == before
+
+
+def test_a_lost_chunk_alone_is_made_again_and_leftovers_go(people: Path, store: Path) -> None:
+    before = chunks(store)
+    lost = Store(store).files("features", "ea")[1]
+    lost.unlink()
+    leftover = lost.with_name(f".{lost.name}.0123.tmp")
+    leftover.write_bytes(b"half")
+    facts = run_batch(people, store, EA, jobs=1)
+    assert facts["reconstructed"] == 2
+    assert chunks(store) == before
+    assert not leftover.exists()
+
+
+def test_a_growing_population_is_taken_as_it_comes(people: Path, store: Path, tmp_path: Path) -> None:
+    grown = tmp_path / "grown"
+    shutil.copytree(people, grown)
+    shutil.rmtree(grown / "S02" / "session_2" / "right_index")
+    out = tmp_path / "out"
+    facts = run_batch(grown, out, EA, jobs=1)
+    assert (facts["captures"], facts["planned"], facts["reconstructed"]) == (3, 4, 3)
+    shutil.copytree(people / "S02" / "session_2" / "right_index", grown / "S02" / "session_2" / "right_index")
+    facts = run_batch(grown, out, EA, jobs=1)
+    assert (facts["reconstructed"], facts["found"]) == (1, 3)
+    assert Store(out).features("ea").equals(Store(store).features("ea"))
+
+
+def test_a_capture_without_a_finger_is_a_row(people: Path, tmp_path: Path) -> None:
+    spoiled = tmp_path / "people"
+    shutil.copytree(people, spoiled)
+    document = spoiled / "S01" / "session_1" / "right_index" / "capture.json"
+    (document.parent / "white_0.png").unlink()
+    small = replace(EA, matching=MatchingSettings(template=TemplateSettings(least_area_mm2=1e6)))
+    facts = run_batch(spoiled, tmp_path / "out", small, jobs=1)
+    assert len(facts["failures"]) == 4
+    table = Store(tmp_path / "out").features("ea")
+    assert table.column("acquired").to_pylist() == [False] * 4
+    assert table.column("failure")[0].as_py().startswith("S01/session_1/right_index/white_0.png")
+    assert "too small" in table.column("failure")[1].as_py()
+    assert table.column("print")[0].as_py() is None
+    assert table.column("print")[1].as_py() is not None
+    assert table.column("template").to_pylist() == [b""] * 4
+
+
+def test_comparisons_are_the_matchers_own(copies: tuple[Path, Path]) -> None:
+    population, out = copies
+    facts = run_batch(population, out, RIDGE, jobs=1)
+    assert facts["scores"][0]["compared"] == 48
+    pairs = pairs_of(out, "ridge")
+    assert pairs == sorted(set(pairs))
+    assert len(pairs) == 48
+    table = Store(out).scores("ea", "ridge")
+    templates = dict(
+        zip(
+            Store(out).features("ea").column("capture").to_pylist(),
+            Store(out).features("ea").column("template").to_pylist(),
+            strict=True,
+        )
+    )
+    for row in table.to_pylist()[::7]:
+        if row["compared"]:
+            direct = ridge_match(unpack(templates[row["a"]]), unpack(templates[row["b"]]))
+            assert row["similarity"] == direct.similarity
+            assert row["rotation_deg"] == direct.rotation_deg
+        assert row["genuine"] == (row["a"].split("/")[::2] == row["b"].split("/")[::2])
+    failed = [row for row in table.to_pylist() if "S02/session_3/right_index" in (row["a"], row["b"])]
+    assert len(failed) == 8
+    assert not any(row["compared"] for row in failed)
+    assert all(np.isnan(row["similarity"]) for row in failed)
+
+
+def test_scores_go_to_everyone(copies: tuple[Path, Path], tmp_path: Path) -> None:
+    population, out = copies
+    run_batch(population, out, RIDGE, jobs=1, csv=tmp_path / "csv")
+    scores = to_scores(Store(out).scores("ea", "ridge"))
+    assert scores.label.sum() == 12
+    assert np.isnan(scores.score).sum() == 8
+    assert scores.genuine[~np.isnan(scores.genuine)].min() > scores.impostor[~np.isnan(scores.impostor)].max()
+    assert scores.subject is not None
+    assert scores.subject.names == ("S01", "S02")
+    read = read_scores(tmp_path / "csv" / "ea_ridge.csv")
+    np.testing.assert_array_equal(read.score, scores.score)
+    np.testing.assert_array_equal(read.label, scores.label)
+    assert read.ids["finger"][1] == scores.finger.names if scores.finger else False
+    turned = to_scores(Store(out).scores("ea", "ridge"), "correlation")
+    assert turned.score[0] == Store(out).scores("ea", "ridge").column("correlation")[0].as_py()
+    with pytest.raises(BadInput, match="no column 'colour'"):
+        to_scores(Store(out).scores("ea", "ridge"), "colour")
+
+
+def test_more_impostors_are_added_to_those_that_are_there(copies: tuple[Path, Path]) -> None:
+    population, out = copies
+    some = run_batch(population, out, replace(RIDGE, impostors=0.4), jobs=1)["scores"][0]["compared"]
+    first = pairs_of(out, "ridge")
+    rest = run_batch(population, out, RIDGE, jobs=1)["scores"][0]["compared"]
+    assert 12 < some < 36
+    assert some + rest == 48 == len(set(pairs_of(out, "ridge")))
+    assert set(first) < set(pairs_of(out, "ridge"))
+    assert json.loads((out / "store.json").read_text())["pairs"]["impostors"] == 1.0
+    with pytest.raises(BadInput, match="seed 0, not 5"):
+        run_batch(population, out, replace(RIDGE, seed=5), jobs=1)
+
+
+def test_a_lost_chunk_of_scores_is_made_again(copies: tuple[Path, Path]) -> None:
+    population, out = copies
+    run_batch(population, out, RIDGE, jobs=1)
+    before = chunks(out)
+    next(iter(sorted((out / "scores" / "ea" / "ridge").iterdir()))).unlink()
+    facts = run_batch(population, out, RIDGE, jobs=1)
+    assert facts["scores"][0]["compared"] == 16
+    assert chunks(out) == before
+
+
+def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path) -> None:
+    pytest.importorskip("nbis")
+    settings = replace(EA, matchers=("thesis", "minutiae"))
+    run_batch(people, store, settings, jobs=1)
+    table = Store(store).scores("ea", "thesis")
+    assert table.num_rows == 4
+    row = table.to_pylist()[1]
+    sides = [Store(store).images("ea", row[side]) for side in "ab"]
+    direct = thesis_match(sides[0], sides[1], ThesisSettings(gate=0.0))
+    assert row["similarity"] == pytest.approx(direct.similarity, abs=1e-15)
+    assert row["dissimilarity_relief"] == direct.dissimilarity["relief"]
+    assert row["ratio"] == direct.ratio
+    assert to_scores(table, "dissimilarity_relief").score[1] == 1.0 - direct.dissimilarity["relief"]
+    found = Store(store).scores("ea", "minutiae")
+    assert found.column("similarity").to_pylist() == found.column("bozorth3").to_pylist()
+    scores = to_scores(found)
+    assert scores.genuine.min() > scores.impostor.max()
+    # made once: the second run reads them
+    before = chunks(store)
+    run_batch(people, store, settings, jobs=1)
+    assert chunks(store) == before
+
+
+def test_stores_without_surfaces_say_so(people: Path, tmp_path: Path) -> None:
+    run_batch(people, tmp_path / "out", replace(EA, surfaces=False), jobs=1)
+    with pytest.raises(BadInput, match="without them"):
+        run_batch(people, tmp_path / "out", replace(EA, matchers=("thesis",)), jobs=1)
+
+
+def test_other_settings_are_refused_by_name(people: Path, store: Path) -> None:
+    case = Case("ea", "ea", {"normals.max_slope": 5.0})
+    with pytest.raises(BadInput, match=r"case 'ea' \(normals\.max_slope\)"):
+        run_batch(people, store, replace(EA, cases=(case,)), jobs=1)
+    coarse = MatchingSettings(template=TemplateSettings(least_area_mm2=31.0))
+    with pytest.raises(BadInput, match=r"templates \(template\.least_area_mm2\)"):
+        run_batch(people, store, replace(EA, matching=coarse), jobs=1)
+
+
+def test_other_populations_versions_and_folders_are_refused(people: Path, store: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(people, other, ignore=shutil.ignore_patterns("*.png", "truth.npz"))
+    document = json.loads((other / "population.json").read_text())
+    (other / "population.json").write_text(json.dumps(document | {"settings_sha256": "0" * 64}))
+    with pytest.raises(BadInput, match="another population"):
+        run_batch(other, store, EA, jobs=1)
+    kept = (store / "store.json").read_text()
+    for change, words in (
+        ({"format_version": 2}, "version 2"),
+        ({"version": "9.9"}, "made by splitknit 9.9"),
+        ({"cases": 3}, "damaged"),
+    ):
+        (store / "store.json").write_text(json.dumps(json.loads(kept) | change))
+        with pytest.raises(BadInput, match=words):
+            run_batch(people, store, EA, jobs=1)
+    (store / "store.json").write_text(kept[:100])
+    with pytest.raises(BadInput, match="damaged"):
+        run_batch(people, store, EA, jobs=1)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").touch()
+    with pytest.raises(BadInput, match="no store"):
+        run_batch(people, tmp_path / "full", EA, jobs=1)
+    assert (tmp_path / "full" / "thesis.txt").exists()
+
+
+def test_no_captures_and_no_population(people: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="no population"):
+        run_batch(tmp_path / "nothing", tmp_path / "out", EA)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    shutil.copy(people / "enrolment.json", empty)
+    with pytest.raises(BadInput, match="no finished capture"):
+        run_batch(empty, tmp_path / "out", EA)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:200], lambda data: b"PAR1" + data[4:-60] + b"\0" * 60])
+def test_damaged_chunks_are_named(people: Path, store: Path, damage) -> None:
+    file = Store(store).files("features", "ea")[0]
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(BadInput, match=f"{file.name}' is damaged; delete it"):
+        run_batch(people, store, EA, jobs=1)
+    file.unlink()
+    assert run_batch(people, store, EA, jobs=1)["reconstructed"] == 2
+
+
+def test_two_runs_into_one_store(people: Path, store: Path) -> None:
+    before = chunks(store)
+    with (store / ".lock").open("ab") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(BadInput, match="another run is writing"):
+            run_batch(people, store, EA, jobs=1)
+    assert chunks(store) == before
+    assert run_batch(people, store, EA, jobs=1)["found"] == 4
+
+
+def test_cases_and_matchers_that_cannot_be(people: Path) -> None:
+    with pytest.raises(BadInput, match="name of a case"):
+        Case("a/b", "ea")
+    with pytest.raises(BadInput, match="no preset"):
+        Case("mine", "eb")
+    with pytest.raises(BadInput, match="did you mean"):
+        Case("mine", "ea", {"normals.max_slop": 3})
+    with pytest.raises(BadInput, match="two cases"):
+        BatchSettings(cases=(Case("a", "ea"), Case("a", "pr")))
+    with pytest.raises(BadInput, match="no matcher 'eyes'"):
+        BatchSettings(matchers=("eyes",))
+    with pytest.raises(BadInput, match="share of impostors"):
+        BatchSettings(impostors=1.5)
