@@ -46,7 +46,7 @@ class SurfaceGrid:
     """Surface points on nodes of the upright frame."""
 
     points_mm: Array
-    """(n, m, 3) x to the right, y to the tip, z to the camera; NaN where unknown."""
+    """(n, m, 3) x to the right, y to the tip, z to the camera, in the upright finger's frame; NaN where unknown."""
     inside: BoolArray
     """(n, m) on the finger; elsewhere points are extrapolated or unknown."""
     input_from_grid: Array
@@ -105,14 +105,16 @@ def surface_grid(  # noqa: PLR0917
     fields = [shape_mm] if x_mm is None or y_mm is None else [shape_mm, x_mm, y_mm]
     values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size, settings.window_mm)
     require(int(inside.sum()) >= 16, "the mask is too small to be unrolled: it must be some millimetres wide.")
-    column, row = np.meshgrid(np.arange(size[1], dtype=np.float64), np.arange(size[0], dtype=np.float64))
     if len(values) == 1:
-        x = (column - 0.5 * (size[1] - 1)) * settings.pitch_mm
-        y = (0.5 * (size[0] - 1) - row) * settings.pitch_mm
+        node = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2)
+        place = node @ input_from_grid[:2, :2].T + input_from_grid[:2, 2]
+        rig_x = (place[..., 0] - 0.5 * (mask.shape[1] - 1)) * pitch_mm
+        rig_y = (0.5 * (mask.shape[0] - 1) - place[..., 1]) * pitch_mm
     else:
-        turn = upright_from_input[:2, :2] / np.sqrt(abs(np.linalg.det(upright_from_input[:2, :2])))
-        x = turn[0, 0] * values[1] - turn[0, 1] * values[2]
-        y = -turn[1, 0] * values[1] + turn[1, 1] * values[2]
+        rig_x, rig_y = values[1:]
+    turn = upright_from_input[:2, :2] / np.sqrt(abs(np.linalg.det(upright_from_input[:2, :2])))
+    x = turn[0, 0] * rig_x - turn[0, 1] * rig_y  # rows run down, y runs up
+    y = -turn[1, 0] * rig_x + turn[1, 1] * rig_y
     points = np.stack([x, y, values[0]], axis=2)
     points[~inside] = np.nan
     return SurfaceGrid(extrapolated(points, settings.rings), inside, input_from_grid, settings.pitch_mm)
