@@ -327,7 +327,7 @@ def test_damage_is_found_and_taken_out(gallery: Path, capsys) -> None:
     import sqlite3
 
     with sqlite3.connect(gallery) as raw:
-        raw.execute("UPDATE finger SET template = zeroblob(500) WHERE id = 2")
+        raw.execute("UPDATE template SET content = zeroblob(500) WHERE id = 2")
     raw.close()
     assert main(["gallery", "check", str(gallery), "--json"]) == 2
     said = capsys.readouterr()

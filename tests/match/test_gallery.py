@@ -64,7 +64,7 @@ def test_what_is_put_in_comes_out(file: Path, key: Key | None) -> None:
         found = gallery.entries()
         assert [one.entry.person for one in found] == ["Ann", "Ann", "Bob", "Bob", "Zoë"]
         assert [one.template_bytes for one in found] == [len(payload(1))] * 4 + [0]
-        assert found[0].entry == new("Ann", 1).entry
+        assert found[0].entry == replace(new("Ann", 1).entry, template_bytes=len(payload(1)))
         assert gallery.templates() == {1: payload(1), 2: payload(2), 3: payload(3), 4: payload(4), 5: b""}
         assert gallery.templates([4, 99]) == {4: payload(4)}
         assert [one.row for one in gallery.entries("Bob", session="2")] == [4]
@@ -101,7 +101,7 @@ def test_a_capture_is_kept_once(file: Path, key: Key | None) -> None:
 
 def test_nothing_remains_of_a_removed_finger(file: Path, key: Key | None) -> None:
     raw = sqlite3.connect(file)
-    (stored,) = raw.execute("SELECT template FROM finger WHERE id = 2").fetchone()
+    (stored,) = raw.execute("SELECT content FROM template WHERE id = 2").fetchone()
     raw.close()
     assert stored[-200:] in file.read_bytes()
     assert (payload(2)[-200:] in file.read_bytes()) == (key is None)
@@ -124,7 +124,7 @@ def test_nothing_remains_even_where_the_file_cannot_be_written_anew(file: Path, 
     from splitknit.match.gallery_rows import Rows
 
     with sqlite3.connect(file) as raw:
-        (stored,) = raw.execute("SELECT template FROM finger WHERE id = 2").fetchone()
+        (stored,) = raw.execute("SELECT content FROM template WHERE id = 2").fetchone()
     raw.close()
     monkeypatch.setattr(Rows, "compact", lambda self: False)
     with Gallery.open(file, key) as gallery:
@@ -169,15 +169,15 @@ def test_all_sides_of_a_key(tmp_path: Path) -> None:
 
 def test_rows_cannot_be_exchanged(file: Path, key: Key | None) -> None:
     with sqlite3.connect(file) as raw:
-        (mine,), (other,) = raw.execute("SELECT template FROM finger WHERE id IN (1, 3) ORDER BY id").fetchall()
-        raw.execute("UPDATE finger SET template = ? WHERE id = 1", (other,))
-        raw.execute("UPDATE finger SET template = ? WHERE id = 3", (mine,))
+        (mine,), (other,) = raw.execute("SELECT content FROM template WHERE id IN (1, 3) ORDER BY id").fetchall()
+        raw.execute("UPDATE template SET content = ? WHERE id = 1", (other,))
+        raw.execute("UPDATE template SET content = ? WHERE id = 3", (mine,))
     raw.close()
     with Gallery.open(file, key) as gallery, pytest.raises(BadInput, match=r"row 1 .* is damaged"):
         gallery.templates()
     with sqlite3.connect(file) as raw:
-        raw.execute("UPDATE finger SET template = ? WHERE id = 1", (mine,))
-        raw.execute("UPDATE finger SET template = ? WHERE id = 3", (other,))
+        raw.execute("UPDATE template SET content = ? WHERE id = 1", (mine,))
+        raw.execute("UPDATE template SET content = ? WHERE id = 3", (other,))
         tags = [row[0] for row in raw.execute("SELECT tag FROM finger WHERE id IN (1, 3) ORDER BY id")]
         raw.execute("UPDATE finger SET tag = x'00' WHERE id = 1")
         raw.execute("UPDATE finger SET tag = ? WHERE id = 3", (tags[0],))
@@ -191,11 +191,13 @@ def test_any_changed_byte_is_noticed(tmp_path: Path, key: Key | None, column: st
     path = tmp_path / "g.skg"
     with Gallery.create(path, SETTINGS, key) as gallery:
         gallery.add([new("Ann", 1, code=b"code", code_version=1, images=b"image"), new("Bob", 2)])
+    table = column if column in ("template", "images") else "finger"
+    field = column if table == "finger" else "content"
     with sqlite3.connect(path) as raw:
-        (sealed,) = raw.execute(f"SELECT {column} FROM finger WHERE id = 1").fetchone()
+        (sealed,) = raw.execute(f"SELECT {field} FROM {table} WHERE id = 1").fetchone()
         changed = bytearray(sealed)
         changed[len(changed) // 2] ^= 4
-        raw.execute(f"UPDATE finger SET {column} = ? WHERE id = 1", (bytes(changed),))
+        raw.execute(f"UPDATE {table} SET {field} = ? WHERE id = 1", (bytes(changed),))
     raw.close()
     with Gallery.open(path, key) as gallery:
         (problem,) = gallery.problems()
@@ -211,7 +213,9 @@ def test_every_seal_has_its_own_nonce(tmp_path: Path) -> None:
     with Gallery.create(path, SETTINGS, KEY) as gallery:
         gallery.add([new(f"P{k}", 1) for k in range(20)])
     with sqlite3.connect(path) as raw:
-        cells = [cell for row in raw.execute("SELECT entry, template FROM finger") for cell in row]
+        cells = [
+            cell for row in raw.execute("SELECT entry, content FROM finger JOIN template USING (id)") for cell in row
+        ]
     raw.close()
     assert len({cell[:12] for cell in cells}) == 40
 

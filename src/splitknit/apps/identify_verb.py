@@ -80,8 +80,9 @@ def _words(facts: dict[str, Any]) -> list[str]:
         who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
         lines.append(f"{one['rank']:>3}. similarity {one['similarity']:.4f}{rate}: {who}")
     searched = facts["searched"]
+    whose = "" if searched["people"] is None else f" ({searched['fingers']} fingers, {searched['people']} people)"
     lines.append(
-        f"Searched: {searched['captures']} captures of {searched['fingers']} fingers of {searched['people']} people, "
+        f"Searched: {searched['captures']} captures{whose}, "
         f"{searched['compared']} compared ridge by ridge"
         + (" (chosen by their codes)." if searched["method"] == "codes" else ".")
     )

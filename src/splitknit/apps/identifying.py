@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.apps.enrolling import known_finger
 from splitknit.apps.gallery_options import templates_hash
@@ -60,7 +61,8 @@ class Question:
     fmr: float = 1e-4
     """False match rate of one comparison at which is decided."""
     search: str = "auto"
-    """``exhaustive``: all are compared by their ridges; ``codes``: those whose codes are alike; ``auto``: by size."""
+    """``exhaustive``: all are compared by their ridges; ``codes``: those whose codes are alike; ``auto``: by size.
+    Where a person or finger is named, all of theirs are compared."""
     person: str | None = None
     """Whose finger it is said to be (verification)."""
     finger: str | None = None
@@ -103,17 +105,15 @@ def identify_file(
     finger = None if question.finger is None else known_finger(question.finger)
     with Gallery.open(gallery, key) as opened:
         opened.require_comparable(templates_hash(settings.matching))
-        rows = opened.entries(person, finger)
-        who = " and ".join(word for word in (person and f"person '{person}'", finger and f"finger '{finger}'") if word)
-        require(len(rows) > 0 or not who, f"'{gallery}' holds nothing of {who}; 'splitknit gallery list' tells whom.")
+        pool = _pool(opened, person, finger, question.search)
         side = read_side(probe, preset, settings.matching, lambda stage, share: progress(stage, 0.5 * share))
-        assert side.template is not None
+        made = side.template
+        assert made is not None
         started = time.perf_counter()
-        found, facts = _search(opened, side.template, rows, question=question, settings=settings, progress=progress)
+        found, facts = _search(opened, made, pool, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
-    acquired = [one for one in rows if one.template_bytes > 0]
     candidates = _merged(found, question.merge)[: question.top]
-    told = [_candidate(rank, one, len(acquired), calibrated) for rank, one in enumerate(candidates, start=1)]
+    told = [_candidate(rank, one, facts["captures"], calibrated) for rank, one in enumerate(candidates, start=1)]
     best = candidates[0][0] if candidates else None
     decision = None
     if threshold is not None:
@@ -121,27 +121,16 @@ def identify_file(
             "match": bool(best is not None and best >= threshold),
             "fmr": question.fmr,
             "threshold": threshold,
-            "expected_false_matches": len(acquired) * question.fmr,
+            "expected_false_matches": facts["captures"] * question.fmr,
         }
     progress("done", 1.0)
     return {
         "gallery": str(gallery),
-        "probe": {
-            "path": str(probe),
-            "kind": side.kind,
-            "area_mm2": side.template.area_mm2,
-            "acquired": not side.template.empty,
-        },
+        "probe": {"path": str(probe), "kind": side.kind, "area_mm2": made.area_mm2, "acquired": not made.empty},
         "mode": "identification" if person is None else "verification",
         "person": person,
         "finger": finger,
-        "searched": {
-            "captures": len(acquired),
-            "failures": len(rows) - len(acquired),
-            "fingers": len({(one.entry.person, one.entry.finger) for one in acquired}),
-            "people": len({one.entry.person for one in acquired}),
-            **facts,
-        },
+        "searched": facts,
         "merge": question.merge,
         "candidates": told,
         "decision": decision,
@@ -153,51 +142,71 @@ _Found = tuple[float, float | None, Enrolled]
 """Similarity of ridges, of codes, and what was compared."""
 
 
+def _pool(gallery: Gallery, person: str | None, finger: str | None, search: str) -> list[Enrolled] | None:
+    """Rows to search; None for all of a gallery so large that only codes are looked at first."""
+    if (
+        person is None
+        and finger is None
+        and search != "exhaustive"
+        and (search == "codes" or len(gallery) > EXHAUSTIVE)
+    ):
+        return None
+    rows = gallery.entries(person, finger)
+    who = " and ".join(word for word in (person and f"person '{person}'", finger and f"finger '{finger}'") if word)
+    require(len(rows) > 0 or not who, f"'{gallery.path}' holds nothing of {who}; 'splitknit gallery list' tells whom.")
+    return rows
+
+
 def _search(
     gallery: Gallery,
     probe: Template,
-    rows: Sequence[Enrolled],
+    pool: list[Enrolled] | None,
     *,
-    question: Question,
     settings: IdentifySettings,
     progress: Progress,
 ) -> tuple[list[_Found], dict[str, Any]]:
     """Compare; all, or those that codes choose."""
-    by_row = {one.row: one for one in rows if one.template_bytes > 0}
-    few = len(by_row) <= (EXHAUSTIVE if question.search == "auto" else settings.search.candidates)
-    exhaustive = question.search == "exhaustive" or few
-    code_score: dict[int, float] = {}
-    facts: dict[str, Any] = {"method": "exhaustive" if exhaustive else "codes", "compared": 0, "without_code": 0}
-    if probe.empty or not by_row:
+    codes: dict[int, NDArray[np.int8]] = {}
+    facts: dict[str, Any] = {"method": "exhaustive", "without_code": 0, "fingers": None, "people": None}
+    if pool is None:
+        codes, facts["without_code"], facts["failures"] = _codes(gallery, progress)
+        acquired = list(codes)
+    else:
+        names = [one.entry for one in pool if one.template_bytes > 0]
+        facts["fingers"] = len({(one.person, one.finger) for one in names})
+        facts["people"] = len({one.person for one in names})
+        facts["failures"] = len(pool) - len(names)
+        acquired = [one.row for one in pool if one.template_bytes > 0]
+    facts["captures"], facts["compared"] = len(acquired), 0
+    if probe.empty or not acquired:
         return [], facts
-    chosen = list(by_row)
-    if not exhaustive:
-        index, facts["without_code"] = _index(gallery, by_row, progress)
-        names, scores = index.search(probe, settings.search.candidates, settings.search.probe)
-        chosen = [int(name) for name in names]
-        code_score = dict(zip(chosen, scores.tolist(), strict=True))
-    templates = gallery.templates(chosen)
+    score: dict[int, float] = {}
+    if pool is None and len(acquired) > settings.search.candidates:
+        index = CodeIndex([str(row) for row in codes], np.stack(list(codes.values())))
+        best, scores = index.search(probe, settings.search.candidates, settings.search.probe)
+        score = {int(row): value for row, value in zip(best, scores.tolist(), strict=True)}
+        acquired, facts["method"] = list(score), "codes"
+    rows = {one.row: one for one in pool} if pool is not None else gallery.entries_at(acquired)
     ready = prepared(probe, settings.ridge)
     found: list[_Found] = []
-    for k, row in enumerate(chosen):
-        if row not in templates:  # removed meanwhile
-            continue
-        progress("comparing", 0.5 + 0.5 * k / len(chosen))
-        other = _unpacked(gallery, row, templates[row])
-        found.append((ridge_match(ready, other, settings.ridge).similarity, code_score.get(row), by_row[row]))
+    for k, (row, payload) in enumerate(gallery.templates(acquired).items()):
+        progress("comparing", 0.5 + 0.5 * k / len(acquired))
+        if row in rows:  # else removed just now
+            match = ridge_match(ready, _unpacked(gallery, row, payload), settings.ridge)
+            found.append((match.similarity, score.get(row), rows[row]))
     facts["compared"] = len(found)
     return sorted(found, key=_order), facts
 
 
-def _index(gallery: Gallery, by_row: dict[int, Enrolled], progress: Progress) -> tuple[CodeIndex, int]:
-    """Index of codes, and how many had to be made just now."""
-    kept = {row: code for row, code in gallery.codes(CODE_VERSION).items() if row in by_row}
-    codes = {row: np.frombuffer(code, dtype=np.int8) for row, code in kept.items()}
-    missing = [row for row in by_row if row not in codes]
+def _codes(gallery: Gallery, progress: Progress) -> tuple[dict[int, NDArray[np.int8]], int, int]:
+    """Codes of all rows, how many of them had to be made just now, and the number of failures to acquire."""
+    codes = {row: np.frombuffer(code, dtype=np.int8) for row, code in gallery.codes(CODE_VERSION).items()}
+    rest = gallery.entries_at(gallery.without_code(CODE_VERSION))
+    missing = [row for row, one in rest.items() if one.template_bytes > 0]
     for k, (row, payload) in enumerate(gallery.templates(missing).items()):
         progress("coding", 0.5 * k / len(missing))
         codes[row] = code_of(_unpacked(gallery, row, payload))
-    return CodeIndex([str(row) for row in codes], np.stack(list(codes.values()))), len(missing)
+    return codes, len(missing), len(rest) - len(missing)
 
 
 def _unpacked(gallery: Gallery, row: int, payload: bytes) -> Template:

@@ -9,39 +9,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace as replace_field
 from pathlib import Path
 
 from splitknit.check import require
-from splitknit.match.gallery_entry import Entry, encode_entry
+from splitknit.match.gallery_entry import Enrolled, NewCapture, encode_entry
 from splitknit.match.gallery_file import WAIT_S, connect, create_file
 from splitknit.match.gallery_key import Key, ScryptSettings
 from splitknit.match.gallery_rows import Rows, box_of, context, document_of, lock
 from splitknit.match.template import VERSION as TEMPLATE_VERSION
 
+__all__ = ["Enrolled", "Gallery", "NewCapture"]
 
-@dataclass(frozen=True, slots=True)
-class Enrolled:
-    """A row of a gallery."""
-
-    row: int
-    entry: Entry
-    template_bytes: int
-    """0 for a failure to acquire."""
-    code_version: int | None
-    """None where no search code is kept."""
-
-
-@dataclass(frozen=True, slots=True)
-class NewCapture:
-    """What is put into a gallery."""
-
-    entry: Entry
-    template: bytes
-    """Payload (:func:`splitknit.match.pack`), empty for a failure to acquire."""
-    code: bytes | None = None
-    code_version: int | None = None
-    images: bytes | None = None
+_ENTRIES = "SELECT id, tag, entry, code_version FROM finger"
+_BY_TAG = "SELECT id, entry, content FROM finger LEFT JOIN template USING (id) WHERE tag = ?"
 
 
 class Gallery:
@@ -154,7 +135,7 @@ class Gallery:
         with rows.changing() as database:
             for one in captures:
                 tag = rows.box.tag(one.entry.names)
-                found = database.execute("SELECT id, entry, template FROM finger WHERE tag = ?", (tag,)).fetchone()
+                found = database.execute(_BY_TAG, (tag,)).fetchone()
                 if found is not None:
                     earlier = rows.entry(found[0], tag, found[1])
                     same = earlier.source_sha256 == one.entry.source_sha256
@@ -166,11 +147,10 @@ class Gallery:
                         f"{one.entry.words} is in '{self.path}' already, made from something else; name another "
                         "session, or say --replace.",
                     )
-                    database.execute("DELETE FROM finger WHERE id = ?", (found[0],))
+                    rows.delete(found[0])
                     replaced = True
-                contents = {
-                    "entry": encode_entry(one.entry), "template": one.template, "code": one.code, "images": one.images,
-                }  # fmt: skip
+                entry = encode_entry(replace_field(one.entry, template_bytes=len(one.template)))
+                contents = {"entry": entry, "template": one.template, "code": one.code, "images": one.images}
                 rows.insert(tag, contents, one.code_version)
                 new.append(True)
         if replaced:
@@ -187,15 +167,24 @@ class Gallery:
         BadInput
             If a row is damaged.
         """
-        query = "SELECT id, tag, entry, length(template), code_version FROM finger ORDER BY id"
         with self._rows.reading() as database:
-            rows = database.execute(query).fetchall()
-        found = []
-        for row, tag, sealed, size, version in rows:
-            entry = self._rows.entry(row, tag, sealed)
-            if person in (None, entry.person) and finger in (None, entry.finger) and session in (None, entry.session):
-                found.append(Enrolled(row, entry, size - self._rows.box.overhead, version))
-        return found
+            rows = database.execute(f"{_ENTRIES} ORDER BY id").fetchall()
+        found = [Enrolled(row, self._rows.entry(row, tag, sealed), version) for row, tag, sealed, version in rows]
+        wanted = {"person": person, "finger": finger, "session": session}
+        wanted = {name: value for name, value in wanted.items() if value is not None}
+        return [one for one in found if all(getattr(one.entry, name) == value for name, value in wanted.items())]
+
+    def entries_at(self, rows: Sequence[int]) -> dict[int, Enrolled]:
+        """Some rows, without a look at the others; those that were removed meanwhile are missing."""
+        with self._rows.reading() as database:
+            found = [one for row in rows for one in database.execute(f"{_ENTRIES} WHERE id = ?", (row,)).fetchall()]
+        return {row: Enrolled(row, self._rows.entry(row, tag, sealed), version) for row, tag, sealed, version in found}
+
+    def without_code(self, version: int) -> list[int]:
+        """Rows that have no search code of this version; failures to acquire never have one."""
+        query = "SELECT id FROM finger WHERE code IS NULL OR code_version IS NOT ? ORDER BY id"
+        with self._rows.reading() as database:
+            return [row for (row,) in database.execute(query, (version,)).fetchall()]
 
     def templates(self, rows: Sequence[int] | None = None) -> dict[int, bytes]:
         """Templates (payloads) by row, of all or of those named; rows that were removed meanwhile are missing."""
@@ -225,8 +214,8 @@ class Gallery:
         Freed pages are overwritten with zeros (``secure_delete``) before the change is complete; then the file is
         written anew without them.
         """
-        with self._rows.changing() as database:
-            gone = sum(database.execute("DELETE FROM finger WHERE id = ?", (row,)).rowcount for row in set(rows))
+        with self._rows.changing():
+            gone = sum(self._rows.delete(row) for row in set(rows))
         if gone:
             self._rows.compact()
         return gone

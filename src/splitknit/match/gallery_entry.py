@@ -31,6 +31,8 @@ class Entry:
     """Of the files it was made from."""
     area_mm2: float = 0.0
     """Of the skin in the template; 0 for a failure to acquire."""
+    template_bytes: int = 0
+    """Size of the template, 0 for a failure to acquire; the gallery fills it in."""
     failure: str = ""
     """Why nothing could be acquired, where that is known."""
     enrolled_at: str = ""
@@ -53,6 +55,33 @@ class Entry:
     def names(self) -> bytes:
         """By which a capture is found; no two captures of a gallery share them."""
         return json.dumps([self.person, self.finger, self.session], ensure_ascii=True).encode("ascii")
+
+
+@dataclass(frozen=True, slots=True)
+class Enrolled:
+    """A row of a gallery."""
+
+    row: int
+    entry: Entry
+    code_version: int | None
+    """None where no search code is kept."""
+
+    @property
+    def template_bytes(self) -> int:
+        """Size of the template; 0 for a failure to acquire."""
+        return self.entry.template_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class NewCapture:
+    """What is put into a gallery."""
+
+    entry: Entry
+    template: bytes
+    """Payload (:func:`splitknit.match.pack`), empty for a failure to acquire."""
+    code: bytes | None = None
+    code_version: int | None = None
+    images: bytes | None = None
 
 
 def check_person(text: str) -> str:
@@ -103,7 +132,8 @@ def decode_entry(content: bytes) -> Entry:
     """
     try:
         document: dict[str, Any] = json.loads(content.decode("ascii"))
-        kinds = {item.name: float if item.name == "area_mm2" else str for item in fields(Entry)}
+        kinds: dict[str, type] = {item.name: str for item in fields(Entry)}
+        kinds |= {"area_mm2": float, "template_bytes": int}
         require(set(document) == set(kinds), "other fields")
         require(all(isinstance(document[name], kind) for name, kind in kinds.items()), "other kinds")
         return Entry(**document)

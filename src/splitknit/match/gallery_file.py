@@ -26,9 +26,12 @@ WAIT_S = 10.0
 """How long one waits for another program's transaction."""
 SCHEMA = (
     "CREATE TABLE about (document TEXT NOT NULL)",
-    "CREATE TABLE finger (id INTEGER PRIMARY KEY, tag BLOB NOT NULL UNIQUE, entry BLOB NOT NULL, "
-    "template BLOB NOT NULL, code BLOB, code_version INTEGER, images BLOB)",
+    "CREATE TABLE finger (id INTEGER PRIMARY KEY, tag BLOB NOT NULL UNIQUE, entry BLOB NOT NULL, code BLOB, "
+    "code_version INTEGER)",
+    "CREATE TABLE images (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
+    "CREATE TABLE template (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
 )
+"""What is large lies apart: names and codes of very many fingers are read without it."""
 _MAGIC = b"SQLite format 3\0"
 _BUSY, _READONLY, _FULL, _CANTOPEN = (5, 6), 8, 13, 14
 
@@ -178,10 +181,12 @@ def describe(path: Path) -> dict[str, Any]:
     """
     with contextlib.closing(connect(path)) as database, transaction(database, path, write=False):
         about = read_about(database, path)
-        counted = database.execute(
-            "SELECT count(*), count(code), count(images), total(length(template)), total(length(images)) FROM finger"
-        ).fetchone()
-    captures, codes, images, template_bytes, image_bytes = (int(one) for one in counted)
+        counted = []
+        for what in ("count(*), count(code) FROM finger",
+                     "total(length(content)) FROM template",
+                     "count(*), total(length(content)) FROM images"):  # fmt: skip
+            counted += database.execute(f"SELECT {what}").fetchone()
+    captures, codes, template_bytes, images, image_bytes = (int(one) for one in counted)
     return {
         "version": VERSION,
         "encrypted": about.get("box") != "plain",

@@ -18,7 +18,14 @@ from splitknit.match.gallery_key import SALT_BYTES, Key, ScryptSettings, SealedB
 from splitknit.match.template import unpack
 
 _CHECK = b"splitknit gallery"
-_COLUMNS = ("entry", "template", "code", "images")
+_PLACES = {"entry": ("finger", "entry"), "code": ("finger", "code"), "template": ("template", "content"),
+           "images": ("images", "content")}  # fmt: skip
+"""Table and column of each content; all go by the row's id."""
+_JOINED = (
+    "SELECT tag, entry, code, template.content, images.content FROM finger LEFT JOIN template USING (id) "
+    "LEFT JOIN images USING (id) WHERE id = ?"
+)
+_CONTENTS = ("entry", "code", "template", "images")
 
 
 class Rows:
@@ -83,55 +90,71 @@ class Rows:
         return entry
 
     def insert(self, tag: bytes, contents: dict[str, bytes | None], code_version: int | None) -> None:
-        """Add a row."""
-        sealed = [None if one is None else self.box.seal(one, context(name, tag)) for name, one in contents.items()]
-        names = ", ".join(contents)
-        places = ", ".join("?" * (len(sealed) + 2))
-        self.database.execute(
-            f"INSERT INTO finger (tag, code_version, {names}) VALUES ({places})", [tag, code_version, *sealed]
-        )
+        """Add a row of these contents (`entry`, `template`, `code`, `images`)."""
+        sealed = {
+            name: None if one is None else self.box.seal(one, context(name, tag)) for name, one in contents.items()
+        }
+        row = self.database.execute(
+            "INSERT INTO finger (tag, entry, code, code_version) VALUES (?, ?, ?, ?)",
+            (tag, sealed["entry"], sealed["code"], code_version),
+        ).lastrowid
+        for table in ("template", "images"):
+            if sealed[table] is not None:
+                self.database.execute(f"INSERT INTO {table} VALUES (?, ?)", (row, sealed[table]))
+
+    def delete(self, row: int) -> bool:
+        """Remove a row; whether there was one."""
+        gone = [
+            self.database.execute(f"DELETE FROM {table} WHERE id = ?", (row,)).rowcount
+            for table in ("finger", "template", "images")
+        ]
+        return any(gone)
 
     def contents(self, column: str, rows: Sequence[int] | None, version: int | None = None) -> dict[int, bytes]:
         """Contents of a column by row, of all or of some rows, where there is one (codes: of one version)."""
-        where = f"{column} IS NOT NULL" + ("" if version is None else f" AND code_version = {int(version)}")
+        table, field = _PLACES[column]
+        joined = "" if table == "finger" else f" JOIN {table} USING (id)"
+        query = f"SELECT id, tag, {field} FROM finger{joined} WHERE {field} IS NOT NULL"
+        query += "" if version is None else f" AND code_version = {int(version)}"
         with self.reading() as database:
             if rows is None:
-                found = database.execute(f"SELECT id, tag, {column} FROM finger WHERE {where} ORDER BY id").fetchall()
+                found = database.execute(f"{query} ORDER BY id").fetchall()
             else:
-                query = f"SELECT id, tag, {column} FROM finger WHERE {where} AND id = ?"
-                found = [one for row in rows for one in database.execute(query, (row,)).fetchall()]
+                found = [one for row in rows for one in database.execute(f"{query} AND id = ?", (row,)).fetchall()]
         return {row: self.opened(row, column, tag, sealed) for row, tag, sealed in found}
 
     def reseal(self, row: int, box: Box) -> None:
         """Wrap a row in another box."""
-        names = ", ".join(_COLUMNS)
-        found = self.database.execute(f"SELECT tag, {names} FROM finger WHERE id = ?", (row,)).fetchone()
+        found = self.database.execute(_JOINED, (row,)).fetchone()
         entry = self.entry(row, found[0], found[1])
         tag = box.tag(entry.names)
-        again = [
-            None if sealed is None else box.seal(self.opened(row, name, found[0], sealed), context(name, tag))
-            for name, sealed in zip(_COLUMNS, found[1:], strict=True)
-        ]
-        changes = ", ".join(f"{name} = ?" for name in _COLUMNS)
-        self.database.execute(f"UPDATE finger SET tag = ?, {changes} WHERE id = ?", (tag, *again, row))
+        for name, sealed in zip(_CONTENTS, found[1:], strict=True):
+            if sealed is None and name in ("code", "images"):
+                continue
+            again = box.seal(self.opened(row, name, found[0], sealed), context(name, tag))
+            table, field = _PLACES[name]
+            self.database.execute(f"UPDATE {table} SET {field} = ? WHERE id = ?", (again, row))
+        self.database.execute("UPDATE finger SET tag = ? WHERE id = ?", (tag, row))
 
     def problems(self) -> list[tuple[int | None, str]]:
         """What is wrong, by row (None: with the file): SQLite's own check, every seal, every template."""
         found: list[tuple[int | None, str]] = []
-        names = ", ".join(_COLUMNS)
         with self.reading() as database:
             said = [str(row[0]) for row in database.execute("PRAGMA integrity_check(20)").fetchall()]
             found += [(None, one) for one in said if one != "ok"]
             rows = [row[0] for row in database.execute("SELECT id FROM finger ORDER BY id").fetchall()]
+            for table in ("template", "images"):
+                orphans = database.execute(f"SELECT id FROM {table} WHERE id NOT IN (SELECT id FROM finger)").fetchall()
+                found += [(row, f"row {row} has a content ({table}) and no name.") for (row,) in orphans]
         for row in rows:
             with self.reading() as database:
-                cells = database.execute(f"SELECT tag, {names} FROM finger WHERE id = ?", (row,)).fetchone()
+                cells = database.execute(_JOINED, (row,)).fetchone()
             if cells is not None:
                 found += [(row, words) for words in self._problems_of(row, cells[0], cells[1:])]
         return found
 
     def _problems_of(self, row: int, tag: bytes, cells: Sequence[Any]) -> Iterator[str]:
-        for name, sealed in zip(_COLUMNS, cells, strict=True):
+        for name, sealed in zip(_CONTENTS, cells, strict=True):
             if sealed is None and name in ("code", "images"):
                 continue
             try:
