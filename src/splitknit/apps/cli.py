@@ -29,6 +29,7 @@ from splitknit.apps.print_verb import add_print
 from splitknit.apps.separate_verb import add_separate
 from splitknit.apps.training.verbs import add_train
 from splitknit.apps.verb import Refused, group
+from splitknit.apps.view_verb import add_view
 from splitknit.check import BadInput
 
 DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -72,6 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_identify(verbs)
     add_gallery_verbs(verbs)
     add_batch(verbs)
+    add_view(verbs)
     add_print(verbs)
     return parser
 
@@ -104,7 +106,8 @@ def _guarded(options: argparse.Namespace) -> int:
     """Run the verb; turn what goes wrong into one line and an exit code."""
     try:
         facts, lines = options.run(options)
-        _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
+        if facts or lines:  # `view` says what there is to say when it starts
+            _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
     except BadInput as error:
         if options.json and isinstance(error, Refused):
             with contextlib.suppress(BrokenPipeError):

@@ -1,0 +1,104 @@
+"""HTTP: one request in, one answer out; GET and HEAD only."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import sys
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import parse_qsl
+
+from splitknit.apps.viewer.guard import HEADERS, refusal
+from splitknit.apps.viewer.service import Answer, Service
+from splitknit.check import BadInput
+
+_LOG = logging.getLogger(__name__)
+_LONGEST_PATH = 2000
+
+
+class ViewerServer(ThreadingHTTPServer):
+    """Listens on the loopback address only."""
+
+    daemon_threads = True
+    request_queue_size = 64
+
+    def __init__(self, service: Service, token: str, port: int) -> None:
+        """Raises OSError where the port cannot be had."""
+        self.service, self.token = service, token
+        super().__init__(("127.0.0.1", port), _Handler)
+
+    def server_bind(self) -> None:
+        """Bind without asking the network for our name."""
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+        self.server_name, self.server_port = "127.0.0.1", int(self.server_address[1])
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A page that was closed in the middle of an answer is no error."""
+        if not isinstance(sys.exc_info()[1], (ConnectionError, TimeoutError)):
+            _LOG.exception("a request failed")
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://127.0.0.1:{self.server_port}/{self.token}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "splitknit", ""
+    timeout = 60
+    server: ViewerServer
+
+    def do_GET(self) -> None:
+        self._respond()
+
+    do_HEAD = do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_GET  # noqa: N815
+
+    def _respond(self) -> None:
+        path, _, query = self.path.partition("?")
+        refused = refusal(self.command, self.path, self.headers, self.server.token, self.server.server_port)
+        if refused is None and len(self.path) > _LONGEST_PATH:
+            refused = 414, "the address is too long"
+        if refused is not None:
+            self._say(*refused)
+            return
+        try:
+            values = dict(parse_qsl(query, max_num_fields=20))
+            answer = self.server.service.answer(path[len(self.server.token) + 2 :], values)
+        except BadInput as error:
+            self._say(404, str(error))
+        except ValueError:
+            self._say(400, "the request cannot be read")
+        except Exception:
+            _LOG.exception("%s failed", path[len(self.server.token) + 2 :])
+            self._say(500, "the server failed; `splitknit view` says more where it was started")
+        else:
+            with contextlib.closing(answer):
+                self._send(200, answer)
+
+    def _say(self, status: int, words: str) -> None:
+        """Send a refusal and close: what else the request holds is not read."""
+        body = (words + "\n").encode("utf-8")
+        self.close_connection = True
+        self._send(status, Answer("text/plain; charset=utf-8", len(body), [body], {"Connection": "close"}))
+
+    def _send(self, status: int, answer: Answer) -> None:
+        headers = {"Cache-Control": "no-store", **HEADERS, **answer.headers}
+        self.send_response(status)
+        self.send_header("Content-Type", answer.kind)
+        self.send_header("Content-Length", str(answer.size))
+        for name, value in headers.items():
+            self.send_header(name, value)
+        if status == 405:
+            self.send_header("Allow", "GET, HEAD")
+        self.end_headers()
+        if self.command == "HEAD":
+            return
+        for chunk in answer.chunks:
+            self.wfile.write(chunk)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: the address holds the token."""

@@ -1,0 +1,61 @@
+"""A gallery of enrolled fingers: who is in it, and pictures of what its templates keep."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.io.images import encode_image
+from splitknit.match.gallery import Gallery
+from splitknit.match.gallery_key import Key
+from splitknit.match.template import unpack
+
+_GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)
+"""Deep valley to high ridge: ridges dark, as in a print."""
+
+
+class People:
+    """The rows of a gallery, read when it is opened; templates are read one by one."""
+
+    def __init__(self, path: Path, key: Key | None = None) -> None:
+        """Raises BadInput if it is no gallery, damaged, or the key is missing or wrong."""
+        self._path, self._key = path, key
+        self._lock = threading.Lock()
+        with Gallery.open(path, key) as gallery:
+            self._rows = gallery.entries()
+
+    def document(self) -> list[dict[str, Any]]:
+        """For the page."""
+        return [
+            {
+                "row": enrolled.row,
+                "person": enrolled.entry.person,
+                "finger": enrolled.entry.finger,
+                "session": enrolled.entry.session,
+                "acquired": enrolled.template_bytes > 0,
+                "area_mm2": enrolled.entry.area_mm2,
+            }
+            for enrolled in self._rows
+        ]
+
+    def picture(self, row: str) -> bytes:
+        """Return the template of a row as PNG: tip up, as the camera sees it, one pixel for each of its own.
+
+        Raises
+        ------
+        BadInput
+            If there is no such row, or it holds no template.
+        """
+        known = row.isascii() and row.isdigit() and len(row) < 12 and any(one.row == int(row) for one in self._rows)
+        require(known, "there is no such row in the gallery.")
+        with self._lock, Gallery.open(self._path, self._key) as gallery:
+            payload = gallery.templates([int(row)]).get(int(row), b"")
+        template = unpack(payload)
+        if template.empty:
+            raise BadInput("this finger could not be acquired; there is no template.")
+        picture = np.where(template.valid, _GREYS[template.level], np.uint8(255))
+        return encode_image(picture.astype(np.uint8), ".png")

@@ -1,0 +1,248 @@
+"""What the server answers: an address below the token, and what comes back.
+
+What only some answers need is imported where it is needed: the first view waits for none of it.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splitknit.apps.viewer.about import describe, listed
+from splitknit.apps.viewer.catalogue import Catalogue, Entry
+from splitknit.apps.viewer.paths import Pieces, open_below, read_below
+from splitknit.apps.viewer.surface import Surface, read_surface
+from splitknit.apps.viewer.tiles import first_view, tile_bytes
+from splitknit.check import BadInput, require
+
+if TYPE_CHECKING:
+    from splitknit.apps.viewer.marks import Marks
+
+STATIC = Path(__file__).parent / "static"
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_PICTURES = ("normals.png", "albedo.png", "print.png", "preview.png")
+_KEPT_SURFACES = 4
+_THUMB_PX = 360
+_NOT_FOUND = "there is nothing at this address."
+
+Query = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What is sent back."""
+
+    kind: str
+    size: int
+    chunks: Iterable[bytes]
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    def close(self) -> None:
+        """Give back what was opened; whoever has an answer does this, sent or not."""
+        if isinstance(self.chunks, Pieces):
+            self.chunks.close()
+
+
+class Service:
+    """Answers about one catalogue; may be asked by several threads at once."""
+
+    def __init__(self, catalogue: Catalogue, gallery: Any = None) -> None:
+        """`gallery` is a :class:`splitknit.apps.viewer.people.People`, or None."""
+        self.catalogue = catalogue
+        self.gallery = gallery
+        self._surfaces: OrderedDict[str, Surface] = OrderedDict()
+        self._locks: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
+        self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
+
+    def answer(self, path: str, query: Query) -> Answer:
+        """Answer a request.
+
+        Parameters
+        ----------
+        path : below the token, as sent; nothing of ours needs an escape, so none is undone
+        query : name to value
+
+        Raises
+        ------
+        BadInput
+            If there is nothing there, or what is there cannot be used.
+        """
+        if path == "":
+            return self._page("index.html")
+        if path in self._static:
+            return self._page(path)
+        match path.split("/"):
+            case ["api", "catalogue"]:
+                return _json(self._list())
+            case ["api", "people", row] if self.gallery is not None:
+                return _bytes(self.gallery.picture(row), "image/png")
+            case ["api", "pair", first, second]:
+                return _json(self._pair(first, second))
+            case ["api", "result", key, *rest]:
+                return self._result(self.catalogue.entry(key), rest, query)
+        raise BadInput(_NOT_FOUND)
+
+    def surface(self, entry: Entry) -> Surface:
+        """Return a result's heights, read once as long as few others are asked for."""
+        with self._lock:
+            lock = self._locks.setdefault(entry.key, threading.Lock())
+        with lock:
+            with self._lock:
+                if entry.key in self._surfaces:
+                    self._surfaces.move_to_end(entry.key)
+                    return self._surfaces[entry.key]
+            surface = read_surface(entry.folder)
+            with self._lock:
+                self._surfaces[entry.key] = surface
+                while len(self._surfaces) > _KEPT_SURFACES:
+                    self._surfaces.popitem(last=False)
+            return surface
+
+    def _result(self, entry: Entry, rest: list[str], query: Query) -> Answer:  # noqa: PLR0911
+        match rest:
+            case []:
+                return _json(describe(entry, self.surface(entry)))
+            case ["first"]:
+                return _bytes(b"".join(first_view(self.surface(entry))), "application/octet-stream")
+            case ["tile", stride, row, column]:
+                numbers = (_whole(stride), _whole(row), _whole(column))
+                return _bytes(tile_bytes(self.surface(entry), *numbers), "application/octet-stream")
+            case ["pick"]:
+                return _json(self._pick(entry, query))
+            case ["section"]:
+                return _json(self._section(entry, query))
+            case ["minutiae"]:
+                return _json(self._minutiae(entry))
+            case ["picture", name] if name in _PICTURES:
+                return _file(entry.folder, name, "image/png")
+            case ["thumb"]:
+                return _bytes(_thumb(entry.folder), "image/jpeg")
+            case ["photo", number]:
+                from splitknit.apps.viewer.photos import photo_jpeg  # noqa: PLC0415
+
+                width = _whole(query.get("width", "1200"))
+                return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
+            case ["export", kind]:
+                from splitknit.apps.viewer.exports import export  # noqa: PLC0415
+
+                made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
+                saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
+                return Answer(made.kind, made.size, made.chunks, saved)
+        raise BadInput(_NOT_FOUND)
+
+    def _page(self, name: str) -> Answer:
+        content = (STATIC / name).read_bytes()
+        return _bytes(content, _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
+
+    def _list(self) -> dict[str, Any]:
+        return {
+            "title": self.catalogue.title,
+            "chosen": list(self.catalogue.chosen),
+            "results": [listed(entry) for entry in self.catalogue.entries],
+            "people": None if self.gallery is None else self.gallery.document(),
+        }
+
+    def _pick(self, entry: Entry, query: Query) -> dict[str, Any]:
+        from splitknit.apps.viewer.measure import pick  # noqa: PLC0415
+
+        ray = np.array([_number(query, name) for name in ("ox", "oy", "oz", "dx", "dy", "dz")])
+        exaggeration = _number(query, "relief", 1.0)
+        require(0 <= exaggeration <= 100, "an exaggeration must lie between 0 and 100.")
+        return {"point_mm": pick(self.surface(entry), ray[:3], ray[3:], exaggeration)}
+
+    def _section(self, entry: Entry, query: Query) -> dict[str, Any]:
+        from splitknit.apps.viewer.measure import section  # noqa: PLC0415
+
+        ends = [_number(query, name) for name in ("x0", "y0", "x1", "y1")]
+        try:
+            cut = section(self.surface(entry), (ends[0], ends[1]), (ends[2], ends[3]))
+        except BadInput as error:
+            return {"why_not": str(error)}
+        step = max(1, len(cut.along_mm) // 4000)
+        arrays = {name: _list(getattr(cut, name)[::step]) for name in ("along_mm", "x_mm", "y_mm", "height_mm")}
+        return {**arrays, "relief_um": _list(cut.relief_um[::step]), "figures": cut.figures}
+
+    def _minutiae(self, entry: Entry) -> dict[str, Any]:
+        try:
+            return {"minutiae": self._marks(entry).document()}
+        except BadInput as error:
+            return {"minutiae": None, "why_not": str(error)}
+
+    def _marks(self, entry: Entry) -> Marks:
+        from splitknit.apps.viewer.marks import marks_of  # noqa: PLC0415
+
+        return marks_of(entry.folder, self.surface(entry))
+
+    def _pair(self, first: str, second: str) -> dict[str, Any]:
+        from splitknit.apps.viewer.pair import align, matched_marks  # noqa: PLC0415
+
+        one, two = self.catalogue.entry(first), self.catalogue.entry(second)
+        try:
+            found = align(one, self.surface(one), two, self.surface(two))
+        except BadInput as error:
+            return {"alignment": None, "why_not": str(error)}
+        try:
+            pairs = matched_marks(self._marks(one), self._marks(two), found) if found.how != "none" else []
+        except BadInput:
+            pairs = []
+        return {"alignment": found.document(), "pairs": pairs}
+
+
+@lru_cache(maxsize=512)
+def _thumb(folder: Path) -> bytes:
+    import cv2  # noqa: PLC0415
+
+    encoded = np.frombuffer(read_below(folder, "preview.png", 100_000_000), dtype=np.uint8)
+    picture: Any = cv2.imdecode(encoded, cv2.IMREAD_REDUCED_COLOR_2)
+    require(picture is not None, "preview.png cannot be read.")
+    scale = _THUMB_PX / max(picture.shape[:2])
+    if scale < 1:
+        size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+
+
+def _json(document: Any) -> Answer:
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
+
+
+def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Answer:
+    return Answer(kind, len(content), [content], headers or {})
+
+
+def _file(folder: Path, name: str, kind: str) -> Answer:
+    pieces = Pieces(open_below(folder, name))
+    return Answer(kind, pieces.size, pieces)
+
+
+def _whole(text: str) -> int:
+    require(text.isascii() and text.isdigit() and len(text) < 8, f"{text[:20]!a} is not a whole number.")
+    return int(text)
+
+
+def _number(query: Query, name: str, default: float | None = None) -> float:
+    try:
+        value = float(query[name]) if name in query or default is None else default
+    except (KeyError, ValueError) as error:
+        raise BadInput(f"the request needs a number '{name}'.") from error
+    require(bool(np.isfinite(value)), f"'{name}' must be finite.")
+    return value
+
+
+def _list(values: Any) -> list[float | None]:
+    return [round(float(value), 5) if np.isfinite(value) else None for value in values]

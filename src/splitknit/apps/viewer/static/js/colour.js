@@ -1,0 +1,64 @@
+// Colour maps that colour-blind readers can tell apart; the same stops as the report's (apps/pictures.py).
+
+/** Cividis (Nunez, Anderton and Renslow 2018). */
+const CIVIDIS = [
+  [0, 34, 78], [8, 51, 112], [53, 69, 108], [79, 87, 108], [102, 105, 112], [125, 124, 120],
+  [148, 142, 119], [174, 163, 113], [200, 184, 102], [229, 207, 82], [254, 232, 56],
+];
+/** Blue for low, white for zero, orange for high. */
+const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [253, 174, 97], [165, 60, 10]];
+const GREY = [[0, 0, 0], [255, 255, 255]];
+
+const STOPS = { height: CIVIDIS, relief: DIVERGING, albedo: GREY };
+
+/**
+ * @param {"height" | "relief" | "albedo"} name
+ * @param {number} count
+ * @returns {Uint8Array} RGBA of `count` colours
+ */
+export function ramp(name, count = 256) {
+  const stops = STOPS[name];
+  const table = new Uint8Array(4 * count);
+  for (let k = 0; k < count; k++) {
+    const place = (k / (count - 1)) * (stops.length - 1);
+    const low = Math.min(Math.floor(place), stops.length - 2);
+    for (let c = 0; c < 3; c++) {
+      table[4 * k + c] = Math.round(stops[low][c] + (place - low) * (stops[low + 1][c] - stops[low][c]));
+    }
+    table[4 * k + 3] = 255;
+  }
+  return table;
+}
+
+/**
+ * Show what the colours mean; in words too, for those who do not see them.
+ * @param {HTMLElement} box
+ * @param {string} colour
+ * @param {{low_mm: number[], high_mm: number[], relief_range_um: number}} meta
+ */
+export function showLegend(box, colour, meta) {
+  box.replaceChildren();
+  box.hidden = colour === "clay";
+  if (box.hidden) return;
+  const texts = {
+    height: ["", "height above the lowest point", `${(meta.high_mm[2] - meta.low_mm[2]).toFixed(1)} mm`],
+    relief: [`−${meta.relief_range_um.toFixed(0)}`, "relief, µm", `+${meta.relief_range_um.toFixed(0)}`],
+    albedo: ["dark", "albedo", "bright"],
+    normals: ["red: right", "green: tip", "blue: camera"],
+  }[colour];
+  if (colour === "height") texts[0] = "0";
+  if (colour === "height") texts[1] = "height";
+  if (colour !== "normals") {
+    const canvas = document.createElement("canvas");
+    canvas.width = 256;
+    canvas.height = 1;
+    const image = new ImageData(new Uint8ClampedArray(ramp(/** @type {any} */ (colour))), 256, 1);
+    canvas.getContext("2d").putImageData(image, 0, 0);
+    box.append(canvas);
+  }
+  const words = document.createElement("div");
+  for (const text of texts) words.append(Object.assign(document.createElement("span"), { textContent: text }));
+  if (colour === "normals") words.style.gap = "0.8em";
+  box.append(words);
+  box.setAttribute("aria-label", `Colour scale: ${texts.join(", ")}`);
+}

@@ -1,0 +1,259 @@
+// The page: which results are shown, and what is said about them. The address behind # says the same, so that it can be kept.
+import { address, getJson } from "./api.js";
+import { showLegend } from "./colour.js";
+import { listen } from "./keys.js";
+import { Light } from "./light.js";
+import { Measure, plain, save } from "./measure.js";
+import { byId, make, trouble } from "./page.js";
+import { showPeople } from "./people.js";
+import { Photos } from "./photos.js";
+import { Prints } from "./prints.js";
+import { Results } from "./results.js";
+import { View } from "./view.js";
+
+const TABS = ["surface", "print", "photos", "results", "people"];
+const look = { colour: "clay", relief: 1, contours: 0, azimuth: 135, elevation: 39, tool: "turn" };
+/** @type {View[]} */
+let views = [];
+/** @type {any} */
+let alignment = null;
+let shown = { result: "", beside: "" };
+let turnOfMind = 0;
+
+const applyLook = () => views.forEach((view) => void view.apply().catch((error) => trouble(error.message)));
+const light = new Light(look, applyLook);
+const measure = new Measure(() => views, () => alignment);
+const photos = new Photos();
+const prints = new Prints((key, marks, numbers) => views.filter((view) => view.meta.key === key).forEach((view) => view.showMinutiae(marks, numbers)));
+/** @type {Results} */
+let results;
+
+/** @returns {{result: string, beside: string, tab: string}} */
+function wanted() {
+  const words = new URLSearchParams(location.hash.slice(1));
+  return { result: words.get("result") ?? "", beside: words.get("beside") ?? "", tab: words.get("tab") ?? "" };
+}
+
+function go(change) {
+  const words = new URLSearchParams(Object.entries({ ...wanted(), ...change }).filter(([, value]) => value !== ""));
+  location.hash = words.toString();
+}
+
+async function start() {
+  const catalogue = await getJson("api/catalogue");
+  byId("title").textContent = catalogue.title;
+  document.title = `${catalogue.title} · splitknit`;
+  results = new Results(catalogue.results, (key) => go({ result: key, beside: "", tab: "surface" }), (key) => go({ beside: key, tab: "surface" }));
+  byId("tab-results").hidden = catalogue.results.length < 2;
+  byId("tab-people").hidden = !catalogue.people;
+  if (catalogue.people) showPeople(catalogue.people);
+  const choices = catalogue.results.map((one) => make("option", { value: one.key, textContent: [one.name, one.preset].filter(Boolean).join(" · ") }));
+  byId("other").append(make("option", { value: "", textContent: "nothing" }), ...choices);
+  byId("beside").hidden = catalogue.results.length < 2;
+  addEventListener("hashchange", () => void follow());
+  if (!wanted().result && catalogue.chosen.length) {
+    const [result, beside = ""] = catalogue.chosen;
+    history.replaceState(null, "", `#${new URLSearchParams({ result, ...(beside && { beside }) })}`);
+  }
+  await follow();
+}
+
+/** Show what the address says. */
+async function follow() {
+  const want = wanted();
+  const first = byId("tab-people").hidden ? "results" : "people";
+  showTab(TABS.includes(want.tab) ? want.tab : want.result ? "surface" : first);
+  if (want.result !== shown.result || want.beside !== shown.beside) {
+    shown = { result: want.result, beside: want.beside };
+    try {
+      await open(want.result, want.beside);
+    } catch (error) {
+      trouble(error.message);
+    }
+  }
+  results.draw(want.result);
+  openTab();
+}
+
+async function open(key, beside) {
+  const turn = ++turnOfMind;
+  trouble("");
+  views.forEach((view) => view.dispose());
+  views = [];
+  alignment = null;
+  measure.clear();
+  document.body.dataset.state = "loading";
+  for (const tab of ["surface", "print", "photos"]) byId(`tab-${tab}`).hidden = key === "";
+  if (key === "") return;
+  byId("view-a").replaceChildren(make("p", { className: "wait", textContent: "Reading …" }));
+  byId("view-b").hidden = beside === "";
+  const metas = await Promise.all([key, beside].filter((one) => one !== "").map((one) => getJson(`api/result/${one}`)));
+  if (turn !== turnOfMind) return;
+  performance.mark("facts are here");
+  describe(metas[0]);
+  byId("title").textContent = metas.map((meta) => meta.name).join(" | ");
+  document.title = `${byId("title").textContent} · splitknit`;
+  prints.show(metas);
+  photos.show(metas[0]);
+  for (const [k, meta] of metas.entries()) {
+    try {
+      views.push(new View(byId(k === 0 ? "view-a" : "view-b"), meta, look));
+    } catch {
+      pictureInstead(byId(k === 0 ? "view-a" : "view-b"), meta);
+    }
+  }
+  views.forEach(attend);
+  await Promise.all(views.map((view) => view.load()));
+  if (turn !== turnOfMind) return;
+  await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+  performance.mark("first view");
+  document.body.dataset.state = "ready";
+  byId("other").value = beside;
+  byId("alignment").textContent = "";
+  if (metas.length > 1) await pair(metas, turn);
+}
+
+/** Lay the second finger on the first. */
+async function pair(metas, turn) {
+  byId("alignment").textContent = "They are being laid on each other …";
+  const found = await getJson(`api/pair/${metas[0].key}/${metas[1].key}`);
+  if (turn !== turnOfMind) return;
+  if (!found.alignment || found.alignment.how === "none") {
+    byId("alignment").textContent = found.why_not ?? "They could not be laid on each other: too few ridges. They are shown as they are.";
+    document.body.dataset.pair = "none";
+    return;
+  }
+  alignment = found.alignment;
+  views[1]?.align(alignment);
+  if (views[1] && byId("linked").checked) views[1].follow(views[0]);
+  const words = {
+    photographs: "Both are from the same photographs and lie on each other exactly.",
+    ridges: `Laid on each other by their ridges: similarity ${alignment.similarity?.toFixed(2)} over ${alignment.overlap_mm2?.toFixed(0)} mm², turned by ${((alignment.turn_rad * 180) / Math.PI).toFixed(1)}°.`,
+  }[alignment.how];
+  byId("alignment").textContent = found.pairs.length ? `${words} ${found.pairs.length} pairs of minutiae fit (Print).` : words;
+  prints.show(metas, found.pairs);
+  openTab();
+  document.body.dataset.pair = alignment.how;
+}
+
+/** @param {View} view */
+function attend(view) {
+  view.listeners.camera.push(() => {
+    if (byId("linked").checked) views.filter((other) => other !== view).forEach((other) => other.follow(view));
+  });
+  listen(view, look, light, (one) => void choose(one, one.box.clientWidth / 2, one.box.clientHeight / 2));
+  light.follow(view.canvas, () => look.tool === "light");
+  let down = null;
+  view.canvas.addEventListener("pointerdown", (event) => (down = { x: event.clientX, y: event.clientY }));
+  view.canvas.addEventListener("pointerup", (event) => {
+    const still = down && Math.hypot(event.clientX - down.x, event.clientY - down.y) < 5;
+    down = null;
+    if (look.tool !== "measure" || !still || event.button !== 0) return;
+    const box = view.canvas.getBoundingClientRect();
+    void choose(view, event.clientX - box.left, event.clientY - box.top);
+  });
+  useTool();
+}
+
+async function choose(view, x, y) {
+  try {
+    await measure.choose(view, x, y);
+  } catch (error) {
+    trouble(error.message);
+  }
+}
+
+function useTool() {
+  for (const view of views) {
+    view.controls.enabled = look.tool !== "light";
+    view.box.classList.toggle("measure", look.tool === "measure");
+    view.box.classList.toggle("light", look.tool === "light");
+    view.box.querySelector(".cross")?.remove();
+    if (look.tool === "measure") view.box.append(make("div", { className: "cross" }));
+  }
+}
+
+/** Facts and files of the first result. */
+function describe(meta) {
+  const rows = meta.facts.map(([name, value]) => make("tr", {}, make("th", { scope: "row", textContent: name }), make("td", { textContent: value })));
+  byId("facts").tBodies[0].replaceChildren(...rows);
+  byId("notes").replaceChildren(...meta.notes.map((note) => make("li", { textContent: note })));
+  for (const option of byId("colour").options) {
+    option.disabled = ["normals", "albedo"].includes(option.value) && !meta.pictures.includes(`${option.value}.png`);
+  }
+  if (byId("colour").selectedOptions[0].disabled) byId("colour").value = look.colour = "clay";
+  for (const option of byId("other").options) option.disabled = option.value === meta.key;
+  showLegend(byId("legend"), look.colour, meta);
+  links();
+}
+
+function links() {
+  for (const kind of ["ply", "stl", "glb"]) {
+    byId(`save-${kind}`).href = address(`api/result/${shown.result}/export/${kind}`, { step: byId("step").value });
+  }
+}
+
+/** Without WebGL there is still the picture that was written with the result. */
+function pictureInstead(box, meta) {
+  trouble("This browser cannot draw in 3D here (WebGL is off); a picture is shown instead. Sections, print and photographs work.");
+  box.replaceChildren(make("img", { className: "instead", src: address(`api/result/${meta.key}/picture/preview.png`), alt: `Shaded views of ${meta.name}` }));
+}
+
+function showTab(name) {
+  for (const tab of TABS) {
+    byId(tab).hidden = tab !== name;
+    byId(`tab-${tab}`).setAttribute("aria-selected", String(tab === name));
+    byId(`tab-${tab}`).tabIndex = tab === name ? 0 : -1;
+  }
+}
+
+/** What is fetched only when it is looked at. */
+function openTab() {
+  if (!shown.result) return;
+  if (!byId("print").hidden) prints.open().catch((error) => trouble(error.message));
+  if (!byId("photos").hidden) photos.open();
+}
+
+for (const tab of TABS) byId(`tab-${tab}`).addEventListener("click", () => go({ tab }));
+byId("tabs").addEventListener("keydown", (event) => {
+  const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  if (!step) return;
+  const there = TABS.filter((tab) => !byId(`tab-${tab}`).hidden);
+  const at = there.findIndex((tab) => byId(`tab-${tab}`) === document.activeElement);
+  byId(`tab-${there[(at + step + there.length) % there.length]}`).focus();
+});
+byId("panel").addEventListener("submit", (event) => event.preventDefault());
+document.querySelectorAll('input[name="tool"]').forEach((input) => input.addEventListener("change", () => {
+  look.tool = input.value;
+  useTool();
+}));
+document.querySelectorAll("[data-from]").forEach((button) => button.addEventListener("click", () => views[0]?.lookFrom(button.dataset.from)));
+byId("colour").addEventListener("change", () => {
+  look.colour = byId("colour").value;
+  if (views[0]) showLegend(byId("legend"), look.colour, views[0].meta);
+  applyLook();
+});
+byId("relief").addEventListener("input", () => {
+  look.relief = byId("relief").valueAsNumber;
+  byId("relief-value").textContent = `${look.relief} x`;
+  applyLook();
+  measure.refresh();
+});
+byId("contours").addEventListener("change", () => {
+  look.contours = byId("contours").checked ? 0.5 : 0;
+  applyLook();
+});
+byId("other").addEventListener("change", () => go({ beside: byId("other").value }));
+byId("linked").addEventListener("change", () => {
+  if (byId("linked").checked && views[1]) views[1].follow(views[0]);
+});
+byId("step").addEventListener("change", links);
+byId("save-png").addEventListener("click", async () => {
+  for (const view of views) save(await view.png(), `${plain(view.meta.name)}.png`);
+});
+addEventListener("resize", () => {
+  if (!byId("print").hidden) byId("print-zoom").dispatchEvent(new Event("change"));
+});
+
+performance.mark("page is here");
+start().catch((error) => trouble(error.message));

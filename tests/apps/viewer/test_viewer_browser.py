@@ -1,0 +1,302 @@
+"""The page in a real Chromium: clicked through, its numbers compared with the finger's, its console silent."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from chromium import Page, PageMaker, why_not
+
+from conftest import Asking
+from splitknit.io.glb import read_glb
+from splitknit.match import Template, pack
+from splitknit.match.gallery import Gallery, NewCapture
+from splitknit.match.gallery_entry import Entry
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(bool(why_not()), reason=why_not() or "there is a browser"),
+]
+Serve = Callable[..., Asking]
+
+
+@pytest.fixture
+def page() -> Iterator[PageMaker]:
+    pages: list[Page] = []
+
+    def make(*arguments: object, **named: object) -> Page:
+        pages.append(Page(*arguments, **named))  # type: ignore[arg-type]
+        return pages[-1]
+
+    yield make
+    for each in pages:
+        each.close()
+
+
+def number(page: Page, figure: str, column: int = 0) -> float:
+    text = page.run(f"return document.querySelectorAll('[data-figure={figure}]')[{column}].textContent")
+    return float(text.split()[0])
+
+
+def test_a_finger_is_looked_at_and_measured(shown: Path, asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    seen = page(1280, 800)
+    seen.open(asking(shown / "metric").server.url)
+    from_above = cv2.imread(str(seen.picture("surface")))
+    assert seen.run("return document.title") == "metric · splitknit"
+    assert seen.run("return document.documentElement.scrollHeight <= innerHeight")
+    coarse = int(seen.run("return document.getElementById('view-a').dataset.stride"))
+
+    # a distance by two clicks: 240 px of the screen, by the scale bar that is drawn
+    px_per_mm = seen.run(
+        "const bar = document.querySelector('.scale');"
+        "return parseFloat(bar.lastChild.style.width) / parseFloat(bar.textContent)"
+    )
+    seen.click("input[value=measure]")
+    canvas = seen.find("#view-a canvas")
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    for x in (-120, 120):
+        ActionChains(seen.driver).move_to_element_with_offset(canvas, x, 150).click().perform()
+        seen.wait(f"return document.querySelector('#x{int(x > 0)}').value !== ''")
+    seen.wait("return !document.getElementById('section').hidden")
+    assert number(seen, "flat_mm") == pytest.approx(240 / px_per_mm, rel=0.005)
+    seen.picture("distance")
+
+    # a section along a ray of the spiral: 60 um from valley to crest, a crest every 0.45 mm
+    for name, value in (("x0", 0.6), ("y0", 3.0), ("x1", 0.6), ("y1", 8.4)):
+        seen.run(f"document.getElementById('{name}').value = {value}")
+    seen.click("#cut")
+    seen.wait("return document.querySelector('[data-figure=flat_mm]').textContent === '5.400 mm'")
+    assert number(seen, "relief_um") == pytest.approx(59.3, rel=0.06)
+    assert number(seen, "ridge_period_mm") == pytest.approx(0.45, rel=0.015)
+    curve = seen.run("return document.querySelector('#chart path.a').getAttribute('d')")
+    assert curve.count("L") > 100
+    drawn = [float(point.split()[1]) for point in curve.replace("M", "L").split("L")[1:]]
+    ticks = seen.run(
+        "return [...document.querySelectorAll('#chart text[text-anchor=end]')]"
+        ".map((t) => [Number(t.textContent), Number(t.getAttribute('y'))]).filter(([v]) => v === v)"
+    )
+    (v0, y0), (v1, y1) = ticks[:2]
+    assert (max(drawn) - min(drawn)) * abs((v1 - v0) / (y1 - y0)) == pytest.approx(60, rel=0.05)  # as drawn
+    seen.picture("section")
+    seen.choose("#curve", "height")
+    assert "height" in seen.run("return document.querySelector('#chart svg').getAttribute('aria-label')")
+
+    # colours, light, relief: the picture changes
+    for colour in ("height", "relief", "normals", "albedo"):
+        before = seen.run("return document.getElementById('legend').getAttribute('aria-label')")
+        seen.choose("#colour", colour)
+        assert seen.run("return document.getElementById('legend').getAttribute('aria-label')") != before
+        time.sleep(0.5)
+        seen.drawn()
+        now = cv2.imread(str(seen.picture(f"colour-{colour}")))
+        assert np.abs(now.astype(int) - from_above)[200:600, 300:600].mean() > 5
+    seen.choose("#colour", "clay")
+    seen.click("#contours")
+    seen.slide("#relief", 4)
+    seen.click("input[value=light]")
+    ActionChains(seen.driver).move_to_element_with_offset(canvas, 0, 0).click_and_hold().move_by_offset(
+        300, 0
+    ).release().perform()
+    assert seen.run("return document.getElementById('azimuth').valueAsNumber") == 0
+    assert seen.run("return document.getElementById('elevation').valueAsNumber") < 40
+    seen.drawn()
+    lit = cv2.imread(str(seen.picture("light")))
+    assert np.abs(lit.astype(int) - from_above)[200:600, 300:600].mean() > 5
+
+    # the keyboard
+    seen.click("input[value=turn]")
+    seen.run("document.querySelector('#view-a canvas').focus()")
+    seen.press("0", "\ue014", "\ue014", "\ue013", "+", "]", "c")  # right, right, up
+    assert seen.run("return document.getElementById('relief').valueAsNumber") == 4.5
+    assert seen.run("return document.getElementById('colour').value") == "height"
+    seen.drawn()
+    seen.picture("turned")
+    seen.press("m", "\ue007")
+    seen.wait("return document.getElementById('said').textContent.includes('A is at')")
+
+    # detail comes where one looks closely
+    seen.press("0", *"+" * 8)
+    seen.wait("return document.getElementById('view-a').dataset.stride === '1'")
+    seen.drawn()
+    assert coarse > 1
+    seen.picture("near")
+
+    # what is saved
+    seen.driver.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)})
+    seen.choose("#step", "4")
+    for kind in ("png", "ply", "stl", "glb"):
+        seen.click(f"#save-{kind}")
+    seen.click("#csv") if seen.find("#csv").is_displayed() else None
+    end = time.monotonic() + 60
+    names = {"metric.png", "metric-every-4.ply", "metric-every-4.stl", "metric-every-4.glb"}
+    while not names <= {file.name for file in tmp_path.iterdir()} and time.monotonic() < end:
+        time.sleep(0.1)
+    assert len(read_glb(tmp_path / "metric-every-4.glb").faces) > 1000
+    saved = cv2.imread(str(tmp_path / "metric.png"))
+    assert saved[0, 0].tolist() == [255, 255, 255]
+    assert saved.std() > 10
+    assert seen.complaints() == []
+
+
+def test_print_and_photographs(shown: Path, asking: Serve, page: PageMaker) -> None:
+    pytest.importorskip("nbis")
+    seen = page(1280, 800)
+    seen.open(asking(shown / "metric").server.url)
+    seen.click("#tab-print")
+    seen.wait("return document.getElementById('print-words').textContent.includes('endings')", "minutiae")
+    seen.slide("#least", 0)
+    count = seen.run("return document.querySelectorAll('#prints path:not(.halo)').length")
+    words = seen.run("return document.getElementById('print-words').textContent").split()
+    said = [int(word) for word in words if word.isdigit()]
+    assert count == sum(said) > 0
+    seen.click("#on-surface")
+    seen.picture("print")
+    seen.click("#show-minutiae")
+    assert seen.run("return document.querySelectorAll('#prints path').length") == 0
+    seen.click("#tab-photos")
+    wide = "filter((i) => i.complete && i.naturalWidth === 320)"
+    seen.wait(f"return [...document.querySelectorAll('#photo-grid img')].{wide}.length === 7", "photographs")
+    seen.picture("photographs")
+    seen.click("#photo-grid button:nth-of-type(3)")
+    seen.wait("const i = document.querySelector('#photo-large img'); return i.complete && i.naturalWidth > 320")
+    seen.press("\ue014")
+    assert seen.run("return document.querySelector('#photo-large figcaption').textContent").startswith("4 of 7")
+    seen.picture("photograph")
+    seen.press("\ue00c")
+    assert not seen.run("return document.getElementById('photo-large').open")
+    seen.click("#tab-surface")
+    seen.drawn()
+    seen.picture("minutiae")
+    assert seen.complaints() == []
+
+
+def test_two_results_side_by_side(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    seen.open(asking(shown / "metric", shown / "ea").server.url)
+    seen.wait("return document.body.dataset.pair === 'photographs'", "the pair")
+    seen.click("#across")
+    seen.wait("return document.querySelectorAll('[data-figure=flat_mm]').length === 2")
+    assert number(seen, "relief_um", 0) == number(seen, "relief_um", 1)  # the same finger twice
+    seen.click("[data-from=left]")
+    seen.drawn()
+    picture = cv2.imread(str(seen.picture("side-by-side"))).astype(int)
+    width = seen.run("return document.getElementById('view-a').clientWidth")
+    left, right = picture[120:700, :width], picture[120:700, width + 1 : 2 * width + 1]
+    assert left.std() > 10
+    assert np.abs(left - right).mean() < 3  # turned together
+    seen.choose("#other", "")
+    seen.wait("return document.getElementById('view-b').hidden")
+    seen.drawn()
+    assert seen.complaints() == []
+
+
+def test_a_folder_is_chosen_from(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    server = asking(shown)
+    seen.driver.get(server.server.url)
+    seen.wait("return document.querySelectorAll('#result-list li').length === 2")
+    seen.wait(
+        "return [...document.querySelectorAll('#result-list img')].every((i) => i.complete && i.naturalWidth > 0)"
+    )
+    seen.picture("results")
+    seen.find("#filter").send_keys("ea")
+    seen.wait("return document.querySelectorAll('#result-list li').length === 1")
+    seen.click("#result-list button")
+    seen.drawn()
+    assert seen.run("return document.title") == "ea · splitknit"
+    seen.driver.back()
+    seen.wait("return !document.getElementById('results').hidden")
+    assert seen.complaints() == []
+
+
+def test_a_telephone(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(390, 844, still=True)
+    seen.open(asking(shown / "metric").server.url)
+    assert seen.run("return document.documentElement.scrollWidth <= innerWidth")
+    seen.picture("telephone")
+    seen.click("#along")
+    seen.wait("return !document.getElementById('section').hidden")
+    seen.run("document.getElementById('measure').scrollIntoView()")
+    seen.picture("telephone-section")
+    for tab in ("print", "photos"):
+        seen.click(f"#tab-{tab}")
+        time.sleep(1)
+        assert seen.run("return document.documentElement.scrollWidth <= innerWidth")
+        seen.picture(f"telephone-{tab}")
+    assert seen.complaints() == []
+
+
+def test_everything_has_a_name(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    seen.open(asking(shown / "metric", shown / "ea").server.url)
+    tree = seen.driver.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+    roles = {"button", "slider", "combobox", "checkbox", "radio", "spinbutton", "tab", "image", "link", "searchbox"}
+    things = [node for node in tree if not node.get("ignored") and node.get("role", {}).get("value") in roles]
+    nameless = [node["role"]["value"] for node in things if not node.get("name", {}).get("value")]
+    assert nameless == []
+    assert len(things) > 25
+
+
+def test_without_webgl_there_is_a_picture(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800, "--disable-3d-apis")
+    seen.driver.get(asking(shown / "metric").server.url)
+    seen.wait("return document.body.dataset.state === 'ready'")
+    assert "WebGL" in seen.run("return document.getElementById('trouble').textContent")
+    seen.wait("const i = document.querySelector('#view-a img'); return i && i.complete && i.naturalWidth > 0")
+    seen.click("#across")
+    seen.wait("return !document.getElementById('section').hidden")
+    seen.picture("no-webgl")
+
+
+def test_a_server_that_is_gone_is_said(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    server = asking(shown / "metric")
+    seen.open(server.server.url)
+    server.server.shutdown()
+    server.server.server_close()
+    seen.click("#along")
+    seen.wait("return document.getElementById('trouble').textContent.includes('no longer answers')")
+
+
+def test_names_from_a_report_are_only_text(shown: Path, asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    folder = tmp_path / "<img src=x onerror=alert(1)>"
+    folder.mkdir()
+    for name in ("height.npz", "preview.png"):
+        (folder / name).write_bytes((shown / "metric" / name).read_bytes())
+    report = json.loads((shown / "metric" / "report.json").read_text())
+    report["preset"] = "<script>document.title='taken'</script>"
+    report["warnings"] = ["<b>bold</b>"]
+    (folder / "report.json").write_text(json.dumps(report))
+    seen = page(1280, 800)
+    seen.open(asking(folder).server.url)
+    assert seen.run("return document.querySelectorAll('#surface script, #surface b, header img').length") == 0
+    assert seen.run("return document.querySelector('#notes li').textContent") == "<b>bold</b>"
+    assert "taken" not in seen.run("return document.title")
+    assert seen.complaints() == []
+
+
+def test_a_gallery(asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    rows, columns = np.mgrid[:90, :70]
+    level = (np.hypot(rows - 40, columns - 35) % 5 // 1.25).astype(np.uint8)
+    template = Template(level, np.hypot(rows - 45, columns - 35) < 34, 0.1)
+    template.level[~template.valid] = 0
+    with Gallery.create(tmp_path / "people.gallery", "0" * 64) as gallery:
+        gallery.add([
+            NewCapture(Entry("Ada", "right_index", "1", "result", "0" * 64, 20.0), pack(template)),
+            NewCapture(Entry("Ben", "left_thumb", "1", "result", "1" * 64, 0.0), b""),
+        ])  # fmt: skip
+    seen = page(1280, 800)
+    seen.driver.get(asking(tmp_path / "people.gallery").server.url)
+    seen.wait("const i = document.querySelector('#people-list img'); return i && i.complete && i.naturalWidth === 68")
+    assert seen.run("return document.querySelectorAll('#people-list li').length") == 2
+    seen.picture("people")
+    seen.find("#people-filter").send_keys("ben")
+    seen.wait("return document.querySelectorAll('#people-list li').length === 1")
+    assert seen.complaints() == []
