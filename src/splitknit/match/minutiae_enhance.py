@@ -39,9 +39,9 @@ class EnhanceSettings:
     """Between windows."""
     direction_px: float = 7.0
     """Sigma over which ridge directions are averaged."""
-    spread_deg: float = 14.0
+    spread_deg: float = 28.0
     """Sigma of the filter across directions."""
-    spread_per_px: float = 0.03
+    spread_per_px: float = 0.08
     """Sigma of the filter across frequencies, cycles a pixel."""
     contrast_px: float = 11.0
     """Sigma over which mean and contrast are made even."""
