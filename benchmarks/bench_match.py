@@ -1,4 +1,4 @@
-"""Matching: a template, a comparison of templates, a pair by the thesis's matcher at full size.
+"""Matching: a template, a comparison of templates, a pair by the thesis's matcher at full size, minutiae of a print.
 
     python benchmarks/bench_match.py [--rounds 5]
 
@@ -8,11 +8,14 @@ Two impressions of one simulated finger, its true surface; nothing is reconstruc
 from __future__ import annotations
 
 import argparse
+import importlib.util
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from splitknit.flatten.ridges import relief_print
 from splitknit.match import (
     FingerImages,
     Prepared,
@@ -27,8 +30,13 @@ from splitknit.match import (
     thesis_match,
     unpack,
 )
+from splitknit.match.minutiae import extract, minutiae_match, nfiq2
+from splitknit.match.minutiae_enhance import enhance_print
+from splitknit.match.minutiae_record import pack_minutiae
+from splitknit.preprocess.orientation import find_upright
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.rig import default_rig
+from splitknit.simulate.surface import Surface
 from timing import machine, print_table, race
 
 SURFACE = 0.5
@@ -85,6 +93,21 @@ def main() -> None:
     }
     print_table("The thesis's matcher, four channels of 1528 x 936", race(contenders, rounds), lambda _: "", "")
 
+    if importlib.util.find_spec("nbis") is None:
+        print("nbis-py is not installed: no minutiae.")
+        return
+    prints = [print_of(s, camera.px_per_mm) for s in seen]
+    found = [extract(picture) for picture in prints]
+    print(f"Minutiae: {found[0].count} and {found[1].count}; packed {len(pack_minutiae(found[0]))} bytes")
+    contenders = {
+        "minutiae of a relief print": lambda: extract(prints[0]),
+        "enhancement of a pressed print": lambda: enhance_print(prints[0]),
+        "NFIQ 2 of a print": lambda: nfiq2(prints[0]),
+        "comparison of minutiae, both directions": lambda: minutiae_match(*found),
+    }
+    size = " x ".join(map(str, prints[0].shape))
+    print_table(f"Minutiae, prints of {size} at 500 ppi", race(contenders, 2 * rounds), lambda _: "", "")
+
 
 def warm(a: Prepared, b: Prepared) -> None:
     """Make what is kept between comparisons, whichever side it is on."""
@@ -92,6 +115,13 @@ def warm(a: Prepared, b: Prepared) -> None:
         assert len(side.rotated.ridges) > len(side.fixed.ridges) == 1
         assert len(side.first.rows) <= len(side.patches.rows)
         assert side.key
+
+
+def print_of(seen: Surface, px_per_mm: float) -> NDArray[np.uint8]:
+    """The relief print of a surface."""
+    upright = find_upright(seen.mask)
+    ridge = seen.height_mm - seen.shape_mm
+    return relief_print(ridge, seen.mask, px_per_mm, upright.input_from_upright, upright.size)
 
 
 def full_size(images: FingerImages) -> FingerImages:
