@@ -32,7 +32,7 @@ class SearchSettings:
 
     candidates: int = 50
     """Fingers that the codes let through to a glance at their ridges, which are laid as the codes fit best."""
-    finalists: int = 5
+    finalists: int = 3
     """Of those the fingers whose ridges are compared in full."""
     probe: ProbeSettings = field(default_factory=ProbeSettings)
 
