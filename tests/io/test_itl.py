@@ -215,6 +215,6 @@ def test_changed_bytes(changes: list[tuple[int, int]]) -> None:
 
 
 def test_many_records_take_no_time() -> None:
-    began = time.perf_counter()
+    began = time.process_time()
     attempt(SOUND[:FIRST] + b"2.001:17\x1d2.002:0\x1c" * 100_000)
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2

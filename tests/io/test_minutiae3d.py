@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from io_shared import edit
@@ -58,7 +58,7 @@ def test_the_file_is_as_described(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.direction, [[0.4741599, 0.7384603, -0.4794255]], atol=1e-6)
 
 
-@settings(max_examples=50, derandomize=True, deadline=None)
+@settings(max_examples=50, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(arrays(np.float64, (4, 3), elements=st.floats(-5, 5)))
 def test_angles_give_their_direction_again(vectors: np.ndarray) -> None:
     vectors = vectors + np.array([0, 0, 6.0])

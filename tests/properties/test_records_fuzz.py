@@ -118,9 +118,9 @@ def test_counts_that_lie_cost_nothing() -> None:
         b"FMR" + b"\0" * 2_000_000,
     ]
     tracemalloc.start()
-    began = time.perf_counter()
+    began = time.process_time()
     for data in claims:
         assert attempt(data) == 0
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2
     assert tracemalloc.get_traced_memory()[1] < 5_000_000
     tracemalloc.stop()
