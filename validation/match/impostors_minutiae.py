@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fingers", type=int, default=250)
     parser.add_argument("--seed", type=int, default=60_000)
-    parser.add_argument("--cache", type=Path, default=Path("impostors_minutiae_cache"))
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "splitknit-impostors")
     options = parser.parse_args()
     options.cache.mkdir(parents=True, exist_ok=True)
     sides = []
