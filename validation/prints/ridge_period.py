@@ -1,0 +1,122 @@
+"""Ridge periods on our prints against the truth: ``python validation/prints/ridge_period.py CAPTURE RESULT...``.
+
+The capture's ``truth.npz`` has the true surface. Around many points, a patch of 3 mm of the true relief is
+laid flat on the true surface by itself (its own small unrolling, which is as good as exact over 3 mm) and its ridge
+period is measured; the same ruler is laid on the same place of our print. What is reported is the period on the print
+over the true one, minus one, in percent: median and 95th percentile of its size, by slant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from splitknit.apps.printing import make_print
+from splitknit.apps.printing_sources import Source, read_source
+from splitknit.flatten import GridSettings, ink, resample, ridge_field, surface_grid, unroll, unrolled_map
+from splitknit.flatten.unroll import KINDS
+from splitknit.flatten.unroll_grid import slant_cos
+from splitknit.io import read_npz
+
+ZONES = {"centre (< 20 deg)": (0, 20), "20-40 deg": (20, 40), "40-55 deg": (40, 55), "55-65 deg": (55, 65)}
+PATCH_MM = 3.2
+
+
+def true_period(truth: dict, source: Source, place: np.ndarray, slant_deg: float) -> float | None:
+    """Ridge period (mm) on the true skin around a pixel."""
+    reach = int(PATCH_MM / source.pitch_mm * 0.62)
+    row, column = (round(float(v)) for v in place[::-1])
+    rows, columns = slice(max(0, row - reach), row + reach), slice(max(0, column - reach), column + reach)
+    shape = truth["shape_mm"][rows, columns]
+    mask = np.isfinite(shape)
+    if mask.mean() < 0.7:
+        return None
+    frame = np.eye(3)
+    grid = surface_grid(shape, mask, source.pitch_mm, frame, mask.shape, settings=GridSettings(pitch_mm=0.25))
+    made = unrolled_map(unroll(grid), "free", slant_deg=80)
+    relief = (truth["height_mm"] - truth["shape_mm"])[rows, columns]
+    known = mask & np.isfinite(relief)
+    image = ink(*resample(relief, known, source.pitch_mm, made))
+    here = made.print_from_input(np.array([[column - columns.start, row - rows.start]], dtype=float))[0]
+    return period_at(image, here)
+
+
+def period_at(image: np.ndarray, place: np.ndarray) -> float | None:
+    """Ridge period (mm) of a print around a pixel, both prints measured with one ruler: a window of 2.2 mm."""
+    half = 22
+    column, row = (round(float(v)) for v in place)
+    if min(column, row) < half or column + half > image.shape[1] or row + half > image.shape[0]:
+        return None
+    part = np.ascontiguousarray(image[row - half : row + half, column - half : column + half])
+    if (part > 250).mean() > 0.6:
+        return None
+    try:
+        field = ridge_field(part)
+    except ValueError:
+        return None
+    middle = tuple(slice(n // 2 - 2, n // 2 + 2) for n in field.mask.shape)
+    if not field.mask[middle].all() or field.coherence[middle].min() < 0.8:
+        return None
+    return 25.4 / 500 / float(np.mean(field.frequency_px[middle]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pairs", nargs="+", type=Path, help="capture (with truth.npz) and its result, in turn")
+    parser.add_argument("--points", type=int, default=150)
+    options = parser.parse_args()
+    cv2.setNumThreads(2)
+    errors: dict[tuple[str, str, str], list[float]] = {}
+    for capture, result in zip(options.pairs[::2], options.pairs[1::2], strict=True):
+        truth = read_npz(capture / "truth.npz")
+        estimated = read_source(result, photo=False, surface=True)
+        relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
+        mask = estimated.mask & np.isfinite(relief)
+        parts = (truth["height_mm"], relief, truth["shape_mm"])
+        true = Source(
+            "result", mask, estimated.pitch_mm, estimated.input_from_upright, estimated.upright_size, *parts,
+            truth.get("x_mm"), truth.get("y_mm"),
+        )  # fmt: skip
+        grid = surface_grid(true.shape_mm, mask, true.pitch_mm, true.input_from_upright, true.upright_size)
+        slant = np.rad2deg(np.arccos(slant_cos(grid.points_mm)))
+        nodes = np.argwhere(grid.inside)
+        rng = np.random.default_rng(1)
+        # as many places in each zone
+        chosen = []
+        for low, high in ZONES.values():
+            zone = nodes[(slant[tuple(nodes.T)] >= low) & (slant[tuple(nodes.T)] < high)]
+            chosen += list(zone[rng.permutation(len(zone))[: options.points // len(ZONES)]])
+        prints = {
+            (name, kind): make_print(source, "relief" if kind == "plane" else "unroll", kind)
+            for name, source in (("metric", estimated), ("true surface", true))
+            for kind in (*KINDS, "plane")
+        }
+        for node in chosen:
+            place = grid.input_from_grid[:2, :2] @ node[::-1] + grid.input_from_grid[:2, 2]
+            wanted = true_period(truth, true, place, slant[tuple(node)])
+            if wanted is None:
+                continue
+            zone = next(z for z, (low, high) in ZONES.items() if low <= slant[tuple(node)] < high)
+            for (name, kind), made in prints.items():
+                where = made.map.print_from_input(place[None])[0]
+                found = period_at(made.image, where) if np.isfinite(where).all() else None
+                if found is not None:
+                    errors.setdefault((name, kind, zone), []).append(found / wanted - 1.0)
+    table = {}
+    for (name, kind, zone), values in sorted(errors.items()):
+        off = 100 * np.array(values)
+        table[f"{name}, {kind}, {zone}"] = {
+            "places": len(off),
+            "median": round(float(np.median(off)), 2),
+            "size_median": round(float(np.median(np.abs(off))), 2),
+            "size_p95": round(float(np.percentile(np.abs(off), 95)), 2),
+        }
+    print(json.dumps(table, indent=1))
+
+
+if __name__ == "__main__":
+    main()
