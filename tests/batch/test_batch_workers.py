@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -101,18 +102,37 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path
         assert Store(out).scores("ea", matcher).num_rows == 4
 
 
+RUN = """
+import sys
+from pathlib import Path
+from splitknit.batch import BatchSettings, preset_cases, run_batch
+settings = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=1)
+try:
+    run_batch(Path(sys.argv[1]), Path(sys.argv[2]), settings, jobs=2)
+except KeyboardInterrupt:
+    sys.exit("interrupted")
+"""
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_run_and_its_processes_quietly(people: Path, tmp_path: Path) -> None:
+    out = tmp_path / "stopped"
+    run = subprocess.Popen(
+        [sys.executable, "-c", RUN, str(people), str(out)], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    with when_begun(out, lambda: os.killpg(run.pid, signal.SIGINT)) as stopped:
+        _, err = run.communicate()
+    assert stopped.is_set()
+    assert (run.returncode, err) == (1, "interrupted\n")
+    assert not list(out.rglob("*.tmp"))
+    assert 0 < Store(out).features("ea").num_rows < 4
+
+
 @pytest.mark.slow
 def test_a_run_that_was_killed_goes_on(people: Path, reconstructed: Path, tmp_path: Path) -> None:
-    import subprocess
-
     out = tmp_path / "killed"
-    code = (
-        "import sys; from pathlib import Path; from splitknit.batch import *\n"
-        "settings = BatchSettings(cases=preset_cases(('ea',)), matchers=(), chunk_captures=1)\n"
-        "run_batch(Path(sys.argv[1]), Path(sys.argv[2]), settings, jobs=2)\n"
-    )
     run = subprocess.Popen(
-        [sys.executable, "-c", code, str(people), str(out)], stderr=subprocess.DEVNULL, start_new_session=True
+        [sys.executable, "-c", RUN, str(people), str(out)], stderr=subprocess.DEVNULL, start_new_session=True
     )
     with when_begun(out, run.kill) as killed:
         run.wait()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
 import threading
 import time
@@ -148,6 +150,8 @@ def _watch(parent: int) -> None:
     if parent in _watched or os.getppid() != parent:
         return
     _watched.add(parent)
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run that started us, which ends us
 
     def watch() -> None:
         while os.getppid() == parent:
