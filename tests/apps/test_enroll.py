@@ -271,7 +271,7 @@ def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
     assert b"S02" not in gallery.read_bytes()
     assert facts_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--finger", "left_thumb")["removed"] == 2
     words = words_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--session", "2")
-    assert "Removed 1 captures" in words
+    assert "Removed 1 capture from" in words
     assert who(capsys, gallery) == [("S01", "right_index", "1")]
     assert [path.name for path in gallery.parent.iterdir()] == [gallery.name]
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.gallery_options import add_gallery
+from splitknit.apps.gallery_options import add_gallery, count
 from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb
 from splitknit.check import require
 
@@ -77,8 +77,8 @@ def run_enroll(options: argparse.Namespace) -> Outcome:
             lines = [_words(one) for one in facts["enrolled"]]
     locked = ", encrypted" if facts["encrypted"] else ""
     lines.append(
-        f"{facts['gallery']} holds {_count(facts['captures'], 'capture')} of {_count(facts['fingers'], 'finger')} of "
-        f"{_count(facts['people'], 'person', 'people')}{locked}."
+        f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
+        f"{count(facts['people'], 'person', 'people')}{locked}."
     )
     lines += [f"Please note: {note}" for note in key_notes(options.key_file)]
     return facts, lines
@@ -95,10 +95,10 @@ def _population(options: argparse.Namespace, settings: Any, key: Any, progress: 
         key=key, workers=1 if options.workers is None else options.workers, progress=progress.update,
     )  # fmt: skip
     failed = facts["failures_to_acquire"]
-    lines = [f"{_count(facts['new'], 'capture')} enrolled, {facts['known']} of {facts['found']} were there already."]
+    lines = [f"{count(facts['new'], 'capture')} enrolled, {facts['known']} of {facts['found']} were there already."]
     if failed:
         lines.append(
-            f"Please note: {_count(len(failed), 'failure')} to acquire, kept as such "
+            f"Please note: {count(len(failed), 'failure')} to acquire, kept as such "
             f"(first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')})."
         )
     return facts, lines
@@ -112,7 +112,3 @@ def _words(one: dict[str, Any]) -> str:
         return f"Please note: {who} holds no ridges (failure to acquire); it is kept as such and will match nobody."
     kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its images"}[one["images"]]
     return f"Enrolled {who}: {one['area_mm2']:.0f} mm² of skin, {one['template_bytes'] / 1000:.1f} kB{kept}."
-
-
-def _count(number: int, one: str, many: str | None = None) -> str:
-    return f"{number} {one if number == 1 else many or one + 's'}"

@@ -69,3 +69,8 @@ def templates_hash(settings: MatchingSettings) -> str:
 
     document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
     return settings_hash(document)
+
+
+def count(number: int, one: str, many: str | None = None) -> str:
+    """Number and word."""
+    return f"{number} {one if number == 1 else many or one + 's'}"

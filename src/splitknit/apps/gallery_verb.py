@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.gallery_options import NEW_KEY_VARIABLE, add_gallery, key_notes, key_of
+from splitknit.apps.gallery_options import NEW_KEY_VARIABLE, add_gallery, count, key_notes, key_of
 from splitknit.apps.verb import Outcome, Progress, group, natural, new_verb
 
 
@@ -80,9 +80,9 @@ def _info(options: argparse.Namespace, key: Any) -> Outcome:
     locked = {None: "not encrypted", "raw": "encrypted, by a key of 32 bytes", "scrypt": "encrypted, by a passphrase"}
     lines = [f"{facts['gallery']}: a gallery of version {facts['version']}, {locked.get(facts['key'], 'encrypted')}."]
     known = facts["people"] is not None
-    people = f" of {facts['fingers']} fingers of {facts['people']} people" if known else ""
+    people = f" of {count(facts['fingers'], 'finger')} of {count(facts['people'], 'person', 'people')}" if known else ""
     lines.append(
-        f"{facts['captures']} captures{people}, {facts['template_bytes'] / 1e6:.2f} MB of templates (version "
+        f"{count(facts['captures'], 'capture')}{people}, {facts['template_bytes'] / 1e6:.2f} MB of templates (version "
         f"{facts['template_version']}), {facts['file_bytes'] / 1e6:.2f} MB in all."
     )
     if facts["failures"]:
@@ -102,14 +102,16 @@ def _remove(options: argparse.Namespace, key: Any) -> Outcome:
         rows=options.row,
         key=key,
     )
-    return facts, [f"Removed {facts['removed']} captures from {facts['gallery']}, which holds {facts['captures']} now."]
+    return facts, [
+        f"Removed {count(facts['removed'], 'capture')} from {facts['gallery']}; {facts['captures']} are left."
+    ]
 
 
 def _export(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.apps.gallery_export import export_gallery  # noqa: PLC0415
 
     facts = export_gallery(options.gallery, options.out, key=key, images=options.images)
-    lines = [f"Wrote {facts['captures']} templates and gallery.csv to {facts['out']}."]
+    lines = [f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."]
     lines.append("Please note: they are personal data, and they are not encrypted there.")
     return facts, lines
 
@@ -143,5 +145,7 @@ def _rekey(options: argparse.Namespace, key: Any) -> Outcome:
     new = None if options.plain else key_of(options.new_key_file, NEW_KEY_VARIABLE)
     facts = rekey_gallery(options.gallery, key=key, new=new, plain=options.plain)
     state = "encrypted under the new key" if facts["encrypted"] else "not encrypted any more"
-    lines = [f"{facts['captures']} captures of {facts['gallery']} are {state}. Copies made before are not."]
+    lines = [
+        f"{facts['gallery']} ({count(facts['captures'], 'capture')}) is {state}. Copies made before are as they were."
+    ]
     return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.new_key_file))]

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.gallery_options import add_gallery
+from splitknit.apps.gallery_options import add_gallery, count
 from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb
 
 
@@ -80,18 +80,20 @@ def _words(facts: dict[str, Any]) -> list[str]:
         who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
         lines.append(f"{one['rank']:>3}. similarity {one['similarity']:.4f}{rate}: {who}")
     searched = facts["searched"]
-    whose = "" if searched["people"] is None else f" ({searched['fingers']} fingers, {searched['people']} people)"
+    whose = ""
+    if searched["people"] is not None:
+        whose = f" ({count(searched['fingers'], 'finger')} of {count(searched['people'], 'person', 'people')})"
     lines.append(
-        f"Searched: {searched['captures']} captures{whose}, "
-        f"{searched['compared']} compared ridge by ridge"
+        f"Searched: {count(searched['captures'], 'capture')}{whose}, {searched['compared']} compared ridge by ridge"
         + (" (chosen by their codes)." if searched["method"] == "codes" else ".")
     )
     if facts["candidates"] and facts["candidates"][0]["fmr"] is not None:
         first, decision = facts["candidates"][0], facts["decision"]
+        others = count(searched["captures"], "capture")
         lines.append(
-            f"Fmr is the chance that one comparison with another finger gives as much. In {searched['captures']}, "
+            f"Fmr is the share of other fingers that are as alike. Among {others} of others, "
             f"{first['expected_false_matches']:.2g} are to be expected as alike as the first candidate, and "
-            f"{decision['expected_false_matches']:.2g} above the threshold, although it is somebody else's finger."
+            f"{decision['expected_false_matches']:.2g} beyond the threshold."
         )
     if searched["without_code"]:
         lines.append(

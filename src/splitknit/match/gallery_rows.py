@@ -83,11 +83,9 @@ class Rows:
         """Names and facts of a row; raises :class:`BadInput` if they are damaged."""
         content = self.opened(row, "entry", tag, sealed)
         try:
-            entry = decode_entry(content)
+            return decode_entry(content)
         except BadInput as error:
             raise BadInput(damaged(self.path, f"row {row}: {str(error).rstrip('.')}")) from error
-        require(self.box.tag(entry.names) == tag, damaged(self.path, f"row {row} is kept under another name"))
-        return entry
 
     def insert(self, tag: bytes, contents: dict[str, bytes | None], code_version: int | None) -> None:
         """Add a row of these contents (`entry`, `template`, `code`, `images`)."""
