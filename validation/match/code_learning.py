@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from flat_fingers import Laid
 
+from splitknit.match import Template
 from splitknit.match.code_field import CELLS, COLUMNS, ROWS, origin_of, ridge_field, sampled
 from splitknit.match.code_model import FactorModel
 from splitknit.types import FloatArray
@@ -46,6 +47,17 @@ def within(pairs: list[Laid], rng: np.random.Generator, copies: int = 2) -> Floa
         squares += ((own - other) ** 2 * weight[:, None]).sum(axis=0)
         weights += weight.sum(axis=0)
     return np.asarray(0.5 * squares / weights, dtype=np.float32)
+
+
+def offset(templates: list[Template], complete: FloatArray) -> FloatArray:
+    """(3, CELLS) by which fields seen on true surfaces differ, on average, from fields as drawn.
+
+    Few surfaces know it: cells that only some show are drawn towards zero (five surfaces' worth).
+    """
+    seen = [sampled(ridge_field(template), STILL, STILL, STILL) for template in templates if not template.empty]
+    channels, weights = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    away = (channels - complete.mean(axis=0)) * weights[:, None]
+    return np.asarray(away.sum(axis=0) / (weights.sum(axis=0) + 5.0), dtype=np.float32)
 
 
 def factor_model(complete: FloatArray, noise: FloatArray, size: int, temper: float) -> FactorModel:

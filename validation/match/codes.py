@@ -21,7 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 from code_fingers import load, make
-from code_learning import factor_model, within
+from code_learning import factor_model, offset, within
 from code_tails import hit_rates, tail_probability, wilson
 from field_fingers import load_fields, make_fields
 from flat_fingers import load_flat, make_flat
@@ -29,9 +29,11 @@ from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
 from splitknit.io import read_npz
+from splitknit.io.atomic import atomic_file
 from splitknit.match import Template, pack, unpack
 from splitknit.match.code import CODE_VERSION, SCALE, code_model, code_of, probe_codes
 from splitknit.match.code_field import ridge_field, sampled
+from splitknit.match.code_model import FactorModel
 from splitknit.match.search import CodeIndex, SearchSettings, identify
 from splitknit.preprocess.orientation import find_upright
 from splitknit.types import FloatArray
@@ -50,7 +52,9 @@ def learn(work: Path) -> None:
     make_flat(work, FLAT, 1000, 2, [template.valid for template in load(work, OUTLINES, 50)[0]])
     make_fields(work, FIELDS, 4000)
     noise = within(load_flat(work, FLAT, 300)[0], np.random.default_rng(0))
-    model = factor_model(load_fields(work, FIELDS, 4000), noise, SIZE, TEMPER)
+    complete = load_fields(work, FIELDS, 4000)
+    plain = factor_model(complete, noise, SIZE, TEMPER)
+    model = FactorModel(plain.mean + offset(load(work, OUTLINES, 100)[0], complete), plain.loading, plain.noise)
     np.savez_compressed(
         MODEL,
         version=np.array(CODE_VERSION),
@@ -65,6 +69,7 @@ def learn(work: Path) -> None:
         "latent_numbers": SIZE,
         "learned_on": "simulated fingers only; no person's",
         "fields": {"seed": FIELDS, "fingers": 4000, "mirrored": True},
+        "mean": {"seed": OUTLINES, "fingers": 100, "impressions": 3},
         "noise": {"seed": FLAT, "fingers": 300, "impressions": 2, "temper": TEMPER},
         "chosen_on": {"seed": OUTLINES, "fingers": 100, "impressions": 3},
     }
@@ -78,6 +83,7 @@ def population(folder: Path, work: Path, subjects: int) -> dict[str, Template]:
     if cache.is_file():
         with np.load(cache) as arrays:
             known = {name: arrays[name] for name in arrays.files}
+    before = len(known)
     for file in sorted(folder.glob("S*/session_*/[rl]*/truth.npz")):
         name = "/".join(file.parts[-4:-1])
         if name in known or int(name[1:3]) > subjects:
@@ -92,7 +98,9 @@ def population(folder: Path, work: Path, subjects: int) -> dict[str, Template]:
             1.0 / camera["px_per_mm"], upright.input_from_upright, upright.size,
         )  # fmt: skip
         known[name] = np.frombuffer(pack(surface_template(surface, MatchingSettings())), dtype=np.uint8)
-    np.savez(cache, **known)
+    if len(known) > before:
+        with atomic_file(cache) as part:
+            np.savez(part, **known)
     return {name: unpack(known[name].tobytes()) for name in sorted(known) if int(name[1:3]) <= subjects}
 
 
@@ -133,8 +141,10 @@ def test(work: Path, folder: Path, subjects: int) -> dict[str, Any]:
     names = list(gallery)
     own = np.stack([code_of(gallery[name]) for name in names])
     grown = [laid.template for laid in load_flat(work, FLAT, 1000)[0][600:1200:2]]
+    # fields as drawn differ from those of surfaces, on average: strangers are to be like surfaces
+    difference = offset(load(work, OUTLINES, 100)[0], load_fields(work, FIELDS, 4000))
     strangers = {
-        "fields": stranger_codes(load_fields(work, STRANGERS, 10_000), outlines),
+        "fields": stranger_codes(load_fields(work, STRANGERS, 10_000) + difference, outlines),
         "grown": np.stack([code_of(template) for template in grown]),
         "surfaces": np.stack([code_of(template) for template in outlines]),
     }
