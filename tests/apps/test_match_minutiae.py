@@ -61,6 +61,7 @@ def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
     assert 0 <= same["a"]["nfiq2"] <= 100
     assert not same["a"]["enhanced"]
     assert "sides" not in same
+    assert same["similarity_with_ridges"] > 3 > 1 > other["similarity_with_ridges"]  # noqa: PLR0133
 
 
 def test_the_similarity_is_that_of_the_prints(results: Path, capsys) -> None:
@@ -97,6 +98,7 @@ def test_words_for_people(results: Path, capsys) -> None:
     words = capsys.readouterr().out
     assert "pairs of minutiae fit together" in words
     assert "quality (NFIQ 2)" in words
+    assert "joined with the ridges" in words
 
 
 def test_an_empty_print_is_a_failure_to_acquire(results: Path, tmp_path: Path, capsys) -> None:
@@ -106,6 +108,7 @@ def test_an_empty_print_is_a_failure_to_acquire(results: Path, tmp_path: Path, c
     assert not found["compared"]
     assert not found["a"]["acquired"]
     assert found["a"]["nfiq2"] is None
+    assert found["similarity_with_ridges"] is None
     assert found["fmr"] is None
     assert main(["match", str(tmp_path / "empty.png"), str(results / "a"), "--method", "minutiae"]) == 0
     assert "fewer than ten minutiae (failure to acquire)" in capsys.readouterr().out

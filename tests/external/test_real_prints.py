@@ -1,4 +1,4 @@
-"""Prints of real fingers: our minutiae route against nbis-py as it comes."""
+"""Prints of real fingers: our minutiae route, joined with ridges, against nbis-py as it comes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from splitknit.io import read_print_png
+from splitknit.match import Prepared, make_template, print_band, ridge_match
 from splitknit.match.minutiae import extract, minutiae_match
 from splitknit.match.minutiae_enhance import EnhanceSettings
+from splitknit.match.minutiae_joined import joined_similarity
 from splitknit.match.minutiae_record import pack_minutiae, unpack_minutiae
 
 pytestmark = pytest.mark.external
@@ -45,10 +47,15 @@ def test_our_route_is_no_worse_than_nbis_py(files) -> None:
         )
     )
     plain = [extractor.extract_minutiae(file.read_bytes()) for file in files]
-    ours = [extract(read_print_png(file).image, 500.0, EnhanceSettings()) for file in files]
+    images = [read_print_png(file).image for file in files]
+    points = [extract(image, 500.0, EnhanceSettings()) for image in images]
+    ridges = [Prepared(make_template(print_band(image))) for image in images]
+
+    def joined(i: int, j: int) -> float:
+        return joined_similarity(minutiae_match(points[i], points[j]), ridge_match(ridges[i], ridges[j]).similarity)
+
     theirs = share_above_all_impostors(files, lambda i, j: plain[i].compare(plain[j]))
-    mine = share_above_all_impostors(files, lambda i, j: minutiae_match(ours[i], ours[j]))
-    assert mine >= theirs > 0.7
+    assert share_above_all_impostors(files, joined) >= theirs > 0.7
 
 
 def test_unenhanced_minutiae_give_the_scores_of_nbis_py(files) -> None:

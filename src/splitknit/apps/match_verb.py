@@ -63,6 +63,9 @@ def _words(facts: dict[str, Any]) -> list[str]:
                 f"B shifted {abs(facts['alignment']['right_mm']):.2f} mm to the {_side(facts)}"
             )
         elif facts["method"] == "minutiae":
+            if facts["similarity_with_ridges"] is not None:
+                joined = facts["similarity_with_ridges"]
+                lines.append(f"joined with the ridges {joined:.2f} (mean of both z-scores; other fingers lie about 0)")
             lines += [_print_words(facts[name]) for name in ("a", "b")]
         elif facts["compared"]:
             laid = facts["alignment"]

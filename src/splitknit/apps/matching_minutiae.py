@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from splitknit.apps.matching_inputs import Side, naming, read_print
 from splitknit.check import BadInput
 from splitknit.flatten.ridges import relief_print
-from splitknit.match import FmrTable
+from splitknit.match import FmrTable, ridge_match
 from splitknit.match.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.match.minutiae_enhance import EnhanceSettings
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.match.minutiae_joined import joined_similarity
 
 _FMR_TABLE = "match_fmr_minutiae.json"
 """Made by validation/match/impostors_minutiae.py."""
@@ -48,9 +48,11 @@ def compare_minutiae(a: Side, b: Side) -> dict[str, Any]:
             }
         )
     compared = all(one.acquired for one in found)
-    rate, why = _rate(a, b, found, compared)
+    similarity = minutiae_match(*found)
+    rate, why = _rate(a, b, similarity, compared)
     return {
-        "similarity": minutiae_match(*found),
+        "similarity": similarity,
+        "similarity_with_ridges": _joined(a, b, similarity) if compared else None,
         "fmr": rate,
         "fmr_missing": why,
         "compared": compared,
@@ -64,13 +66,21 @@ def minutiae_false_match_rate(similarity: float) -> float | None:
     return None if table is None else table(similarity)
 
 
-def _rate(a: Side, b: Side, found: list[Minutiae], compared: bool) -> tuple[float | None, str | None]:
+def _joined(a: Side, b: Side, similarity: float) -> float | None:
+    """Minutiae and ridges as one score, for which the templates of the ridges are at hand."""
+    if a.template is None or b.template is None:
+        return None
+    found = ridge_match(a.template, b.template)
+    return joined_similarity(similarity, found.similarity if found.compared else float("nan"))
+
+
+def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | None, str | None]:
     """False match rate, or why there is none."""
     if not compared:
         return None, "nothing was compared"
     if a.surface is None or b.surface is None:
         return None, "rates were measured on relief prints of surfaces, not on prints from files"
-    rate = minutiae_false_match_rate(minutiae_match(*found))
+    rate = minutiae_false_match_rate(similarity)
     return rate, None if rate is not None else "no rates were measured"
 
 
