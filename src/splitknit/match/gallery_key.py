@@ -31,7 +31,7 @@ class ScryptSettings:
     """What a guess at a passphrase costs."""
 
     log2_n: int = 17
-    """2^17 with r = 8 takes 128 MB and half a second a guess (the usual advice for stored passwords)."""
+    """2^17 with r = 8 takes 128 MB and a third of a second a guess (the usual advice for stored passwords)."""
     r: int = 8
     p: int = 1
 
