@@ -29,6 +29,12 @@ def test_a_share_keeps_all_genuine_ones_and_grows_without_changing() -> None:
     assert named[0] < named[1]
     assert few.genuine.sum() == 3 * 14
     assert 0.13 < (~few.genuine).sum() / (3 * 14 * 13) < 0.27
+    of_fingers = Counter(
+        frozenset((CAPTURES[a].finger, CAPTURES[b].finger))
+        for a, b, same in zip(few.a.tolist(), few.b.tolist(), few.genuine.tolist(), strict=True)
+        if not same
+    )
+    assert set(of_fingers.values()) == {2 * 3}  # both ways round in all three pairs of sessions
     other = all_pairs(CAPTURES, 0.2, 8)
     assert set(zip(other.a.tolist(), other.b.tolist(), strict=True)) != named[0]
 

@@ -165,7 +165,7 @@ def test_scores_go_to_everyone(copies: tuple[Path, Path], tmp_path: Path) -> Non
 
 def test_more_impostors_are_added_to_those_that_are_there(copies: tuple[Path, Path]) -> None:
     population, out = copies
-    some = run_batch(population, out, replace(RIDGE, impostors=0.4), jobs=1)["scores"][0]["compared"]
+    some = run_batch(population, out, replace(RIDGE, impostors=0.6), jobs=1)["scores"][0]["compared"]
     first = pairs_of(out, "ridge")
     rest = run_batch(population, out, RIDGE, jobs=1)["scores"][0]["compared"]
     assert 12 < some < 36

@@ -49,6 +49,9 @@ class Block:
 def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pairs:
     """Every finger of a session with every finger of every later one; of different fingers a share only.
 
+    The share is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
+    sessions.
+
     Raises
     ------
     BadInput
@@ -57,7 +60,7 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
     found = comparisons([one.finger for one in captures], [one.session for one in captures])
     kept = np.ones(found.a.size, dtype=np.bool_)
     if impostors < 1.0:
-        names = [one.name for one in captures]
+        names = [one.finger for one in captures]
         other = np.flatnonzero(~found.genuine)
         kept[other] = [
             draw(names[a], names[b], seed) < impostors
@@ -67,8 +70,9 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
 
 
 def draw(a: str, b: str, seed: int) -> float:
-    """Number in [0, 1) that belongs to a comparison; what is below the share of impostors is compared."""
-    digest = hashlib.sha256(f"{seed}|{a}|{b}".encode()).digest()
+    """Number in [0, 1) that belongs to two fingers; those below the share of impostors are compared."""
+    first, second = sorted((a, b))
+    digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
     return int.from_bytes(digest[:8], "big") / 2.0**64
 
 
