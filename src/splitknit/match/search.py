@@ -94,13 +94,7 @@ class CodeIndex:
         return self._codes.nbytes
 
     def add(self, identity: str, code: NDArray[np.int8]) -> None:
-        """Add a finger.
-
-        Raises
-        ------
-        BadInput
-            If the id is there already, or the code is none of this version.
-        """
+        """Add a finger; BadInput if its id is there already or the code is none of this version."""
         self.add_many([identity], np.asarray(code)[None])
 
     def add_many(self, identities: Sequence[str], codes: NDArray[np.int8]) -> None:
@@ -124,13 +118,7 @@ class CodeIndex:
         self._place.update(zip(identities, range(start, end), strict=True))
 
     def remove(self, identity: str) -> None:
-        """Take a finger out; its code is overwritten.
-
-        Raises
-        ------
-        BadInput
-            If there is none of that id.
-        """
+        """Take a finger out; its code is overwritten. BadInput if there is none of that id."""
         require(identity in self._place, f"there is no '{identity}' in the index.")
         place, last = self._place.pop(identity), len(self._ids) - 1
         if place != last:  # the last one moves into the gap
@@ -227,8 +215,7 @@ def identify(  # noqa: PLR0917
         chosen = [(identity, float("nan"), prepared(fetch(identity), match)) for identity in sorted(index.ids)]
     else:
         variants = probe_codes(probe, settings.probe)
-        chosen = []
-        worths = []
+        chosen, worths = [], []
         for place, score in zip(*index.nearest(variants, k), strict=True):
             code = index.codes[place].astype(np.float32)
             other = prepared(fetch(index.ids[place]), match)
