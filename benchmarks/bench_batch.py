@@ -62,7 +62,7 @@ def reconstructions(store: Path, case: str) -> list[list[str]]:
 
 def comparisons(store: Path, case: str) -> list[list[str]]:
     rows = []
-    for folder in sorted((store / "timings" / case).iterdir()):
+    for folder in sorted((store / "timings" / case).glob("*")):
         facts = [json.loads(file.read_text()) for file in folder.glob("*.json")] if folder.is_dir() else []
         if folder.name == "extraction":
             seconds = [value for fact in facts for value in fact.values()]
