@@ -54,7 +54,8 @@ def run_match(options: argparse.Namespace) -> Outcome:
 def _words(facts: dict[str, Any]) -> list[str]:
     lines = []
     if "similarity" in facts:
-        lines.append(f"similarity {facts['similarity']:.4f} ({_meaning(facts)})")
+        shown = f"{facts['similarity']:.{0 if facts['method'] == 'minutiae' else 4}f}"
+        lines.append(f"similarity {shown} ({_meaning(facts)})")
         if facts["fmr"] is not None:
             lines.append(f"fmr at most {facts['fmr']:.2g} (share of other fingers, simulated ones, that are as alike)")
         if facts["method"] == "thesis":
