@@ -17,6 +17,7 @@ SUITES = {
     "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
+    "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
     "bench_match.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_batch.py": ([], ["--scale", "0.1", "--fingers", "1"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
