@@ -89,7 +89,7 @@ class Page:
     def click(self, selector: str) -> None:
         """Click an element, as a person does."""
         element = self.find(selector)
-        self.run("arguments[0].scrollIntoView({block: 'center'})", element)
+        self.run("arguments[0].scrollIntoView({block: 'end'})", element)
         element.click()
 
     def choose(self, selector: str, value: str) -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import http.client
+import json
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from handmade import capture_of, finger
@@ -16,6 +20,18 @@ from splitknit.apps.viewer.handler import ViewerServer
 from splitknit.apps.viewer.open_paths import open_paths
 from splitknit.apps.viewer.serve import start
 from splitknit.io import read_capture, write_capture
+
+
+def started(*arguments: object) -> tuple[subprocess.Popen[str], dict[str, Any]]:
+    """Start `splitknit view`; return its process and what it says."""
+    command = [sys.executable, "-m", "splitknit.apps.cli", "view", *map(str, arguments), "--no-browser", "--json"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert running.stdout is not None
+    lines = []
+    while not lines or lines[-1] != "}\n":
+        lines.append(running.stdout.readline())
+        assert lines[-1], running.stderr.read()  # type: ignore[union-attr]
+    return running, json.loads("".join(lines))
 
 
 @pytest.fixture(scope="session")

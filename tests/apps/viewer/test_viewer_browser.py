@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from chromium import Page, PageMaker, why_not
 
-from conftest import Asking
+from conftest import Asking, started
 from splitknit.io.glb import read_glb
 from splitknit.match import Template, pack
 from splitknit.match.gallery import Gallery, NewCapture
@@ -50,7 +51,6 @@ def test_a_finger_is_looked_at_and_measured(shown: Path, asking: Serve, page: Pa
     from_above = cv2.imread(str(seen.picture("surface")))
     assert seen.run("return document.title") == "metric · splitknit"
     assert seen.run("return document.documentElement.scrollHeight <= innerHeight")
-    coarse = int(seen.run("return document.getElementById('view-a').dataset.stride"))
 
     # a distance by two clicks: 240 px of the screen, by the scale bar that is drawn
     px_per_mm = seen.run(
@@ -122,14 +122,16 @@ def test_a_finger_is_looked_at_and_measured(shown: Path, asking: Serve, page: Pa
     seen.wait("return document.getElementById('said').textContent.includes('A is at')")
 
     # detail comes where one looks closely
-    seen.press("0", *"+" * 8)
+    seen.press("0", *"-" * 4)
+    seen.wait("return Number(document.getElementById('view-a').dataset.stride) > 1")
+    seen.press(*"+" * 12)
     seen.wait("return document.getElementById('view-a').dataset.stride === '1'")
     seen.drawn()
-    assert coarse > 1
     seen.picture("near")
 
     # what is saved
     seen.driver.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)})
+    seen.press("0")
     seen.choose("#step", "4")
     for kind in ("png", "ply", "stl", "glb"):
         seen.click(f"#save-{kind}")
@@ -255,12 +257,12 @@ def test_without_webgl_there_is_a_picture(shown: Path, asking: Serve, page: Page
     seen.picture("no-webgl")
 
 
-def test_a_server_that_is_gone_is_said(shown: Path, asking: Serve, page: PageMaker) -> None:
-    seen = page(1280, 800)
-    server = asking(shown / "metric")
-    seen.open(server.server.url)
-    server.server.shutdown()
-    server.server.server_close()
+def test_a_server_that_is_gone_is_said(shown: Path, page: PageMaker) -> None:
+    seen = page(900, 700)
+    server, facts = started(shown / "metric")
+    seen.open(facts["url"])
+    server.send_signal(signal.SIGINT)
+    server.communicate(timeout=60)
     seen.click("#along")
     seen.wait("return document.getElementById('trouble').textContent.includes('no longer answers')")
 
@@ -294,8 +296,9 @@ def test_a_gallery(asking: Serve, page: PageMaker, tmp_path: Path) -> None:
         ])  # fmt: skip
     seen = page(1280, 800)
     seen.driver.get(asking(tmp_path / "people.gallery").server.url)
-    seen.wait("const i = document.querySelector('#people-list img'); return i && i.complete && i.naturalWidth === 68")
+    seen.wait("const i = document.querySelector('#people-list img'); return i && i.complete && i.naturalWidth === 70")
     assert seen.run("return document.querySelectorAll('#people-list li').length") == 2
+    assert seen.run("return [...document.querySelectorAll('[role=tab]')].filter((t) => !t.hidden).length") == 1
     seen.picture("people")
     seen.find("#people-filter").send_keys("ben")
     seen.wait("return document.querySelectorAll('#people-list li').length === 1")

@@ -16,6 +16,7 @@ from urllib.parse import unquote, urlparse
 import numpy as np
 import pytest
 
+from conftest import started
 from splitknit.apps.cli import main
 from splitknit.apps.viewer.serve import opened_page
 from splitknit.io import write_npz
@@ -24,17 +25,6 @@ from splitknit.match.gallery import Gallery, NewCapture
 from splitknit.match.gallery_entry import Entry
 
 Captured = pytest.CaptureFixture[str]
-
-
-def started(*arguments: object) -> tuple[subprocess.Popen[str], dict]:
-    command = [sys.executable, "-m", "splitknit.apps.cli", "view", *map(str, arguments), "--no-browser", "--json"]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert running.stdout is not None
-    lines = []
-    while not lines or lines[-1] != "}\n":
-        lines.append(running.stdout.readline())
-        assert lines[-1], running.stderr.read()  # type: ignore[union-attr]
-    return running, json.loads("".join(lines))
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

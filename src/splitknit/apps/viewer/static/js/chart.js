@@ -1,6 +1,6 @@
 // A section as a curve: SVG, with a cursor for pointer and keys.
 const NS = "http://www.w3.org/2000/svg";
-const WIDTH = 340, HEIGHT = 170, LEFT = 40, RIGHT = 8, TOP = 8, BOTTOM = 28;
+const WIDTH = 340, HEIGHT = 170, LEFT = 40, RIGHT = 8, BOTTOM = 28;
 
 function element(name, attributes, text) {
   const made = document.createElementNS(NS, name);
@@ -27,6 +27,7 @@ export function ticks(low, high, count) {
  * @param {(k: number | null) => void} [pointed] told which sample of the first curve the cursor is on
  */
 export function showChart(box, curves, kind, pointed = () => {}) {
+  const TOP = curves.length > 1 ? 22 : 8; // room for names
   const field = kind === "relief" ? "relief_um" : "height_mm";
   const lowest = kind === "height" ? Math.min(...curves.flatMap(({ cut }) => cut.height_mm.filter((v) => v !== null))) : 0;
   const series = curves.map(({ name, cut }) => ({ name, x: cut.along_mm, y: cut[field].map((v) => (v === null ? null : v - lowest)) }));
@@ -66,8 +67,8 @@ export function showChart(box, curves, kind, pointed = () => {}) {
   if (series.length > 1) {
     series.forEach(({ name }, side) => {
       const at = LEFT + 6 + side * 150;
-      svg.append(element("line", { class: "ab"[side], x1: at, x2: at + 18, y1: TOP + 5, y2: TOP + 5 }));
-      svg.append(element("text", { x: at + 22, y: TOP + 8.5 }, name.length > 20 ? `…${name.slice(-19)}` : name));
+      svg.append(element("line", { class: "ab"[side], x1: at, x2: at + 18, y1: 8, y2: 8 }));
+      svg.append(element("text", { x: at + 22, y: 11.5 }, name.length > 20 ? `…${name.slice(-19)}` : name));
     });
   }
   const cursor = element("line", { class: "cursor", y1: TOP, y2: HEIGHT - BOTTOM, visibility: "hidden" });

@@ -13,6 +13,8 @@ import { View } from "./view.js";
 
 const TABS = ["surface", "print", "photos", "results", "people"];
 const look = { colour: "clay", relief: 1, contours: 0, azimuth: 135, elevation: 39, tool: "turn" };
+/** @type {any[]} facts about what is shown */
+let metas = [];
 /** @type {View[]} */
 let views = [];
 /** @type {any} */
@@ -22,7 +24,7 @@ let turnOfMind = 0;
 
 const applyLook = () => views.forEach((view) => void view.apply().catch((error) => trouble(error.message)));
 const light = new Light(look, applyLook);
-const measure = new Measure(() => views, () => alignment);
+const measure = new Measure(() => metas, () => views, () => alignment);
 const photos = new Photos();
 const prints = new Prints((key, marks, numbers) => views.filter((view) => view.meta.key === key).forEach((view) => view.showMinutiae(marks, numbers)));
 /** @type {Results} */
@@ -63,6 +65,7 @@ async function follow() {
   const want = wanted();
   const first = byId("tab-people").hidden ? "results" : "people";
   showTab(TABS.includes(want.tab) ? want.tab : want.result ? "surface" : first);
+  for (const tab of ["surface", "print", "photos"]) byId(`tab-${tab}`).hidden = want.result === "";
   if (want.result !== shown.result || want.beside !== shown.beside) {
     shown = { result: want.result, beside: want.beside };
     try {
@@ -80,15 +83,16 @@ async function open(key, beside) {
   trouble("");
   views.forEach((view) => view.dispose());
   views = [];
+  metas = [];
   alignment = null;
   measure.clear();
   document.body.dataset.state = "loading";
-  for (const tab of ["surface", "print", "photos"]) byId(`tab-${tab}`).hidden = key === "";
   if (key === "") return;
   byId("view-a").replaceChildren(make("p", { className: "wait", textContent: "Reading …" }));
   byId("view-b").hidden = beside === "";
-  const metas = await Promise.all([key, beside].filter((one) => one !== "").map((one) => getJson(`api/result/${one}`)));
+  const found = await Promise.all([key, beside].filter((one) => one !== "").map((one) => getJson(`api/result/${one}`)));
   if (turn !== turnOfMind) return;
+  metas = found;
   performance.mark("facts are here");
   describe(metas[0]);
   byId("title").textContent = metas.map((meta) => meta.name).join(" | ");
@@ -110,11 +114,11 @@ async function open(key, beside) {
   document.body.dataset.state = "ready";
   byId("other").value = beside;
   byId("alignment").textContent = "";
-  if (metas.length > 1) await pair(metas, turn);
+  if (metas.length > 1) await pair(turn);
 }
 
 /** Lay the second finger on the first. */
-async function pair(metas, turn) {
+async function pair(turn) {
   byId("alignment").textContent = "They are being laid on each other …";
   const found = await getJson(`api/pair/${metas[0].key}/${metas[1].key}`);
   if (turn !== turnOfMind) return;

@@ -1,7 +1,7 @@
 // Two points, the distance between them, and the section through the surface: numbers from the server, which has the result's values.
 import { getJson } from "./api.js";
 import { showChart } from "./chart.js";
-import { byId, say } from "./page.js";
+import { byId, say, trouble } from "./page.js";
 
 const FIGURES = [
   ["flat_mm", "Distance in the finger plane", "mm", 3],
@@ -15,15 +15,20 @@ const FIGURES = [
 ];
 
 export class Measure {
-  /** @param {() => import("./view.js").View[]} views @param {() => any} alignment of the second view */
-  constructor(views, alignment) {
+  /**
+   * @param {() => any[]} metas facts about the results that are shown
+   * @param {() => import("./view.js").View[]} views their views; none where the browser cannot draw
+   * @param {() => any} alignment of the second result
+   */
+  constructor(metas, views, alignment) {
+    this.metas = metas;
     this.views = views;
     this.alignment = alignment;
     this.points = [];
     this.curves = [];
-    byId("cut").addEventListener("click", () => this.#fromFields());
-    byId("across").addEventListener("click", () => this.#middle(0));
-    byId("along").addEventListener("click", () => this.#middle(1));
+    byId("cut").addEventListener("click", () => this.#told(this.#fromFields()));
+    byId("across").addEventListener("click", () => this.#told(this.#middle(0)));
+    byId("along").addEventListener("click", () => this.#told(this.#middle(1)));
     byId("clear").addEventListener("click", () => this.clear());
     byId("curve").addEventListener("change", () => this.#chart());
     byId("csv").addEventListener("click", () => this.#save());
@@ -31,7 +36,7 @@ export class Measure {
       byId(id).addEventListener("keydown", (event) => {
         if (event.key !== "Enter") return;
         event.preventDefault();
-        this.#fromFields();
+        this.#told(this.#fromFields());
       });
     }
   }
@@ -42,6 +47,11 @@ export class Measure {
     byId("section").hidden = true;
     for (const id of ["x0", "y0", "x1", "y1"]) byId(id).value = "";
     this.#show();
+  }
+
+  /** Say what goes wrong. @param {Promise<void>} work */
+  #told(work) {
+    work.catch((error) => trouble(error.message));
   }
 
   /** A point in a view was chosen. @param {import("./view.js").View} view @param {number} x @param {number} y */
@@ -81,7 +91,7 @@ export class Measure {
 
   /** Through the middle, across (axis 0) or along (axis 1). */
   async #middle(axis) {
-    const { low_mm: low, high_mm: high } = this.views()[0].meta;
+    const { low_mm: low, high_mm: high } = this.metas()[0];
     const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
     const reach = (axis === 0 ? 0.36 : 0.4) * (high[axis] - low[axis]);
     this.points = [-reach, reach].map((step) => middle.map((v, k) => (k === axis ? v + step : v)));
@@ -90,10 +100,10 @@ export class Measure {
   }
 
   async #cut() {
-    const views = this.views();
-    const cuts = await Promise.all(views.map((view, k) => {
+    const metas = this.metas();
+    const cuts = await Promise.all(metas.map((meta, k) => {
       const [a, b] = k === 0 ? this.points : this.points.map((point) => this.#toSecond(point));
-      return getJson(`api/result/${view.meta.key}/section`, { x0: a[0], y0: a[1], x1: b[0], y1: b[1] });
+      return getJson(`api/result/${meta.key}/section`, { x0: a[0], y0: a[1], x1: b[0], y1: b[1] });
     }));
     if (cuts[0].why_not) {
       this.curves = [];
@@ -102,7 +112,7 @@ export class Measure {
       say(cuts[0].why_not);
       return;
     }
-    this.curves = cuts.map((cut, k) => ({ name: views[k].meta.name, cut })).filter(({ cut }) => !cut.why_not);
+    this.curves = cuts.map((cut, k) => ({ name: metas[k].name, cut })).filter(({ cut }) => !cut.why_not);
     byId("section").hidden = false;
     this.#chart();
     this.#table();

@@ -5,7 +5,7 @@ import { byId, make } from "./page.js";
 const NS = "http://www.w3.org/2000/svg";
 
 export class Prints {
-  /** @param {(key: string, marks: any[] | null) => void} onSurface shows minutiae on the surface, or takes them away */
+  /** @param {(key: string, marks: any[] | null, numbers: Map<number, number>) => void} onSurface shows minutiae on the surface, or takes them away */
   constructor(onSurface) {
     this.onSurface = onSurface;
     /** @type {any[]} */

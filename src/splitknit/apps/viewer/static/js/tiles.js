@@ -103,19 +103,21 @@ export function makeGeometry(tile, inputSize, drop) {
     }
     return lowered.get(v);
   };
-  const wall = (k, m) => {
+  // between the places k and m, where another tile goes on beyond them (at `beyond` from each); none at the finger's rim
+  const wall = (k, m, beyond) => {
     const a = vertexOf[k], b = vertexOf[m];
-    if (a < 0 || b < 0) return;
+    const around = [k, m, k + beyond, m + beyond, 2 * k - m, 2 * m - k];
+    if (around.some((n) => z[n] !== z[n])) return;
     face(a, b, low(a));
     face(b, low(b), low(a));
   };
   for (let c = 1; c < columns - 2; c++) {
-    wall(columns + c, columns + c + 1);
-    wall((rows - 2) * columns + c + 1, (rows - 2) * columns + c);
+    wall(columns + c, columns + c + 1, -columns);
+    wall((rows - 2) * columns + c + 1, (rows - 2) * columns + c, columns);
   }
   for (let r = 1; r < rows - 2; r++) {
-    wall((r + 1) * columns + 1, r * columns + 1);
-    wall(r * columns + columns - 2, (r + 1) * columns + columns - 2);
+    wall((r + 1) * columns + 1, r * columns + 1, -1);
+    wall(r * columns + columns - 2, (r + 1) * columns + columns - 2, 1);
   }
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(places.slice(0, 3 * last), 3));
@@ -166,7 +168,7 @@ export class Tiles {
   #put(tile) {
     const node = this.nodes.get(`${tile.stride}/${tile.row}/${tile.column}`);
     if (!node) return;
-    const geometry = makeGeometry(tile, this.meta.input_size, 2.5 * tile.stride * this.meta.pitch_mm);
+    const geometry = makeGeometry(tile, this.meta.input_size, 1.5 * tile.stride * this.meta.pitch_mm);
     node.state = "here";
     if (!geometry) return;
     node.mesh = new Mesh(geometry, this.material);
