@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.printing_files import distortion_picture, write_minutiae
+from splitknit.apps.printing_files import distortion_picture, map_arrays, write_minutiae
 from splitknit.apps.printing_sources import Source, read_source
 from splitknit.check import BadInput, require
 from splitknit.flatten import (
@@ -203,7 +203,7 @@ def print_to_folder(
         }
         for name, picture in pictures.items():
             write_print_png(target / name, picture, ppi, texts)
-        write_npz(target / "map.npz", _map_arrays(made.map))
+        write_npz(target / "map.npz", map_arrays(made.map))
         facts: dict[str, Any] = {
             "method": method,
             "surface": place,
@@ -256,14 +256,3 @@ def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
     period = enhanced.field.period_mm(ppi)[enhanced.field.mask]
     low, middle, high = (round(float(value), 4) for value in np.percentile(period, [5, 50, 95]))
     return {"p5": low, "median": middle, "p95": high}
-
-
-def _map_arrays(print_map: PrintMap) -> dict[str, Any]:
-    return {
-        "columns": print_map.columns,
-        "rows": print_map.rows,
-        "ppi": np.float64(print_map.ppi),
-        "input_from_grid": print_map.input_from_grid,
-        "print_of_grid": print_map.print_of_grid,
-        "surface": np.array(print_map.surface),
-    }

@@ -159,3 +159,15 @@ def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
         place = int(4 + share * (width - 8 - length))
         cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
     return bar
+
+
+def map_arrays(print_map: PrintMap) -> dict[str, Any]:
+    """What ``map.npz`` holds."""
+    return {
+        "columns": print_map.columns,
+        "rows": print_map.rows,
+        "ppi": np.float64(print_map.ppi),
+        "input_from_grid": print_map.input_from_grid,
+        "print_of_grid": print_map.print_of_grid,
+        "surface": np.array(print_map.surface),
+    }
