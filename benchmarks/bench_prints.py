@@ -72,7 +72,7 @@ for index, file in enumerate(files):
         made = pyfing.fingerprint_enhancement(image, field, periods, mask, method="GBFEN")
         note("pyfing GBFEN alone", begin, begin_cpu)
         note("pyfing GMFS + GBFOE + XSFFE + GBFEN", start, cpu)
-        cv2.imwrite(str(out / f"pyfing_{index}.png"), made)
+        cv2.imwrite(str(out / f"pyfing_{index}.png"), 255 - made)  # its ridges are white
         if repeat == 0:
             seconds = seconds_before
 print(json.dumps(seconds))
