@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bodies import PX_PER_MM, plane_points
 
-from conftest import PX_PER_MM, plane_points
 from splitknit.check import BadInput
 from splitknit.flatten import CurvatureSettings, curvature
 

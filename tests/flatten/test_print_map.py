@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from bodies import Twin
 
-from conftest import Twin
 from splitknit.check import BadInput
 from splitknit.flatten import PrintMap, ink, plane_map, relief_print, resample, ridge_field, unroll, unrolled_map
 from splitknit.simulate.master_print import ink_print
