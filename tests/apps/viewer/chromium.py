@@ -115,7 +115,15 @@ class Page:
     def picture(self, name: str) -> Path:
         """Keep what is seen."""
         PICTURES.mkdir(parents=True, exist_ok=True)
-        self.driver.save_screenshot(str(PICTURES / f"{name}.png"))
+        from selenium.common.exceptions import TimeoutException
+
+        for attempt in range(6):
+            try:
+                self.driver.save_screenshot(str(PICTURES / f"{name}.png"))
+                break
+            except TimeoutException:  # the driver waits ten seconds for a frame; a busy machine takes longer
+                if attempt == 5:
+                    raise
         return PICTURES / f"{name}.png"
 
     def complaints(self) -> list[str]:

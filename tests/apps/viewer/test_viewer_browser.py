@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 from chromium import Page, PageMaker, why_not
+from viewer_server import Asking, started
 
-from conftest import Asking, started
 from splitknit.io.glb import read_glb
 from splitknit.match import Template, pack
 from splitknit.match.gallery import Gallery, NewCapture

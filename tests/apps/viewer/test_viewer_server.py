@@ -12,8 +12,8 @@ from urllib.parse import urlencode
 import cv2
 import numpy as np
 import pytest
+from viewer_server import Asking
 
-from conftest import Asking
 from splitknit.apps.viewer import service
 from splitknit.apps.viewer.guard import HEADERS
 from splitknit.io import read_image, read_ply

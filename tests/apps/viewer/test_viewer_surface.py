@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from handmade import capture_of, finger
 
 from splitknit.apps.outputs import upright_mesh, write_results
-from splitknit.apps.viewer.surface import Surface, read_surface
+from splitknit.apps.viewer.surface import Surface, read_members, read_surface
 from splitknit.apps.viewer.tiles import TILE, filled_tiles, first_view, root_stride, strides, tile_bytes
 from splitknit.check import BadInput
 from splitknit.io import read_npz, read_ply, write_npz
@@ -131,3 +132,17 @@ def test_a_damaged_result_is_refused_in_one_sentence(shown: Path, tmp_path: Path
         read_surface(tmp_path)
     assert "\n" not in str(refused.value)
     assert str(tmp_path) in str(refused.value)
+
+
+def test_many_threads_may_read_at_once(shown: Path) -> None:
+    """Python 3.11 cannot parse the headers of arrays in several threads (AST constructor recursion depth mismatch)."""
+    file = shown / "metric" / "height.npz"
+    with ThreadPoolExecutor(16) as pool:
+        jobs = [pool.submit(read_members, file, ("pitch_mm", "upright_size", "input_from_upright")) for _ in range(400)]
+        assert {float(job.result()["pitch_mm"]) for job in jobs} == {0.05}
+
+
+def test_arrays_by_columns_are_read(tmp_path: Path) -> None:
+    array = np.asfortranarray(np.arange(12.0).reshape(3, 4))
+    write_npz(tmp_path / "a.npz", {"a": array})
+    np.testing.assert_array_equal(read_members(tmp_path / "a.npz", ("a",))["a"], array)

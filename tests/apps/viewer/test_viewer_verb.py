@@ -15,8 +15,8 @@ from urllib.parse import unquote, urlparse
 
 import numpy as np
 import pytest
+from viewer_server import started
 
-from conftest import started
 from splitknit.apps.cli import main
 from splitknit.apps.viewer.serve import opened_page
 from splitknit.io import write_npz

@@ -5,13 +5,15 @@ Places are those of ``phalange.ply``: x right, y to the fingertip, z to the came
 
 from __future__ import annotations
 
+import math
 import os
+import threading
 import zipfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from splitknit.types import BoolArray, FloatArray
 _LONGEST = 20_000
 _NEEDED = ("height_mm", "ridge_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
 _RAYS = ("x_mm", "y_mm")
+_PARSING = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +177,7 @@ def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) 
                 _check_header(archive, f"{name}.npy", damaged)
         # the longest first: two cores are done soonest
         with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-            jobs = {name: pool.submit(_read_member, path, name) for name in names}
+            jobs = {name: pool.submit(_read_member, path, name, damaged) for name in names}
             return {name: job.result() for name, job in jobs.items()}
     except BadInput:
         raise
@@ -184,13 +187,22 @@ def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) 
 
 def _check_header(archive: zipfile.ZipFile, member: str, damaged: str) -> None:
     with archive.open(member) as stream:
-        version = np.lib.format.read_magic(stream)
-        require(version == (1, 0), damaged)
-        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+        shape, _, dtype = _header(stream, damaged)
     sides_fit = len(shape) <= 3 and all(0 <= side <= _LONGEST for side in shape)
     require(sides_fit and dtype.kind in "fiub" and dtype.itemsize <= 8, damaged)
 
 
-def _read_member(path: Path, name: str) -> NDArray[Any]:
-    with np.load(path, allow_pickle=False) as archive:
-        return np.asarray(archive[name])
+def _header(stream: IO[bytes], damaged: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type of an array; one thread at a time, as Python 3.11 cannot parse in several."""
+    with _PARSING:
+        require(np.lib.format.read_magic(stream) == (1, 0), damaged)
+        return np.lib.format.read_array_header_1_0(stream)
+
+
+def _read_member(path: Path, name: str, damaged: str) -> NDArray[Any]:
+    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
+        shape, by_columns, dtype = _header(stream, damaged)
+        data = stream.read()
+    require(len(data) == dtype.itemsize * math.prod(shape), damaged)
+    values = np.frombuffer(data, dtype)
+    return values.reshape(shape[::-1]).T if by_columns else values.reshape(shape)

@@ -1,5 +1,5 @@
 // The page: which results are shown, and what is said about them. The address behind # says the same, so that it can be kept.
-import { address, getJson } from "./api.js";
+import { address, getBytes, getJson } from "./api.js";
 import { showLegend } from "./colour.js";
 import { listen } from "./keys.js";
 import { Light } from "./light.js";
@@ -90,7 +90,10 @@ async function open(key, beside) {
   if (key === "") return;
   byId("view-a").replaceChildren(make("p", { className: "wait", textContent: "Reading …" }));
   byId("view-b").hidden = beside === "";
-  const found = await Promise.all([key, beside].filter((one) => one !== "").map((one) => getJson(`api/result/${one}`)));
+  const keys = [key, beside].filter((one) => one !== "");
+  const points = keys.map((one) => getBytes(`api/result/${one}/first`));
+  points.forEach((coming) => coming.catch(() => {})); // what fails is said where it is used
+  const found = await Promise.all(keys.map((one) => getJson(`api/result/${one}`)));
   if (turn !== turnOfMind) return;
   metas = found;
   performance.mark("facts are here");
@@ -107,7 +110,7 @@ async function open(key, beside) {
     }
   }
   views.forEach(attend);
-  await Promise.all(views.map((view) => view.load()));
+  await Promise.all(views.map((view) => view.load(points[metas.indexOf(view.meta)])));
   if (turn !== turnOfMind) return;
   await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
   performance.mark("first view");

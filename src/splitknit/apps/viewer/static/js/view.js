@@ -4,7 +4,7 @@ import {
   LinearFilter, LinearSRGBColorSpace, Spherical, Texture, Vector2, Vector3, WebGLRenderer,
 } from "../vendor/three/three.module.min.js";
 import { OrbitControls } from "../vendor/three/OrbitControls.js";
-import { getBytes, getJson, getPicture } from "./api.js";
+import { getJson, getPicture } from "./api.js";
 import { COLOURS, lampDirection, makeMaterial, MARK_COLOURS } from "./material.js";
 import { boundsOf, Tiles } from "./tiles.js";
 
@@ -103,9 +103,9 @@ export class View {
     );
   }
 
-  /** Get the first view. */
-  async load() {
-    const bytes = await getBytes(`api/result/${this.meta.key}/first`);
+  /** Show the first view. @param {Promise<ArrayBuffer>} coming its points, asked for together with the facts */
+  async load(coming) {
+    const bytes = await coming;
     performance.mark("points are here");
     this.tiles.readFirst(bytes);
     await this.apply();
@@ -186,9 +186,15 @@ export class View {
     this.camera.right = (half * width) / height;
     this.camera.left = -this.camera.right;
     this.camera.updateProjectionMatrix();
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, byProcessor() ? 1 : 2));
+    this.#setPixels();
     this.renderer.setSize(width, height, false);
     this.draw();
+  }
+
+  /** As many pixels as can be drawn in time: where the processor draws, fewer while it moves. */
+  #setPixels() {
+    const ratio = byProcessor() ? (this.moving ? 0.5 : 1) : Math.min(devicePixelRatio, 2);
+    if (this.renderer.getPixelRatio() !== ratio) this.renderer.setPixelRatio(ratio);
   }
 
   /** Draw at the next frame. */
@@ -205,6 +211,7 @@ export class View {
     this.lastFrame = now;
     if (this.moving && gap < 1000) this.slow = gap > SLOW_MS || (this.slow && gap > SLOW_MS / 3);
     const cssPxPerMm = this.camera.zoom / this.mmPerPx;
+    this.#setPixels();
     this.camera.updateMatrixWorld();
     const best = byProcessor() ? PX_BY_PROCESSOR : PX_PER_VALUE;
     const fine = this.moving && this.slow ? PX_WHILE_MOVING : best;
