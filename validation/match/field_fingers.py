@@ -11,12 +11,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from flat_fingers import BELOW_TIP_MM
+from flat_fingers import BELOW_TIP_MM, log_periods
 
 from splitknit.io.atomic import atomic_file
 from splitknit.match import Template
 from splitknit.match.code_field import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
-from splitknit.simulate.orientation_field import fan_log_period, orientation_field, smooth_noise
+from splitknit.simulate.orientation_field import orientation_field
 from splitknit.simulate.people import FINGERS, OwnFinger, draw_person
 from splitknit.types import FloatArray
 
@@ -50,13 +50,7 @@ def field_of(own: OwnFinger, rng: np.random.Generator) -> FloatArray:
     top = shape.length_mm - BELOW_TIP_MM - STEP_MM + rng.normal(0.0, SHIFT_MM[1])
     v = top + (MARGIN - np.arange(rows)) * PITCH_MM
     field = orientation_field(own.finger.pattern, rng, u / prints.pattern_scale, v / prints.pattern_scale)
-    logs = prints.period_variation * np.clip(smooth_noise(rng, (rows, columns), 4.0 / PITCH_MM), -2.5, 2.5)
-    logs += prints.fan_widening * fan_log_period(field.angle_rad, PITCH_MM)
-    logs = 0.2 * np.tanh(logs / 0.2)
-    centre = field.cores_mm[0][1] * prints.pattern_scale if field.cores_mm else 14.0
-    widening = prints.proximal_widening * rng.uniform(0.4, 1.6)
-    logs += (widening * 0.5 * (1.0 - np.tanh((v - 0.45 * centre) / 4.0)))[:, None]
-    logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u) / 10.0, 0.0, 1.5) ** 2)[None, :]
+    logs = log_periods(field, prints, u, v, PITCH_MM, rng)
     turn = np.deg2rad(rng.normal(0.0, 2.7))
     across = 2 * (field.angle_rad + 0.5 * np.pi + turn)
     frequency = np.interp(prints.period_mm * np.exp(logs), *frequency_of_period())

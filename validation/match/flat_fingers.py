@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from splitknit.io.atomic import atomic_file
 from splitknit.match import Template, make_template, pack, unpack
 from splitknit.match.ridge_band import RidgeBandSettings, even
-from splitknit.simulate.orientation_field import fan_log_period, orientation_field, smooth_noise
+from splitknit.simulate.master_print import MasterPrintSettings
+from splitknit.simulate.orientation_field import OrientationField, fan_log_period, orientation_field, smooth_noise
 from splitknit.simulate.people import FINGERS, draw_person
 from splitknit.simulate.ridge_growth import grow_ridges
 from splitknit.types import BoolArray, FloatArray
@@ -47,6 +49,25 @@ class Laid:
     wave_from_template: NDArray[np.float64]
 
 
+def log_periods(  # noqa: PLR0917
+    field: OrientationField,
+    prints: MasterPrintSettings,
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    pitch_mm: float,
+    rng: np.random.Generator,
+) -> NDArray[np.floating[Any]]:
+    """(v, u) logarithm of the ridge period over its mean, drawn as the twin's master prints draw it."""
+    logs = prints.period_variation * np.clip(smooth_noise(rng, (v.size, u.size), 4.0 / pitch_mm), -2.5, 2.5)
+    logs += prints.fan_widening * fan_log_period(field.angle_rad, pitch_mm)
+    logs = 0.2 * np.tanh(logs / 0.2)
+    centre = field.cores_mm[0][1] * prints.pattern_scale if field.cores_mm else 14.0
+    widening = prints.proximal_widening * rng.uniform(0.4, 1.6)
+    logs += (widening * 0.5 * (1.0 - np.tanh((v - 0.45 * centre) / 4.0)))[:, None]
+    logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u) / 10.0, 0.0, 1.5) ** 2)[None, :]
+    return logs
+
+
 def flat_finger(seed: int, number: int) -> FlatFinger:
     """One finger of the person `number` of the population `seed` (the ten fingers in turn)."""
     own = draw_person(seed, number).fingers[FINGERS[number % len(FINGERS)]]
@@ -56,13 +77,7 @@ def flat_finger(seed: int, number: int) -> FlatFinger:
     u = (np.arange(columns) - (columns - 1) / 2) * PITCH_MM
     v = finger.shape.length_mm - BELOW_TIP_MM + MARGIN_MM - np.arange(rows) * PITCH_MM
     field = orientation_field(finger.pattern, rng, u / prints.pattern_scale, v / prints.pattern_scale)
-    logs = prints.period_variation * np.clip(smooth_noise(rng, (rows, columns), 4.0 / PITCH_MM), -2.5, 2.5)
-    logs += prints.fan_widening * fan_log_period(field.angle_rad, PITCH_MM)
-    logs = 0.2 * np.tanh(logs / 0.2)
-    centre = field.cores_mm[0][1] * prints.pattern_scale if field.cores_mm else 14.0
-    widening = prints.proximal_widening * rng.uniform(0.4, 1.6)
-    logs += (widening * 0.5 * (1.0 - np.tanh((v - 0.45 * centre) / 4.0)))[:, None]
-    logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u) / 10.0, 0.0, 1.5) ** 2)[None, :]
+    logs = log_periods(field, prints, u, v, PITCH_MM, rng)
     noise = rng.standard_normal((rows, columns)).astype(np.float32)
     wave = grow_ridges(noise, field.angle_rad, prints.period_mm * np.exp(logs) / PITCH_MM, iterations=prints.iterations)
     return FlatFinger(wave)

@@ -17,35 +17,19 @@ import os
 from pathlib import Path
 
 import numpy as np
+from drawn import drawn_surface
 
-from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
+from splitknit.apps.matching_inputs import MatchingSettings, surface_template
 from splitknit.io import read_print_png
 from splitknit.match import Prepared, calibrate_scores, make_template, print_band, ridge_match
-from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.finger import draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.rig import default_rig
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr.json"
 SCALE = 0.15
-PHALANGE_MM = 20.0
-"""Of each finger so much is used, from the tip on: what a reconstruction keeps."""
 
 
 def drawn(seed: int) -> Prepared:
     """One finger, laid down once."""
-    camera = default_rig(SCALE).camera
-    pose = PoseRanges().draw(np.random.default_rng([seed, 7]), camera)
-    seen = finger_surface(draw_finger(seed), pose, camera)
-    first = int(np.argmax(seen.mask.any(axis=1)))
-    mask = seen.mask.copy()
-    mask[first + round(PHALANGE_MM * camera.px_per_mm) :] = False
-    upright = find_upright(mask)
-    surface = Surface(
-        seen.height_mm - seen.shape_mm, seen.shape_mm, seen.normals, mask, camera.pitch_mm,
-        upright.input_from_upright, upright.size,
-    )  # fmt: skip
-    return Prepared(surface_template(surface, MatchingSettings()))
+    return Prepared(surface_template(drawn_surface(seed, SCALE), MatchingSettings()))
 
 
 def main() -> None:

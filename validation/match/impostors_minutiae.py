@@ -16,34 +16,26 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from drawn import drawn_surface
 
 from splitknit.flatten.ridges import relief_print
 from splitknit.match import calibrate_scores
 from splitknit.match.minutiae import extract, minutiae_match
 from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
-from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.finger import draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.rig import default_rig
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr_minutiae.json"
 SCALE = 0.27
 """Of the camera: 20 pixels a millimetre, the print's own resolution."""
-PHALANGE_MM = 20.0
-"""Of each finger so much is used, from the tip on: what a reconstruction keeps."""
 
 
 def drawn(seed: int) -> Minutiae:
     """One finger, laid down once."""
-    camera = default_rig(SCALE).camera
-    pose = PoseRanges().draw(np.random.default_rng([seed, 7]), camera)
-    seen = finger_surface(draw_finger(seed), pose, camera)
-    first = int(np.argmax(seen.mask.any(axis=1)))
-    mask = seen.mask.copy()
-    mask[first + round(PHALANGE_MM * camera.px_per_mm) :] = False
-    upright = find_upright(mask)
-    ridge = seen.height_mm - seen.shape_mm
-    return extract(relief_print(ridge, mask, camera.px_per_mm, upright.input_from_upright, upright.size))
+    surface = drawn_surface(seed, SCALE)
+    return extract(
+        relief_print(
+            surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size
+        )
+    )
 
 
 def kept(cache: Path, seed: int) -> Minutiae:

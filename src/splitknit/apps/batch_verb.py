@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.verb import Outcome, Progress, natural, new_verb
+from splitknit.apps.verb import Outcome, Progress, natural, new_verb, share
 from splitknit.check import BadInput
 
 
@@ -29,7 +29,7 @@ def add_batch(verbs: Any) -> None:
         "--matchers", default="ridge", metavar="LIST", help="ridge (default), thesis, minutiae, with commas; or none"
     )
     verb.add_argument(
-        "--impostors", type=_share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"
+        "--impostors", type=share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"
     )
     verb.add_argument("--seed", type=natural, default=0, metavar="N", help="which of them (default: 0)")
     verb.add_argument(
@@ -72,17 +72,6 @@ def run_verb(options: argparse.Namespace) -> Outcome:
             progress=progress.update,
         )
     return facts, _words(facts)
-
-
-def _share(text: str) -> float:
-    """Read a share (a type for argparse)."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a number from 0 to 1")
-    return value
 
 
 def _names(text: str) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.gallery_options import add_gallery, count
-from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb
+from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
 from splitknit.check import require
 
 
@@ -38,12 +38,7 @@ def add_enroll(verbs: Any) -> None:
     )
     verb.add_argument("--replace", action="store_true", help="let a capture take the place of one of the same names")
     verb.add_argument("--with-time", action="store_true", help="keep the time of enrolment as well")
-    verb.add_argument(
-        "--preset",
-        choices=("metric", "snk", "pr", "ea"),
-        default="metric",
-        help="how captures are reconstructed (default: metric)",
-    )
+    add_preset(verb)
     add_settings(verb)
 
 

@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb, scale
+from splitknit.apps.verb import PRESETS, Outcome, Progress, add_settings, natural, new_verb, scale
 from splitknit.check import require
-
-PRESETS = ("metric", "snk", "pr", "ea")
 
 
 def add_demo(verbs: Any) -> None:

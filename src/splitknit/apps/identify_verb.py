@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.gallery_options import add_gallery, count
-from splitknit.apps.verb import Outcome, Progress, add_settings, natural, new_verb
+from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
 
 
 def add_identify(verbs: Any) -> None:
@@ -38,12 +38,7 @@ def add_identify(verbs: Any) -> None:
         default="auto",
         help="compare all ridges, or only of those that short codes choose (default: auto, by the gallery's size)",
     )
-    verb.add_argument(
-        "--preset",
-        choices=("metric", "snk", "pr", "ea"),
-        default="metric",
-        help="how captures are reconstructed (default: metric)",
-    )
+    add_preset(verb)
     add_settings(verb)
 
 

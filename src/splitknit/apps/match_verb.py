@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.verb import Outcome, Progress, add_settings, new_verb
+from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, new_verb
 
 
 def add_match(verbs: Any) -> None:
@@ -23,12 +23,7 @@ def add_match(verbs: Any) -> None:
         "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux)",
     )
     verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
-    verb.add_argument(
-        "--preset",
-        choices=("metric", "snk", "pr", "ea"),
-        default="metric",
-        help="how captures are reconstructed (default: metric)",
-    )
+    add_preset(verb)
     add_settings(verb)
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.verb import Outcome, Progress, add_settings, new_verb
+from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, new_verb
 
 
 def add_print(verbs: Any) -> None:
@@ -31,12 +31,7 @@ def add_print(verbs: Any) -> None:
         "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)",
     )
     verb.add_argument("--ppi", type=int, choices=(500, 1000), default=500, help="pixels per inch (default: 500)")
-    verb.add_argument(
-        "--preset",
-        choices=("metric", "snk", "pr", "ea"),
-        default="metric",
-        help="how a capture is reconstructed (default: metric)",
-    )
+    add_preset(verb)
     add_settings(verb)
 
 

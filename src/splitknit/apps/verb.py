@@ -10,6 +10,8 @@ from typing import Any
 
 from splitknit.check import BadInput
 
+PRESETS = ("metric", "snk", "pr", "ea")
+
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""
 
@@ -37,6 +39,16 @@ def group(verbs: Any, name: str, does: str) -> Any:
     return group.add_subparsers(dest="kind", metavar="WHAT", title="what", required=True)
 
 
+def add_preset(verb: argparse.ArgumentParser) -> None:
+    """Add ``--preset`` for captures that are reconstructed on the way."""
+    verb.add_argument(
+        "--preset",
+        choices=PRESETS,
+        default="metric",
+        help="how captures are reconstructed (default: metric)",
+    )
+
+
 def add_settings(verb: argparse.ArgumentParser) -> None:
     """Add ``--set`` and ``--settings``."""
     verb.add_argument(
@@ -60,12 +72,21 @@ def natural(text: str) -> int:
 
 def scale(text: str) -> float:
     """Read the size of images relative to the full frame (a type for argparse)."""
+    return _between(text, 0.05, 1.0)
+
+
+def share(text: str) -> float:
+    """Read a share of a whole (a type for argparse)."""
+    return _between(text, 0.0, 1.0)
+
+
+def _between(text: str, low: float, high: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = float("nan")
-    if not 0.05 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a number from 0.05 to 1")
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a number from {low:g} to {high:g}")
     return value
 
 

@@ -33,6 +33,7 @@ from splitknit.io.fmr_bytes import (
     Cursor,
     check_length,
     check_writable,
+    checked_product,
     common_image,
     make_record,
     read_record_bytes,
@@ -58,12 +59,7 @@ def encode_ansi378(record: MinutiaeRecord) -> bytes:
     """
     check_writable(record, ANSI_2004, 12, 4)
     (rows, columns), resolution = common_image(record, ANSI_2004)
-    owner, kind = record.product
-    require(
-        0 < owner <= 65535 and 0 <= kind <= 65535,
-        f"the product's owner must lie between 1 and 65535 (0x0103: not registered) and its type between 0 and 65535, "
-        f"but they are {record.product}.",
-    )
+    owner, kind = checked_product(record)
     body = encode_views(record.views, _CODES)
     device = record.certification << 12 | record.device
     rest = _REST.pack(owner, kind, device, columns, rows, *resolution, len(record.views), 0)

@@ -32,6 +32,7 @@ from splitknit.io.fmr_bytes import (
     check_length,
     check_rest,
     check_writable,
+    checked_product,
     decode_minutiae,
     encode_minutiae,
     make_record,
@@ -60,12 +61,7 @@ def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byte
     """
     standard, magic = (ANSI_2009_AM1, MAGIC_035) if amendment else (ANSI_2009, MAGIC_030)
     check_writable(record, standard, 16, 8)
-    owner, kind = record.product
-    require(
-        0 < owner <= 65535 and 0 <= kind <= 65535,
-        f"the product's owner must lie between 1 and 65535 (0x0103: not registered) and its type between 0 and 65535, "
-        f"but they are {record.product}.",
-    )
+    owner, kind = checked_product(record)
     body = b"".join(_encode_view(view) for view in record.views)
     length = _HEADER.size + len(body)
     return _HEADER.pack(magic, length, owner, kind, record.certification, record.device, len(record.views), 0) + body

@@ -15,14 +15,15 @@ from splitknit.check import require
 from splitknit.io.atomic import atomic_file
 from splitknit.types import FloatArray
 
-_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
-_HEADER = 80
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+"""One triangle of a binary file."""
+HEADER_BYTES = 80
 _CHUNK = 1 << 16
 
 
 def stl_size(faces: int) -> int:
     """Bytes of a file of so many triangles."""
-    return _HEADER + 4 + faces * _RECORD.itemsize
+    return HEADER_BYTES + 4 + faces * RECORD.itemsize
 
 
 def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
@@ -48,12 +49,12 @@ def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "
 
 def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Iterator[bytes]:
     header = f"splitknit, unit mm {title}".encode("ascii", "replace")
-    yield header[:_HEADER].ljust(_HEADER, b" ") + np.uint32(len(faces)).astype("<u4").tobytes()
+    yield header[:HEADER_BYTES].ljust(HEADER_BYTES, b" ") + np.uint32(len(faces)).astype("<u4").tobytes()
     for start in range(0, len(faces), _CHUNK):
         corners = vertices[faces[start : start + _CHUNK]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(across, axis=1, keepdims=True)
-        records = np.zeros(len(corners), dtype=_RECORD)
+        records = np.zeros(len(corners), dtype=RECORD)
         records["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
         records["corners"] = corners
         yield records.tobytes()

@@ -11,22 +11,20 @@ from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
 from splitknit.io.atomic import atomic_file
+from splitknit.io.stl import HEADER_BYTES, RECORD
 
 Triangles = NDArray[np.float32]
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
-
-_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
-_HEADER = 80
 
 
 def write_stl(path: str | os.PathLike[str], triangles: Triangles, title: str = "") -> None:
     """Write a binary STL file; equal triangles give equal bytes."""
     corners = np.asarray(triangles, dtype=np.float32)
     require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
-    records = np.zeros(len(corners), dtype=_RECORD)
+    records = np.zeros(len(corners), dtype=RECORD)
     records["corners"] = corners
     records["normal"] = unit_normals(corners)
-    header = f"splitknit {title}".encode("ascii", "replace")[:_HEADER].ljust(_HEADER, b" ")
+    header = f"splitknit {title}".encode("ascii", "replace")[:HEADER_BYTES].ljust(HEADER_BYTES, b" ")
     with atomic_file(path) as stream:
         stream.write(header)
         stream.write(np.uint32(len(corners)).astype("<u4").tobytes())
@@ -45,10 +43,10 @@ def read_stl(path: str | os.PathLike[str]) -> Triangles:
         data = Path(path).read_bytes()
     except OSError as error:
         raise BadInput(f"'{path}' cannot be read: {error.strerror or error}.") from error
-    if len(data) >= _HEADER + 4:
-        count = int(np.frombuffer(data, dtype="<u4", count=1, offset=_HEADER)[0])
-        if len(data) == _HEADER + 4 + count * _RECORD.itemsize:
-            records = np.frombuffer(data, dtype=_RECORD, offset=_HEADER + 4)
+    if len(data) >= HEADER_BYTES + 4:
+        count = int(np.frombuffer(data, dtype="<u4", count=1, offset=HEADER_BYTES)[0])
+        if len(data) == HEADER_BYTES + 4 + count * RECORD.itemsize:
+            records = np.frombuffer(data, dtype=RECORD, offset=HEADER_BYTES + 4)
             corners = np.array(records["corners"], dtype=np.float32)
             require(bool(np.isfinite(corners).all()), f"'{path}' holds corners that are not numbers.")
             return corners
