@@ -116,7 +116,7 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     plain = {
         (row["case"], row["attribute"]): row
         for row in rows
-        if (row["gate"], row["sessions"], row["rolls"]) == ("none", "single", "all")
+        if (row["gate"], row["sessions"], row["kept"]) == ("none", "single", "all")
     }
     own = plain["snk", "relief"]
     # five people (pr lacks one) x two fingers, three pairs of sessions
@@ -127,9 +127,7 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     assert float(own["gar@0.01_low_finger"]) <= float(own["gar@0.01"]) <= float(own["gar@0.01_high_finger"])
     # 270 impostors support a FAR of 1 %, not of 0.1 %
     assert own["gar@0.001"] == "" and own["accepts@0.001"] == "0" and own["accepts@0.01"] == "2"
-    passing = [
-        row for row in rows if row["gate"] == "passing" and row["sessions"] == "single" and row["rolls"] == "all"
-    ]
+    passing = [row for row in rows if row["gate"] == "passing" and row["sessions"] == "single" and row["kept"] == "all"]
     assert all(0 < int(row["impostors"]) < 270 for row in passing)
     assert len({row["impostors"] for row in passing}) == 1
     differences = read(out / "cases_differences.csv")
@@ -157,10 +155,16 @@ def test_the_gate_follows_the_thesis_and_only_impostors_that_pass_are_kept(thesi
     ratio = np.array([0.95, 0.8, 0.92, 0.85])
     trial = trials.Trial("snk", "thesis", "relief", np.array([0.1, 0.2, 0.3, 0.4]), ratio, 1 - np.exp(2 - ratio))
     table = trials.Table(pairs, (trial,), ())
-    rolls = variants.rolls_of(pairs, {"A/1": 0.0, "A/2": 12.0, "B/1": 0.0, "B/2": 3.0})
+    known = variants.known_of(
+        pairs,
+        {
+            "A/1": {"roll_deg": 0.0}, "A/2": {"roll_deg": 12.0},
+            "B/1": {"roll_deg": 0.0}, "B/2": {"roll_deg": 3.0, "partial": True},
+        },
+    )  # fmt: skip
 
     def judged(*how: str) -> Any:
-        return variants.judged(pairs, trial, variants.Variant(*how), rolls, variants.passing_everywhere(table))
+        return variants.judged(pairs, trial, variants.Variant(*how), known, variants.passing_everywhere(table))
 
     assert judged("none", "single", "all").score.tolist() == [0.1, 0.2, 0.3, 0.4]
     gated = judged("gate", "single", "all").score
@@ -168,6 +172,7 @@ def test_the_gate_follows_the_thesis_and_only_impostors_that_pass_are_kept(thesi
     passing = judged("passing", "single", "all")
     assert passing.label.tolist() == [True, False, True] and passing.score[1] == 0.3
     assert judged("none", "single", "pairs").score.tolist() == [0.2, 0.3, 0.4]  # A's rolls differ by 12 deg
+    assert judged("none", "single", "whole").score.tolist() == [0.1, 0.3]  # without B's second capture
     assert judged("none", "averaged", "all").score.size == 4  # AB and BA stay two
 
 

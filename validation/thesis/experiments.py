@@ -13,11 +13,11 @@ from plots import bins_figure, roc_figure, save
 from sensitivity import FACTORS, sensitivity_rows
 from tables import Row, write_csv
 from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
-from variants import PASSING, PLAIN, THESIS, judged, passing_everywhere, rolls_of, spreads
+from variants import PASSING, PLAIN, THESIS, THESIS_WHOLE, WHOLE, Variant, judged, known_of, passing_everywhere, spreads
 
 from splitknit.evaluate import BootstrapSettings
 
-COMPARED = (THESIS, PLAIN, PASSING)
+COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
 
 
@@ -36,8 +36,8 @@ def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
         first = "all three, mean"
         named = {name: trial.labelled(f"{case}: {name.replace('_', ' ')}") for name, trial in named.items()}
         groups += [(named[first], named[name]) for name in named if first in named and name != first]
-    rows = rate_rows(work, trials, options.jobs)
-    differences = difference_rows(work, groups, COMPARED, options.jobs)
+    rows = rate_rows(work, trials, options.jobs, (*COMPARED, Variant("none", "averaged", "all")))
+    differences = difference_rows(work, groups, (THESIS_WHOLE, WHOLE), options.jobs)
     _write(options, "fusion", rows, differences)
     shown = [trial for trial in trials if trial.case == cases[0] and _in_figure(trial)]
     _rocs(options, work, "figure-5-3", shown, lambda trial: trial.attribute.replace("_", " "))
@@ -91,9 +91,9 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
             table = read_table(store, captures, options.cases, (matcher,))
         except SystemExit:
             continue
-        rolls = rolls_of(table.pairs, _rolls(truth))
+        known = known_of(table.pairs, truth)
         chosen = tuple(trial for name in attributes for trial in _of(table, matcher, name))
-        rows += sensitivity_rows(table, chosen, truth, rolls, options.replicates, options.seed)
+        rows += sensitivity_rows(table, chosen, truth, known, options.replicates, options.seed)
         facts[matcher] = _facts(table, chosen)
     write_csv(options.out / "sensitivity.csv", rows)
     for factor, (matcher, attribute) in (
@@ -199,7 +199,7 @@ def _key(row: Row) -> tuple[str, str, str, str]:
 
 def _work(options: argparse.Namespace, table: Table, truth: Mapping[str, Row]) -> Work:
     settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=0)
-    return Work(table, rolls_of(table.pairs, _rolls(truth)), passing_everywhere(table), settings)
+    return Work(table, known_of(table.pairs, truth), passing_everywhere(table), settings)
 
 
 def _rolls(truth: Mapping[str, Row]) -> dict[str, float]:
@@ -209,9 +209,9 @@ def _rolls(truth: Mapping[str, Row]) -> dict[str, float]:
 def _rocs(options: argparse.Namespace, work: Work, name: str, trials: Sequence[Trial], label: Any) -> None:
     """As the thesis judges, and with neither gate nor averaging."""
     settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=31, targets=(0.01,))
-    for ending, variant in (("", THESIS), ("-plain", PLAIN)):
+    for ending, variant in (("", THESIS), ("-plain", PLAIN), ("-whole", WHOLE)):
         scores = [
-            (label(trial), judged(work.table.pairs, trial, variant, work.rolls, work.passing)) for trial in trials
+            (label(trial), judged(work.table.pairs, trial, variant, work.known, work.passing)) for trial in trials
         ]
         curves = [(words, one) for words, one in scores if one is not None]
         if curves:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tables import Row
 from trials import Table, Trial
-from variants import VARIANTS, Rolls, Variant, judged
+from variants import VARIANTS, Known, Variant, judged
 
 from splitknit.evaluate import BootstrapSettings, Interval, Scores, bootstrap, differences
 from splitknit.evaluate.intervals import TARGETS
@@ -26,17 +26,17 @@ class Work:
     """What the tasks of a table share."""
 
     table: Table
-    rolls: Rolls
+    known: Known
     passing: NDArray[np.bool_]
     settings: BootstrapSettings
 
     def judged(self, trial: Trial, variant: Variant) -> Scores | None:
-        return judged(self.table.pairs, trial, variant, self.rolls, self.passing)
+        return judged(self.table.pairs, trial, variant, self.known, self.passing)
 
 
-def rate_rows(work: Work, trials: Sequence[Trial], jobs: int = 1) -> list[Row]:
+def rate_rows(work: Work, trials: Sequence[Trial], jobs: int = 1, variants: Sequence[Variant] = VARIANTS) -> list[Row]:
     """One row for each trial and variant."""
-    return _in_parallel(_rate_row, work, list(product(trials, VARIANTS)), jobs)
+    return _in_parallel(_rate_row, work, list(product(trials, variants)), jobs)
 
 
 def difference_rows(
@@ -50,7 +50,7 @@ def difference_rows(
 def _rate_row(work: Work, trial: Trial, variant: Variant) -> Row:
     head = {"case": trial.case, "matcher": trial.matcher, "attribute": trial.attribute, **asdict(variant)}
     scores = work.judged(trial, variant)
-    methods = METHODS if variant.rolls == "all" else METHODS[:1]
+    methods = METHODS if variant.kept in ("all", "whole") else METHODS[:1]
     return {**head, **(_nothing() if scores is None else rates_of(scores, work.settings, methods))}
 
 

@@ -10,15 +10,19 @@ FARS = ("0.01", "0.001", "0.0001")
 PERCENT = {"0.01": "1 %", "0.001": "0.1 %", "0.0001": "0.01 %"}
 JUDGED = {
     ("gate", "averaged", "all"): "as the thesis: gate, averaged",
-    ("none", "averaged", "all"): "no gate, averaged",
-    ("none", "single", "all"): "no gate, single",
-    ("gate", "single", "all"): "gate, single",
-    ("passing", "single", "all"): "impostors that pass, single",
+    ("gate", "averaged", "whole"): "gate, averaged, whole views",
     ("gate", "averaged", "fingers"): "gate, averaged, like rolls",
+    ("none", "averaged", "all"): "no gate, averaged",
+    ("gate", "single", "all"): "gate, single",
+    ("none", "single", "all"): "no gate, single",
+    ("none", "single", "whole"): "no gate, single, whole views",
     ("none", "single", "pairs"): "no gate, single, like rolls",
+    ("passing", "single", "all"): "impostors that pass, single",
+    ("passing", "single", "whole"): "impostors that pass, single, whole views",
 }
 THESIS, PLAIN, PASSING = ("gate", "averaged", "all"), ("none", "single", "all"), ("passing", "single", "all")
-SHORT = (THESIS, PLAIN, PASSING)
+THESIS_WHOLE, WHOLE = ("gate", "averaged", "whole"), ("none", "single", "whole")
+SHORT = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
 CASES = ("snk", "ea", "pr", "metric")
@@ -82,7 +86,7 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SH
 
 def thesis_table(tables: Mapping[str, Sequence[Row]]) -> str:
     """Beside the thesis's own numbers."""
-    judged = (THESIS, ("gate", "averaged", "fingers"), PLAIN, PASSING)
+    judged = (THESIS, THESIS_WHOLE, ("gate", "averaged", "fingers"), PLAIN, WHOLE, PASSING)
     lines = [
         "| figure | what | FAR | thesis | " + " | ".join(JUDGED[key] for key in judged) + " |",
         "| --- " * (4 + len(judged)) + "|",
@@ -243,7 +247,7 @@ def cell(row: Row, figure: str, factor: float, *, signed: bool = False) -> str:
 
 def variant(row: Row) -> tuple[str, str, str]:
     """How a row was judged."""
-    return row["gate"], row["sessions"], row["rolls"]
+    return row["gate"], row["sessions"], row["kept"]
 
 
 def _digits(value: float, sign: str = "") -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from page_tables import (
     CASES,
     JUDGED,
-    PLAIN,
+    WHOLE,
     Row,
     difference_table,
     failures_table,
@@ -71,7 +71,7 @@ def blocks(folder: Path) -> dict[str, str]:
         "scales_differences": difference_table(differ["scales"]),
         "fusion": rate_table([row for row in tables["fusion"] if row["case"] == "snk"], "attribute", _attribute),
         "fusion_metric": rate_table([r for r in tables["fusion"] if r["case"] == "metric"], "attribute", _attribute),
-        "fusion_differences": difference_table(differ["fusion"], (PLAIN,)),
+        "fusion_differences": difference_table(differ["fusion"], (WHOLE,)),
         "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
     }
     for name in ("normals", "relief"):

@@ -2,7 +2,7 @@
 
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures --store STORE --population POPULATION
-    python validation/thesis/run.py scales --population POPULATION --people 8
+    python validation/thesis/run.py scales --population POPULATION --people 5
     python validation/thesis/run.py chain --population DIR            # from nothing: simulate, batch, then all
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
     python validation/thesis/report.py                                # docs/thesis-tables.md from what lies here
@@ -94,8 +94,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, default=HERE)
     parser.add_argument("--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="of the part scales")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
-    parser.add_argument("--people", type=int, default=8, help="whose fingers the part scales takes, from the first on")
-    parser.add_argument("--scales-impostors", type=float, default=0.25, help="share of its impostor pairs")
+    parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
+    parser.add_argument("--scales-impostors", type=float, default=1.0, help="share of its impostor pairs")
     parser.add_argument("--impostors", type=float, default=0.1, help="share of the impostor pairs of a chain's batch")
     parser.add_argument("--replicates", type=int, default=500)
     parser.add_argument("--seed", type=int, default=680)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from measure import allowed
 from trials import Pairs, Table, Trial, Values
-from variants import PLAIN, Rolls, judged
+from variants import PLAIN, Known, judged
 
 from splitknit.evaluate import Scores, gar_at_far
 
@@ -54,7 +54,7 @@ FACTORS: Mapping[str, Factor] = {
 
 
 def sensitivity_rows(  # noqa: PLR0917
-    table: Table, trials: tuple[Trial, ...], truth: Truth, rolls: Rolls, replicates: int, seed: int
+    table: Table, trials: tuple[Trial, ...], truth: Truth, known: Known, replicates: int, seed: int
 ) -> list[dict[str, Any]]:
     """One row for each trial, factor and bin: median genuine score, and GAR at the trial's thresholds.
 
@@ -66,7 +66,7 @@ def sensitivity_rows(  # noqa: PLR0917
     fingers = np.unique(own.captures.finger[own.a], return_inverse=True)[1]
     weights = _draws(int(fingers.max()) + 1, replicates, seed)
     for trial in trials:
-        scores = judged(table.pairs, trial, PLAIN, rolls, genuine)
+        scores = judged(table.pairs, trial, PLAIN, known, genuine)
         if scores is None:
             continue
         thresholds = {target: _threshold(scores, target) for target in TARGETS}

@@ -1,10 +1,11 @@
-"""The same scores judged in several ways: gate, sessions, roll."""
+"""The same scores judged in several ways: gate, sessions, roll, partial views."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,40 +33,46 @@ class Variant:
     ``passing``: likewise, and of the impostor pairs only those count that pass in every case of the table."""
     sessions: str
     """``single``: every comparison of two captures. ``averaged``: the mean over pairs of sessions, as the thesis."""
-    rolls: str
-    """``all``; ``fingers``: without fingers whose roll differs; ``pairs``: without such genuine comparisons."""
+    kept: str
+    """``all``; ``fingers``: without fingers whose roll differs; ``pairs``: without such genuine comparisons; ``whole``:
+    without comparisons with a partial view."""
 
 
 VARIANTS = tuple(
     Variant(gate, *rest)
     for gate, rest in product(
         ("none", "gate", "passing"),
-        (("single", "all"), ("single", "pairs"), ("averaged", "all"), ("averaged", "fingers")),
+        (*product(("single", "averaged"), ("all", "whole")), ("single", "pairs"), ("averaged", "fingers")),
     )
 )
 THESIS = Variant("gate", "averaged", "all")
 PLAIN = Variant("none", "single", "all")
 PASSING = Variant("passing", "single", "all")
+WHOLE = Variant("none", "single", "whole")
+THESIS_WHOLE = Variant("gate", "averaged", "whole")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rolls:
-    """What is known of the fingers' roll, from the truth of the captures."""
+class Known:
+    """What the truth of the captures tells of each comparison."""
 
-    difference_deg: Values
-    """(N,) of the two captures of each comparison; NaN where it is not known."""
+    roll_difference_deg: Values
+    """(N,) of the two captures."""
     discarded: NDArray[np.bool_]
     """(N,) comparisons with a finger that the rule for fingers discards."""
+    partial: NDArray[np.bool_]
+    """(N,) comparisons with a partial view."""
 
 
-def rolls_of(pairs: Pairs, roll_deg: Mapping[str, float]) -> Rolls:
-    """Apply the rule for fingers; `roll_deg` by capture."""
+def known_of(pairs: Pairs, truth: Mapping[str, Mapping[str, Any]]) -> Known:
+    """Apply the rule for fingers; `truth` is ``impression.json`` by capture."""
     captures = pairs.captures
-    rolls = np.array([roll_deg.get(str(name), np.nan) for name in captures.names])
+    rolls = np.array([float(truth.get(str(name), {}).get("roll_deg", np.nan)) for name in captures.names])
+    partial = np.array([bool(truth.get(str(name), {}).get("partial", False)) for name in captures.names])
     gone = [name for name, spread in spreads(captures.finger, rolls).items() if spread > FINGER_LIMIT_DEG]
     out = np.isin(captures.finger, gone)
     sides = pairs.of_both(rolls)
-    return Rolls(np.abs(sides[:, 0] - sides[:, 1]), out[pairs.a] | out[pairs.b])
+    return Known(np.abs(sides[:, 0] - sides[:, 1]), out[pairs.a] | out[pairs.b], partial[pairs.a] | partial[pairs.b])
 
 
 def spreads(finger: NDArray[np.str_], rolls: Values) -> dict[str, float]:
@@ -86,7 +93,7 @@ def passing_everywhere(table: Table) -> NDArray[np.bool_]:
     return passing
 
 
-def judged(pairs: Pairs, trial: Trial, variant: Variant, rolls: Rolls, passing: NDArray[np.bool_]) -> Scores | None:
+def judged(pairs: Pairs, trial: Trial, variant: Variant, known: Known, passing: NDArray[np.bool_]) -> Scores | None:
     """Scores of a trial in one way; None where it cannot be (no overlaps known, or a class is empty)."""
     similarity = trial.similarity
     if variant.gate != "none":
@@ -96,12 +103,14 @@ def judged(pairs: Pairs, trial: Trial, variant: Variant, rolls: Rolls, passing: 
         similarity = np.where(trial.ratio < GATE, floor, similarity)
     genuine = pairs.genuine
     kept = genuine | passing if variant.gate == "passing" else np.ones(genuine.shape, dtype=np.bool_)
-    if variant.rolls == "fingers":
-        kept &= ~rolls.discarded
-    elif variant.rolls == "pairs":
-        kept &= ~(genuine & (rolls.difference_deg > PAIR_LIMIT_DEG))
-    known = np.isfinite(similarity)
-    if not (kept & known & genuine).any() or not (kept & known & ~genuine).any():
+    if variant.kept == "fingers":
+        kept &= ~known.discarded
+    elif variant.kept == "pairs":
+        kept &= ~(genuine & (known.roll_difference_deg > PAIR_LIMIT_DEG))
+    elif variant.kept == "whole":
+        kept &= ~known.partial
+    made = np.isfinite(similarity)
+    if not (kept & made & genuine).any() or not (kept & made & ~genuine).any():
         return None
     if variant.sessions == "averaged":
         if not averages_are_alike(pairs):
