@@ -1,0 +1,125 @@
+"""The agreement of prints with the truth: who is whose, where the truth lies, and one tiny capture from end to end."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+
+FOLDER = Path(__file__).resolve().parents[2] / "validation" / "prints"
+Script = Callable[[str], ModuleType]
+
+
+@pytest.fixture(scope="module")
+def script() -> Iterator[Script]:
+    """Import a script of validation/prints by its name."""
+    names = {file.stem for file in FOLDER.glob("*.py")}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in names & set(sys.modules):
+            patch.delitem(sys.modules, name)
+        patch.syspath_prepend(str(FOLDER))
+        yield importlib.import_module
+        for name in names & set(sys.modules):
+            del sys.modules[name]
+
+
+def test_pairs_are_as_many_and_as_near_as_can_be(script: Script) -> None:
+    compare = script("agreement_compare")
+    true = np.array([[0.0, 0.0], [4.0, 0.0], [50.0, 0.0]])
+    found = np.array([[3.0, 0.0], [6.0, 0.0], [58.0, 0.0]])
+    # greedily, 3 would take 4 and leave 6 and 0 alone if the reach were larger; both pairs fit
+    i, j = compare.paired(found, true, 3.5)
+    assert list(zip(i.tolist(), j.tolist(), strict=True)) == [(0, 0), (1, 1)]
+    assert compare.paired(found[:0], true, 3.5)[0].size == 0
+    np.testing.assert_allclose(compare.turned(np.array([0.1, 0.0]), np.array([2 * np.pi - 0.1, np.pi])), [11.459, 180],
+                               atol=1e-3)  # fmt: skip
+
+
+def sides(found: list[tuple[float, float]], true: list[tuple[float, float]]) -> Any:
+    """Both sides of a table: places on a line and their borders."""
+
+    def side(points: list[tuple[float, float]]) -> dict[str, Any]:
+        place = np.array([[x, 0.0] for x, _ in points])
+        zeros = np.zeros(len(points))
+        border = np.array([b for _, b in points])
+        return {"place": place, "direction": zeros, "border": border, "slant": zeros, "crease": zeros}
+
+    return side(found) | {"quality": np.array([10.0 * k for k in range(len(found))])}, side(true)
+
+
+def test_counts_by_region_and_quality(script: Script) -> None:
+    compare = script("agreement_compare")
+    # a pair across the region's border counts for whichever lies inside
+    record = compare.table(*sides([(0, 20), (31, 12), (99, 50)], [(1, 20), (30, 14), (60, 50)]), 2.0)
+    one = compare.counts(record, 13)
+    assert {k: one[k] for k in ("true", "met", "found", "hit")} == {"true": 3, "met": 2, "found": 2, "hit": 1}
+    figures = compare.recall_precision([one])
+    assert figures["recall"] == pytest.approx(2 / 3) and figures["precision"] == 0.5
+    better = compare.counts(record, 13, quality=5)
+    assert {k: better[k] for k in ("true", "met", "found", "hit")} == {"true": 3, "met": 1, "found": 1, "hit": 0}
+    assert compare.counts(record, 13, slant=(10.0, 90.0))["true"] == 0
+    assert json.loads(json.dumps(record)) == record
+
+
+def test_intervals_hold_the_figure(script: Script) -> None:
+    compare = script("agreement_compare")
+    found = compare.by_finger(list(np.linspace(0, 1, 40)), lambda some: {"mean": float(np.mean(some))})
+    mean, low, high = found["mean"]
+    assert low < mean < high
+    # a mean of 40 draws: two standard errors to each side
+    assert high - low == pytest.approx(2 * 1.96 * np.linspace(0, 1, 40).std() / np.sqrt(40), rel=0.15)
+
+
+@pytest.mark.slow
+def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
+    """Directions run along the true ridges, with the right sign; ours of the true relief are mostly true ones."""
+    from splitknit.apps.printing_sources import Source
+    from splitknit.io import write_npz
+    from splitknit.simulate.population import PopulationSettings, population_capture
+
+    settings = PopulationSettings(seed=31, scale=0.3)
+    shown = population_capture(settings, settings.person(1), "left_ring", 2)
+    folder = tmp_path / "S01" / "session_2" / "left_ring"
+    folder.mkdir(parents=True)
+    write_npz(folder / "truth.npz", shown.truth)
+    written = {"settings": {"seed": 31, "scale": 0.3, "rig_seed": 0}}
+    (tmp_path / "population.json").write_text(json.dumps(written))
+
+    truth = script("agreement_truth").read_truth(tmp_path, "S01", 2, "left_ring")
+    known = np.isfinite(truth.directions_rad)
+    assert len(known) > 30 and known.mean() > 0.9
+
+    mask = np.isfinite(shown.truth["shape_mm"])
+    rows, columns = mask.shape
+    none = np.full(mask.shape, np.nan, dtype=np.float32)
+    empty = Source("result", mask, float(shown.truth["pitch_mm"]), np.eye(3), (rows, columns), none, none, none)
+    measure = script("agreement_measure")
+    record = measure.prints_of(script("agreement_truth").true_source(truth, empty), truth, ("unroll",), quality=False)
+    one = script("agreement_compare").counts(record["unroll"]["print"], 13, (0.0, 60.0))
+    figures = script("agreement_compare").recall_precision([one])
+    assert figures["recall"] > 0.65 and figures["precision"] > 0.65
+    assert figures["direction_median_deg"] < 8 and figures["direction_p90_deg"] < 30
+
+
+def test_pressed_print_and_summary(script: Script, tmp_path: Path) -> None:
+    written = {"settings": {"seed": 31, "scale": 0.3, "rig_seed": 0}}
+    (tmp_path / "population.json").write_text(json.dumps(written))
+    measure, summary = script("agreement_measure"), script("agreement_summary")
+    rows = {
+        f"S01 {finger}": measure.pressed_record(tmp_path, "S01", finger, 1) for finger in ("left_ring", "right_thumb")
+    }
+    figures = summary.agreement({("pressed", 1): rows})["pressed print"]
+    assert figures["recall"][0] > 0.5 and figures["precision"][0] > 0.5 and figures["direction_median_deg"][0] < 8
+    # a finger against itself is above the other one
+    again = {name: {"unroll": row} for name, row in rows.items()}
+    found = summary.told_apart(again, rows, ("unroll", "print"), (None, "print"))
+    assert found["above_all_impostors"][0] == 1.0 and found["impostors"] == 2 and found["below"] == []

@@ -1,0 +1,111 @@
+"""Minutiae that were found against true ones: who is whose, and figures over fingers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+Array = NDArray[np.float64]
+
+
+def paired(found: Array, true: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs (found, true) of points (N, 2) and (M, 2), each once, no further apart than `reach`; as many as can be,
+    and of these the nearest."""
+    if not len(found) or not len(true):
+        empty = np.zeros(0, dtype=np.intp)
+        return empty, empty
+    apart = np.linalg.norm(found[:, None] - true[None], axis=2)
+    i, j = linear_sum_assignment(np.where(apart <= reach, apart, 1e3 * reach))
+    good = apart[i, j] <= reach
+    return i[good], j[good]
+
+
+def turned(one: Array, other: Array) -> Array:
+    """(N,) angle between directions, degrees, 0 to 180."""
+    return np.abs(np.rad2deg(np.angle(np.exp(1j * (one - other)))))
+
+
+def table(found: dict[str, Array], true: dict[str, Array], reach: float) -> dict[str, Any]:
+    """One print's record. Both sides hold ``place`` (N, 2), ``direction`` and ``border``, ``slant`` (N,); `found` also
+    ``quality``. Whoever lies outside the evaluated region may still be another's partner."""
+    i, j = paired(found["place"], true["place"], reach)
+    hit = np.full(len(found["place"]), -1)
+    hit[i] = j
+    met = np.full(len(true["place"]), -1)
+    met[j] = i
+    angle = np.full(len(met), np.nan)
+    angle[j] = turned(found["direction"][i], true["direction"][j])
+    gap = np.full(len(met), np.nan)
+    if len(met) > 1:
+        apart = np.linalg.norm(true["place"][:, None] - true["place"][None], axis=2)
+        gap = np.sort(apart, axis=1)[:, 1] / (2.0 * reach)  # in ridge periods
+    near = np.full(len(hit), np.nan)
+    if len(met) and len(hit):
+        near = np.linalg.norm(found["place"][:, None] - true["place"][None], axis=2).min(axis=1) / (2.0 * reach)
+    away = np.full(len(hit), np.nan)
+    if len(hit) > 1:
+        apart = np.linalg.norm(found["place"][:, None] - found["place"][None], axis=2)
+        away = np.sort(apart, axis=1)[:, 1] / (2.0 * reach)
+    columns = {
+        "true_met": (met >= 0).astype(int), "true_partner_quality": np.where(met >= 0, found["quality"][met], -1)
+        if len(hit) else np.full(len(met), -1), "true_border": true["border"], "true_slant": true["slant"],
+        "true_angle": angle, "true_gap": gap, "true_crease": true["crease"],
+        "found_hit": (hit >= 0).astype(int), "found_quality": found["quality"], "found_border": found["border"],
+        "found_slant": found["slant"], "found_near": near, "found_away": away, "found_crease": found["crease"],
+    }  # fmt: skip
+    return {
+        name: [None if not np.isfinite(v) else round(float(v), 3) for v in values] for name, values in columns.items()
+    }
+
+
+def counts(
+    record: dict[str, Any], margin_px: float, slant: tuple[float, float] = (0.0, 90.0), quality: float = 0.0
+) -> dict[str, Any]:
+    """True ones, those found, found ones, those that are true, and angles, inside a region, above a quality."""
+    col = {name: np.array(record[name], dtype=np.float64) for name in record if name.startswith(("true_", "found_"))}
+
+    def region(side: str) -> NDArray[np.bool_]:
+        where = (col[f"{side}_border"] >= margin_px) & (col[f"{side}_slant"] >= slant[0])
+        return where & (col[f"{side}_slant"] < slant[1])
+
+    true, kept = region("true"), col["found_quality"] >= quality
+    found = region("found") & kept
+    met = (col["true_met"] > 0) & (col["true_partner_quality"] >= quality)
+    angles = col["true_angle"][true & met]
+    return {
+        "true": int(true.sum()), "met": int((true & met).sum()), "found": int(found.sum()),
+        "hit": int((found & (col["found_hit"] > 0)).sum()), "angles": angles[np.isfinite(angles)],
+    }  # fmt: skip
+
+
+def recall_precision(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Over all minutiae of several prints."""
+    angles = np.concatenate([row["angles"] for row in rows]) if rows else np.zeros(0)
+    sums = {name: sum(row[name] for row in rows) for name in ("true", "met", "found", "hit")}
+    median, p90 = np.percentile(angles, [50, 90]) if len(angles) else (np.nan, np.nan)
+    return {
+        "recall": sums["met"] / sums["true"] if sums["true"] else np.nan,
+        "precision": sums["hit"] / sums["found"] if sums["found"] else np.nan,
+        "direction_median_deg": float(median),
+        "direction_p90_deg": float(p90),
+    }
+
+
+def by_finger(
+    items: Sequence[Any], figure: Callable[[Sequence[Any]], dict[str, float]], replicates: int = 1000, seed: int = 1
+) -> dict[str, list[float | None]]:
+    """Figures of all fingers, each with its 95 % interval when fingers are drawn with replacement."""
+    whole = figure(items)
+    rng = np.random.default_rng(seed)
+    drawn = [figure([items[k] for k in rng.integers(0, len(items), len(items))]) for _ in range(replicates)]
+    rows = {}
+    for name, value in whole.items():
+        values = np.array([one[name] for one in drawn])
+        values = values[np.isfinite(values)]
+        limits = np.percentile(values, [2.5, 97.5]) if len(values) else (np.nan, np.nan)
+        rows[name] = [None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)]
+    return rows

@@ -1,0 +1,170 @@
+"""What is measured of one capture's prints and of one finger's pressed print; plain numbers, kept on disk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from agreement_compare import table
+from agreement_truth import Truth, people, true_source
+from numpy.typing import NDArray
+
+from splitknit.apps.printing import Print, enhance, make_print
+from splitknit.apps.printing_sources import Source
+from splitknit.batch import Store
+from splitknit.batch.chunks import read_chunk
+from splitknit.batch.reading import places_of
+from splitknit.batch.surfaces import unpack_surface
+from splitknit.check import BadInput
+from splitknit.io import read_capture
+from splitknit.match.minutiae import extract, nfiq2
+from splitknit.match.minutiae_enhance import EnhanceSettings
+from splitknit.match.minutiae_record import Minutiae, pack_minutiae
+from splitknit.radiance import linear_channels
+from splitknit.simulate.press import press_finger
+
+PX_PER_MM = 500.0 / 25.4
+METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}
+OTHERS = ("relief", "unroll", "curvature")
+"""Of the other presets and of the true surface; the photograph is the same for all."""
+Array = NDArray[np.float64]
+
+
+class Surfaces:
+    """Reconstructions in a store."""
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store(folder)
+        self.places: dict[str, Any] = {}
+
+    def source(self, case: str, capture: str) -> Source | None:
+        """A reconstruction as prints need it; its height is shape and relief together."""
+        if case not in self.places:
+            self.places[case] = places_of(self.store.files("features", case))
+        where = self.places[case].get(capture)
+        payload = None if where is None else _payloads(where.file)[where.row]
+        if payload is None:
+            return None
+        s = unpack_surface(payload)
+        return Source(
+            "result", s.mask, s.pitch_mm, s.input_from_upright, s.upright_size, s.ridge_mm + s.shape_mm, s.ridge_mm,
+            s.shape_mm, preset=case,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def _payloads(file: Path) -> list[bytes | None]:
+    return list(read_chunk(file, ["images"]).column("images").to_pylist())
+
+
+def photograph(folder: Path) -> NDArray[np.float32]:
+    """As ``--method photo`` prints it."""
+    capture = read_capture(folder)
+    light = linear_channels(capture.bands["white"], capture.encoding, ["blue"])[0]
+    return np.asarray(light.mean(axis=0), dtype=np.float32)
+
+
+def prints_of(source: Source, truth: Truth, methods: tuple[str, ...], quality: bool = True) -> dict[str, Any]:
+    """Records of all methods on one surface."""
+    rows: dict[str, Any] = {}
+    for method in methods:
+        try:
+            made = make_print(source, method)
+            better = enhance(made, 500.0).image
+        except BadInput as error:
+            rows[method] = {"refused": str(error)}
+            continue
+        rows[method] = {
+            **({"nfiq2": nfiq2(made.image)} if quality else {}),
+            "print": against_truth(extract(made.image), made, truth),
+            "enhanced": against_truth(extract(better), made, truth),
+        }
+    return rows
+
+
+def border_px(known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W) distance from the nearest pixel that is not `known`, beyond the picture none is."""
+    padded = np.pad(known.astype(np.uint8), 1)
+    return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1])
+
+
+def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, Any]:
+    """Record of a print's minutiae; true ones are those whose place in the picture the print shows."""
+    border = border_px(made.weight > 0.5)
+    there = made.map.print_from_input(truth.places_px)
+    angle = np.full(len(there), np.nan)
+    known = np.isfinite(truth.directions_rad) & np.isfinite(there).all(axis=1)
+    angle[known] = made.map.directions_on_print(truth.places_px[known], truth.directions_rad[known])
+    on = _sampled(border, there) > 0
+    true = {
+        "place": there[on], "direction": angle[on], "border": _sampled(border, there)[on],
+        "slant": truth.slant_at(truth.places_px)[on], "crease": truth.above_crease_mm[on],
+    }  # fmt: skip
+    place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
+    back = made.map.input_from_print(place)
+    beside = ~np.isfinite(back).all(axis=1)
+    back[beside] = -100.0
+    found = {
+        "place": place, "direction": minutiae.direction_rad, "border": _sampled(border, place),
+        "slant": truth.slant_at(back), "crease": truth.chart_at(back)[:, 1], "quality": minutiae.quality,
+    }  # fmt: skip
+    record = table(found, true, 0.5 * truth.period_mm * PX_PER_MM)
+    return record | {"true_index": np.flatnonzero(on).tolist(), "minutiae": pack_minutiae(minutiae).hex()}
+
+
+def _sampled(values: NDArray[np.float32], places: Array) -> Array:
+    """Nearest value; 0 beside the picture."""
+    result = np.zeros(len(places))
+    good = np.isfinite(places).all(axis=1)
+    at = np.rint(places[good]).astype(np.intp)
+    inside = (at >= 0).all(axis=1) & (at[:, 0] < values.shape[1]) & (at[:, 1] < values.shape[0])
+    rows = np.flatnonzero(good)[inside]
+    result[rows] = values[at[inside, 1], at[inside, 0]]
+    return result
+
+
+def capture_record(
+    population: Path, surfaces: Surfaces, truth: Truth, capture: tuple[str, int, str], preset: str
+) -> dict[str, Any] | None:
+    """All prints of one capture by one preset (``truth``: of the true surface, on the mask of ``metric``); None where
+    the store lacks it."""
+    subject, session, finger = capture
+    name = f"{subject}/session_{session}/{finger}"
+    source = surfaces.source("metric" if preset == "truth" else preset, name)
+    if source is None:
+        return None
+    if preset == "truth":
+        source = true_source(truth, source)
+    methods = METHODS.get(preset, OTHERS)
+    if "photo" in methods:
+        source = replace(source, photo=photograph(population / name))
+    return prints_of(source, truth, methods, quality=session == 1 and preset in ("metric", "truth"))
+
+
+def pressed_record(population: Path, subject: str, finger: str, seed: int) -> dict[str, Any]:
+    """A finger's pressed print: its minutiae, as they come and after enhancement, against the truth."""
+    own = people(population).person(int(subject[1:])).fingers[finger].finger
+    master = own.master()
+    pressed = press_finger(own, seed, master=master)
+    border = border_px(pressed.contact)
+    true_places = pressed.minutiae[:, :2]
+    on = _sampled(border, true_places) > 0
+    rows: dict[str, Any] = {"nfiq2": nfiq2(pressed.image), "area_mm2": pressed.area_mm2}
+    for name, minutiae in (
+        ("print", extract(pressed.image)),
+        ("enhanced", extract(pressed.image, 500.0, EnhanceSettings())),
+    ):
+        place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
+        sides = [
+            {"place": p, "direction": d, "border": _sampled(border, p), "slant": np.zeros(len(p)),
+             "crease": np.zeros(len(p))}
+            for p, d in ((place, minutiae.direction_rad), (true_places[on], pressed.minutiae[on, 2]))
+        ]  # fmt: skip
+        sides[0]["quality"] = minutiae.quality
+        record = table(sides[0], sides[1], 0.5 * master.period_mm * PX_PER_MM)
+        rows[name] = record | {"minutiae": pack_minutiae(minutiae).hex()}
+    return rows
