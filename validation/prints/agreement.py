@@ -4,9 +4,9 @@
     python validation/prints/agreement.py --summary --scratch FOLDER             # sum up what there is
 
 POPULATION is a folder of ``splitknit simulate population`` (here: seed 680, scale 0.4), STORE one of ``splitknit
-batch`` with its reconstructions. Reported are fingers of the first ten people; where a threshold was chosen, on two others
-(:data:`CHOOSING`). Every capture and preset is one file in the scratch folder, so a run may be stopped at any time.
-The results are in ``agreement.json``.
+batch`` with its reconstructions. Reported are fingers of the first ten people; where a threshold was chosen, on two
+others (:data:`CHOOSING`). Every capture and preset is one file in the scratch folder, so a run may be stopped at any
+time. The results are in ``agreement.json``.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ REPORTED = tuple(f"S{k:02d}" for k in range(1, 11))
 CHOOSING = ("S11", "S12")
 PRESS_SEED = 1
 PARTS = (
-    ("metric", 1), ("truth", 1), ("metric", 2), ("pressed", 1), ("choosing", 1), ("snk", 1), ("pr", 1), ("ea", 1), ("snk", 2),
-    ("pr", 2), ("ea", 2),
+    ("metric", 1), ("truth", 1), ("metric", 2), ("pressed", 1), ("choosing", 1), ("snk", 1), ("pr", 1), ("ea", 1),
+    ("snk", 2), ("pr", 2), ("ea", 2),
 )  # fmt: skip
 """Presets and sessions, the most important first; ``pressed`` has a seed in the session's place, ``choosing`` is
 ``metric`` of the two others."""
