@@ -233,6 +233,6 @@ def test_an_order_says_which_differences_are_beyond_chance(thesis: Script) -> No
     order = thesis("page_tables").order
     rows = [{"case": case, "gar@0.01": value, "accepts@0.01": "50"} for case, value in (("ea", "0.8"), ("snk", "0.9"))]
     far = {"first": "snk", "second": "ea", "gar@0.01_low_finger": "0.02", "gar@0.01_high_finger": "0.2"}
-    assert order(rows, [far], "0.01") == "snk 90.0 > ea 80.0"
+    assert order(rows, [far], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 > ea 80.0"
     by_subject = far | {"gar@0.01_low_subject": "-0.01", "gar@0.01_high_subject": "0.3"}
-    assert order(rows, [by_subject], "0.01") == "snk 90.0 ~ ea 80.0"
+    assert order(rows, [by_subject], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 ~ ea 80.0"

@@ -76,6 +76,11 @@ def rates_of(scores: Scores, settings: BootstrapSettings, methods: Sequence[str]
         "fingers": 0 if scores.finger is None else int(np.unique(scores.finger.codes).size),
         "subjects": 0 if scores.subject is None else int(np.unique(scores.subject.codes).size),
     }
+    for name, label, reduce in (
+        ("least_genuine", True, np.nanmin), ("median_genuine", True, np.nanmedian),
+        ("median_impostor", False, np.nanmedian), ("largest_impostor", False, np.nanmax),
+    ):  # fmt: skip
+        row[name] = float(reduce(scores.score[scores.label == label]))
     for target in TARGETS:
         row[f"accepts@{target:g}"] = allowed(target, impostors)
         supported = allowed(target, impostors) >= 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
 
 FARS = ("0.01", "0.001", "0.0001")
 PERCENT = {"0.01": "1 %", "0.001": "0.1 %", "0.0001": "0.01 %"}
@@ -70,8 +69,8 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SH
     if not rows:
         return "Not measured."
     lines = [
-        "| judged | difference | " + " | ".join(f"GAR at FAR {PERCENT[far]}" for far in FARS) + " | EER |",
-        "| --- " * (len(FARS) + 3) + "|",
+        "| judged | difference | " + " | ".join(f"GAR at FAR {PERCENT[far]}" for far in FARS) + " | EER | d' |",
+        "| --- " * (len(FARS) + 4) + "|",
     ]
     for key in judged:
         for row in rows:
@@ -79,7 +78,7 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SH
                 cells = [cell(row, f"gar@{far}", 100, signed=True) for far in FARS]
                 lines.append(
                     f"| {JUDGED[key]} | {row['first']} - {row['second']} | {' | '.join(cells)} | "
-                    f"{cell(row, 'eer', 100, signed=True)} |"
+                    f"{cell(row, 'eer', 100, signed=True)} | {cell(row, 'd_prime', 1, signed=True)} |"
                 )
     return "\n".join(lines)
 
@@ -108,8 +107,8 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
         ("minutiae", "matchers", "minutiae", ""),
     )
     lines = [
-        "| matcher | judged | " + " | ".join(f"FAR {PERCENT[far]}" for far in FARS) + " |",
-        "| --- " * (2 + len(FARS)) + "|",
+        "| matcher | judged | " + " | ".join(f"FAR {PERCENT[far]}" for far in FARS) + " | d' |",
+        "| --- " * (3 + len(FARS)) + "|",
     ]
     for words, table, matcher, attribute in systems:
         for key in SHORT:
@@ -119,20 +118,24 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
 
             rows, two = ([row for row in part[table] if mine(row)] for part in (tables, differ))
             if rows:
-                lines.append(f"| {words} | {JUDGED[key]} | " + " | ".join(order(rows, two, far) for far in FARS) + " |")
+                cells = [
+                    *(order(rows, two, f"gar@{far}", 100, f"accepts@{far}") for far in FARS),
+                    order(rows, two, "d_prime"),
+                ]
+                lines.append(f"| {words} | {JUDGED[key]} | {' | '.join(cells)} |")
     return "\n".join(lines) if len(lines) > 2 else "Not measured."
 
 
-def order(rows: Sequence[Row], two: Sequence[Row], far: str) -> str:
-    """One order, such as ``snk 95 > ea 88 = pr 88``."""
-    known = sorted((row for row in rows if row.get(f"gar@{far}")), key=lambda row: -float(row[f"gar@{far}"]))
+def order(rows: Sequence[Row], two: Sequence[Row], figure: str, factor: float = 1, accepts: str = "") -> str:
+    """One order, such as ``snk 95 > ea 88 ~ pr 88``, by a figure of which more is better."""
+    known = sorted((row for row in rows if row.get(figure)), key=lambda row: -float(row[figure]))
     if not known:
         return "too few impostors"
-    text = f"{known[0]['case']} {_digits(100 * float(known[0][f'gar@{far}']))}"
+    text = f"{known[0]['case']} {digits(factor * float(known[0][figure]))}"
     for better, worse in pairwise(known):
-        sure = beyond_chance(two, better["case"], worse["case"], f"gar@{far}")
-        text += f" {'>' if sure else '~'} {worse['case']} {_digits(100 * float(worse[f'gar@{far}']))}"
-    return text + (" †" if int(known[0][f"accepts@{far}"]) < ROUGH_BELOW else "")
+        sure = beyond_chance(two, better["case"], worse["case"], figure)
+        text += f" {'>' if sure else '~'} {worse['case']} {digits(factor * float(worse[figure]))}"
+    return text + (" †" if accepts and int(known[0][accepts]) < ROUGH_BELOW else "")
 
 
 def beyond_chance(two: Sequence[Row], first: str, second: str, figure: str) -> bool:
@@ -146,82 +149,14 @@ def beyond_chance(two: Sequence[Row], first: str, second: str, figure: str) -> b
     return bool(limits) and all(low > 0 or high < 0 for low, high in limits)
 
 
-def sensitivity_table(rows: Sequence[Row]) -> str:
-    """GAR at the thresholds of FAR 1 % and 0.1 % in each bin, one line for each case and matcher."""
-    if not rows:
-        return "Not measured."
-    bins = list(dict.fromkeys((float(row["from"]), float(row["to"])) for row in rows))
-    bins.sort()
-    first = rows[0]
-    counts = {
-        (float(row["from"]), float(row["to"])): row["genuine"]
-        for row in rows
-        if (row["case"], row["matcher"], row["attribute"]) == (first["case"], first["matcher"], first["attribute"])
-    }
-    shown = [
-        f"{low:g} to {high:g} ({counts.get((low, high), '?')})" if first["factor"] != "partial"
-        else f"{low + 0.5:g} ({counts.get((low, high), '?')})"
-        for low, high in bins
-    ]  # fmt: skip
-    lines = ["| matcher | case | " + " | ".join(shown) + " |", "| --- " * (2 + len(bins)) + "|"]
-    for system in dict.fromkeys((row["matcher"], row["attribute"], row["case"]) for row in rows):
-        own = {
-            (float(row["from"]), float(row["to"])): row
-            for row in rows
-            if (row["matcher"], row["attribute"], row["case"]) == system
-        }
-        cells = [_bin_cell(own[key]) if key in own else "" for key in bins]
-        lines.append(f"| {' '.join(system[:2]).strip()} | {system[2]} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _bin_cell(row: Row) -> str:
-    if not row["gar@0.01"]:
-        return "-"
-    low, high = (_digits(100 * float(row[f"gar@0.01_{end}"])) for end in ("low", "high"))
-    return f"{_digits(100 * float(row['gar@0.01']))} [{low}, {high}]"
-
-
-def failures_table(rows: Sequence[Row], roll: Mapping[str, Any]) -> str:
-    """Failures to acquire, and what the rules of roll discard."""
-    lines = ["| case | captures | failures to acquire | of them partial views | median area, mm² |", "| --- " * 5 + "|"]
-    lines += [
-        f"| {row['case']} | {row['captures']} | {row['failures']} | {row['failures_partial']} of {row['partial']} | "
-        f"{float(row['median_area_mm2'] or 'nan'):.0f} |"
-        for row in rows
-    ]
-    limits = sorted(roll["fingers_discarded"], key=float)
-    lines += ["", "| differ by more than | " + " | ".join(f"{limit} deg" for limit in limits) + " |"]
-    lines += ["| --- " * (1 + len(limits)) + "|"]
-    for words, kind, total in (
-        ("fingers, between any two sessions", "fingers_discarded", roll["fingers"]),
-        ("genuine pairs of captures", "pairs_discarded", roll["genuine_pairs"]),
-    ):
-        cells = [f"{roll[kind][limit]} of {total}" for limit in limits]
-        lines.append(f"| {words} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def run_words(runs: Mapping[str, Any]) -> str:
-    """From what, and how much of it."""
-    lines = ["| table | genuine / impostor pairs | impostors that pass | fingers | left out | seconds |"]
-    lines.append("| --- " * 6 + "|")
-    parts = [(name, runs.get(name, {})) for name in ("scales", "fusion", "cases")]
-    parts += [(name, runs.get("matchers", {}).get(name, {})) for name in ("ridge", "minutiae")]
-    for name, part in parts:
-        if "genuine" in part:
-            seconds = part.get("seconds", runs.get("matchers", {}).get("seconds"))
-            lines.append(
-                f"| {name} | {part['genuine']:,} / {part['impostors']:,} | {part['impostors_passing_everywhere']:,} | "
-                f"{part['fingers']} | {', '.join(part['missing']) or 'nothing'} | {seconds} |"
-            )
-    one = next(part for part in runs.values() if "population_sha256" in part)
-    lines.append("")
-    lines.append(
-        f"Population of seed {one['population_seed']}, scale {one['population_scale']}, hash "
-        f"`{one['population_sha256'][:12]}`; {one['replicates']} replicates, seed {one['seed']}."
-    )
-    return "\n".join(lines)
+def margin_table(rows: Sequence[Row]) -> str:
+    """Least and median genuine, median and largest impostor score of each case: no gate, single."""
+    names = ("least_genuine", "median_genuine", "median_impostor", "largest_impostor")
+    lines = ["| case | " + " | ".join(name.replace("_", " ") for name in names) + " |", "| --- " * 5 + "|"]
+    for row in rows:
+        if variant(row) == PLAIN and row["genuine"] not in ("", "0"):
+            lines.append(f"| {row['case']} | " + " | ".join(f"{float(row[name]):.3g}" for name in names) + " |")
+    return "\n".join(lines) if len(lines) > 2 else "Not measured."
 
 
 def gar_cell(row: Row, far: str) -> str:
@@ -237,11 +172,11 @@ def cell(row: Row, figure: str, factor: float, *, signed: bool = False) -> str:
     if not row.get(figure):
         return "-"
     sign = "+" if signed else ""
-    text = _digits(factor * float(row[figure]), sign)
+    text = digits(factor * float(row[figure]), sign)
     for way, (opening, closing) in {"finger": "[]", "subject": "()"}.items():
         limits = [row.get(f"{figure}_{end}_{way}") for end in ("low", "high")]
         if all(limits):
-            text += f" {opening}{', '.join(_digits(factor * float(limit or 0), sign) for limit in limits)}{closing}"
+            text += f" {opening}{', '.join(digits(factor * float(limit or 0), sign) for limit in limits)}{closing}"
     return text
 
 
@@ -250,5 +185,5 @@ def variant(row: Row) -> tuple[str, str, str]:
     return row["gate"], row["sessions"], row["kept"]
 
 
-def _digits(value: float, sign: str = "") -> str:
+def digits(value: float, sign: str = "") -> str:
     return f"{value:{sign}.1f}".replace("-0.0", "0.0").replace("+0.0", "0.0")

@@ -14,17 +14,16 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from page_facts import failures_table, run_words, sensitivity_table
 from page_tables import (
     CASES,
     JUDGED,
     WHOLE,
     Row,
     difference_table,
-    failures_table,
+    margin_table,
     order_table,
     rate_table,
-    run_words,
-    sensitivity_table,
     thesis_table,
 )
 
@@ -81,6 +80,7 @@ def blocks(folder: Path) -> dict[str, str]:
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
         made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))
+        made[f"{name}_margin"] = margin_table(rows)
         made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):
