@@ -121,5 +121,22 @@ def test_pressed_print_and_summary(script: Script, tmp_path: Path) -> None:
     assert figures["recall"][0] > 0.5 and figures["precision"][0] > 0.5 and figures["direction_median_deg"][0] < 8
     # a finger against itself is above the other one
     again = {name: {"unroll": row} for name, row in rows.items()}
-    found = summary.told_apart(again, rows, ("unroll", "print"), (None, "print"))
+    found = script("agreement_scores").told_apart(again, rows, ("unroll", "print"), (None, "print"))
     assert found["above_all_impostors"][0] == 1.0 and found["impostors"] == 2 and found["below"] == []
+
+
+def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
+    """A wave with one dislocation has one minutia, there, towards the side with one more ridge."""
+    from splitknit.flatten import gabor_enhance
+
+    y, x = np.mgrid[0:180, 0:180].astype(float)
+    phase = 2 * np.pi * y / 9 + np.arctan2(-(y - 90), x - 90)
+    image = np.round(127.5 + 110 * np.cos(phase)).astype(np.uint8)
+    found = script("agreement_phase").phase_minutiae(image, gabor_enhance(image, 500.0))
+    inner = found.taken((np.abs(found.x_px - 90) < 60) & (np.abs(found.y_px - 90) < 60))
+    assert inner.count == 1 and abs(int(inner.x_px[0]) - 90) <= 3 and abs(int(inner.y_px[0]) - 90) <= 3
+    ridges = [int((np.diff((image[20:160, column] < 127).astype(int)) == 1).sum()) for column in (30, 150)]
+    more_right = ridges[1] > ridges[0]
+    assert ridges[0] != ridges[1]
+    assert np.cos(inner.direction_rad[0]) > 0.9 if more_right else np.cos(inner.direction_rad[0]) < -0.9
+    assert inner.quality[0] > 60

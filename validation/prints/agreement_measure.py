@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 from agreement_compare import table
+from agreement_phase import phase_minutiae
 from agreement_truth import Truth, people, true_source
 from numpy.typing import NDArray
 
@@ -74,14 +75,15 @@ def prints_of(source: Source, truth: Truth, methods: tuple[str, ...], quality: b
     for method in methods:
         try:
             made = make_print(source, method)
-            better = enhance(made, 500.0).image
+            better = enhance(made, 500.0)
         except BadInput as error:
             rows[method] = {"refused": str(error)}
             continue
         rows[method] = {
             **({"nfiq2": nfiq2(made.image)} if quality else {}),
             "print": against_truth(extract(made.image), made, truth),
-            "enhanced": against_truth(extract(better), made, truth),
+            "enhanced": against_truth(extract(better.image), made, truth),
+            "phase": against_truth(phase_minutiae(made.image, better), made, truth),
         }
     return rows
 

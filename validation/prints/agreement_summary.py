@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from agreement_compare import by_finger, counts, recall_precision
-
-from splitknit.match.minutiae import minutiae_match
-from splitknit.match.minutiae_record import Minutiae, unpack_minutiae
+from agreement_scores import between_sessions, told_apart
 
 MARGIN_PX = 13.0
 """0.66 mm, one and a half ridge periods: how far inside the print's border minutiae are judged."""
-PICTURES = ("print", "enhanced")
+PICTURES = ("print", "enhanced", "phase")
+"""mindtct on ``print.png``, mindtct on ``enhanced.png``, turns of the phase."""
+FACING_DEG = 60.0
+"""Skin that is steeper is judged with the rest, and the rest without it as well."""
 SLANTS = (0.0, 30.0, 50.0, 60.0, 70.0)
 MARGINS = (13.0, 20.0, 30.0)
-QUALITIES = tuple(range(0, 61, 5))
+QUALITIES = tuple(range(0, 100, 5))
 Records = dict[tuple[str, int], dict[str, Any]]
 
 
@@ -35,6 +35,13 @@ def summary(reported: Records, choosing: Records) -> dict[str, Any]:
         if session == 1 and preset in ("metric", "truth")
         for method in ("relief", "unroll")
     }
+    facts["held"] = {
+        f"{preset} {method}": held(rows, method)
+        for (preset, session), rows in reported.items()
+        if session == 1 and preset != "pressed"
+        for method in next(iter(rows.values()))
+        if all("refused" not in row[method] for row in rows.values())
+    }
     if ("metric", 1) in reported and ("truth", 1) in reported:
         facts["lost"] = {m: lost(reported["metric", 1], reported["truth", 1], m) for m in ("relief", "unroll")}
         facts["nfiq2"] = quality(reported["metric", 1], reported["truth", 1])
@@ -43,7 +50,7 @@ def summary(reported: Records, choosing: Records) -> dict[str, Any]:
     facts["bozorth3"] = {
         name: found
         for preset in ("metric", "snk", "pr", "ea")
-        for name, found in between_sessions(reported, preset).items()
+        for name, found in between_sessions(reported, preset, PICTURES).items()
     }
     if ("pressed", 1) in reported and ("metric", 1) in reported:
         facts["cross_modal"] = {
@@ -71,11 +78,13 @@ def agreement(reported: Records) -> dict[str, Any]:
             whole = [row[method] if method else row for row in rows.values()]
             good = [row for row in whole if "refused" not in row]
             for picture in PICTURES:
-                items = [counts(row[picture], MARGIN_PX) for row in good]
+                items = [counts(row[picture], MARGIN_PX) for row in good if picture in row]
                 if items:
                     name = " ".join(filter(None, [preset, method, picture]))
                     sums = {k: sum(item[k] for item in items) for k in ("true", "found")}
+                    flat = [counts(row[picture], MARGIN_PX, (0.0, FACING_DEG)) for row in good if picture in row]
                     table[name] = by_finger(items, recall_precision) | sums | {"refused": len(whole) - len(good)}
+                    table[name]["below_60_deg"] = by_finger(flat, recall_precision)
     return table
 
 
@@ -145,6 +154,18 @@ def lost(metric: dict[str, Any], truth: dict[str, Any], method: str) -> dict[str
     return {name: round(count / total, 4) for name, count in both.items()} | {"minutiae": total}
 
 
+def held(rows: dict[str, Any], method: str) -> dict[str, Any]:
+    """Of the true minutiae on the prints: those that mindtct finds, those that only the phase shows, and the rest."""
+    sums = {"found by mindtct": 0, "missed by it, shown by the phase": 0, "shown by neither": 0}
+    for row in rows.values():
+        one, other = row[method]["print"], row[method]["phase"]
+        for met, shown, border in zip(one["true_met"], other["true_met"], one["true_border"], strict=True):
+            if border >= MARGIN_PX:
+                sums[list(sums)[0 if met else 1 if shown else 2]] += 1
+    total = max(1, sum(sums.values()))
+    return {name: round(count / total, 4) for name, count in sums.items()} | {"minutiae": total}
+
+
 def quality(metric: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     """NFIQ 2 of our prints, and minus that of the true relief's own."""
     found = {}
@@ -183,49 +204,3 @@ def thresholds(choosing: dict[str, Any], reported: dict[str, Any]) -> dict[str, 
                 "without it": round(worth(0), 4),
             } | (by_finger(at(reported, best), recall_precision) if reported else {})
     return result
-
-
-def between_sessions(reported: Records, preset: str) -> dict[str, Any]:
-    """Genuine and impostor scores of bozorth3 between session 1 and session 2."""
-    first, second = reported.get((preset, 1), {}), reported.get((preset, 2), {})
-    if not first or not second:
-        return {}
-    methods = list(next(iter(first.values())))
-    found = {
-        f"{preset} {method} {picture}": told_apart(first, second, (method, picture), (method, picture))
-        for method in methods
-        for picture in PICTURES
-    }
-    return {name: one for name, one in found.items() if one}
-
-
-def told_apart(
-    first: dict[str, Any], second: dict[str, Any], one: tuple[str, str], other: tuple[str | None, str]
-) -> dict[str, Any]:
-    """Share of genuine scores above every impostor's; all of one side against all of the other."""
-    names = [name for name in first if name in second]
-    sides = [[_minutiae(first[n][one[0]], one[1]) for n in names]]
-    sides.append([_minutiae(second[n] if other[0] is None else second[n][other[0]], other[1]) for n in names])
-    scores = np.array([[minutiae_match(a, b) for b in sides[1]] for a in sides[0]])
-    if len(names) < 2:
-        return {}
-    same = np.eye(len(names), dtype=bool)
-    largest = float(scores[~same].max())
-    above = scores[same] > largest
-    interval = by_finger(list(above), lambda some: {"above_all_impostors": float(np.mean(some))})
-    return interval | {
-        "fingers": len(names), "impostors": int((~same).sum()), "impostor_largest": largest,
-        "impostor_p99": round(float(np.percentile(scores[~same], 99)), 1),
-        "genuine_median": float(np.median(scores[same])),
-        "genuine_smallest": float(scores[same].min()),
-        "below": [n for n, high in zip(names, above, strict=True) if not high],
-    }  # fmt: skip
-
-
-def _minutiae(row: dict[str, Any], picture: str) -> Minutiae:
-    return _unpacked(row.get(picture, {}).get("minutiae", ""))
-
-
-@lru_cache(maxsize=4096)
-def _unpacked(data: str) -> Minutiae:
-    return unpack_minutiae(bytes.fromhex(data))

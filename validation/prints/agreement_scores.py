@@ -1,0 +1,61 @@
+"""Scores of bozorth3 between prints of fingers: genuine ones against every impostor's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from agreement_compare import by_finger
+
+from splitknit.match.minutiae import minutiae_match
+from splitknit.match.minutiae_record import Minutiae, unpack_minutiae
+
+Records = dict[tuple[str, int], dict[str, Any]]
+
+
+def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) -> dict[str, Any]:
+    """Genuine and impostor scores of bozorth3 between session 1 and session 2."""
+    first, second = reported.get((preset, 1), {}), reported.get((preset, 2), {})
+    if not first or not second:
+        return {}
+    methods = list(next(iter(first.values())))
+    found = {
+        f"{preset} {method} {picture}": told_apart(first, second, (method, picture), (method, picture))
+        for method in methods
+        for picture in pictures
+    }
+    return {name: one for name, one in found.items() if one}
+
+
+def told_apart(
+    first: dict[str, Any], second: dict[str, Any], one: tuple[str, str], other: tuple[str | None, str]
+) -> dict[str, Any]:
+    """Share of genuine scores above every impostor's; all of one side against all of the other."""
+    names = [name for name in first if name in second]
+    sides = [[_minutiae(first[n][one[0]], one[1]) for n in names]]
+    sides.append([_minutiae(second[n] if other[0] is None else second[n][other[0]], other[1]) for n in names])
+    scores = np.array([[minutiae_match(a, b) for b in sides[1]] for a in sides[0]])
+    if len(names) < 2:
+        return {}
+    same = np.eye(len(names), dtype=bool)
+    largest = float(scores[~same].max())
+    above = scores[same] > largest
+    interval = by_finger(list(above), lambda some: {"above_all_impostors": float(np.mean(some))})
+    return interval | {
+        "fingers": len(names), "impostors": int((~same).sum()), "impostor_largest": largest,
+        "impostor_p99": round(float(np.percentile(scores[~same], 99)), 1),
+        "genuine_median": float(np.median(scores[same])),
+        "genuine_smallest": float(scores[same].min()),
+        "below": [n for n, high in zip(names, above, strict=True) if not high],
+    }  # fmt: skip
+
+
+def _minutiae(row: dict[str, Any], picture: str) -> Minutiae:
+    return _unpacked(row.get(picture, {}).get("minutiae", ""))
+
+
+@lru_cache(maxsize=4096)
+def _unpacked(data: str) -> Minutiae:
+    return unpack_minutiae(bytes.fromhex(data))
