@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from splitknit.evaluate import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
-KEPT_SHARE = 0.5
+KEPT_SHARE = 0.2
 """A case that has less than this share of the largest one's comparisons is left out of a table, and named."""
 
 Values = NDArray[np.float64]
@@ -133,7 +133,8 @@ def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], match
     The overlap of the masks comes from the thesis's matcher, also for the others.
     """
     wanted = [(case, matcher) for matcher in matchers for case in cases]
-    asked = dict.fromkeys([*wanted, *((case, "thesis") for case in cases)])
+    overlaps = {case: _overlap_case(store, captures, case, cases) for case in cases}
+    asked = dict.fromkeys([*wanted, *((case, "thesis") for case in overlaps.values() if case is not None)])
     raw = {key: _columns(store, captures, *key) for key in asked}
     longest = max((len(columns["key"]) for columns in raw.values() if columns), default=0)
     used = {key: columns for key, columns in raw.items() if columns and len(columns["key"]) >= KEPT_SHARE * longest}
@@ -153,9 +154,35 @@ def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], match
         trial
         for case, matcher in wanted
         if (case, matcher) in aligned
-        for trial in _trials(case, matcher, aligned[case, matcher], aligned.get((case, "thesis")))
+        for trial in _trials(case, matcher, aligned[case, matcher], aligned.get((overlaps[case] or "", "thesis")))
     ]
     return Table(Pairs(captures, common // count, common % count), tuple(trials), tuple(missing))
+
+
+def _overlap_case(store: StoreLike, captures: Captures, case: str, cases: Sequence[str]) -> str | None:
+    """Of which case the thesis's matcher tells the overlaps of `case`: its own, or one with the same masks.
+
+    A store that is being filled may have more of another case. Masks are taken to be the same where all captures have
+    the same area to the last bit.
+    """
+    areas = {one: _areas(store, captures, one) for one in cases}
+    made = {one: 0 if table is None else table.num_rows for one in cases for table in [_read_scores(store, one)]}
+    same = [one for one in cases if areas[one] is not None and np.array_equal(areas[one], areas[case])]
+    best = max(same, key=lambda one: (made[one], one == case), default=None)
+    return best if best is not None and made[best] > 0 else None
+
+
+def _areas(store: StoreLike, captures: Captures, case: str) -> Values | None:
+    table = _table(lambda: store.features(case, ["capture", "area_mm2"]))
+    if table is None:
+        return None
+    areas = np.full(captures.names.shape, -1.0)
+    areas[captures.places(np.asarray(table["capture"].to_pylist()))] = table["area_mm2"].to_numpy()
+    return areas
+
+
+def _read_scores(store: StoreLike, case: str) -> Any:
+    return _table(lambda: store.scores(case, "thesis"))
 
 
 def scores_of(pairs: Pairs, similarity: Values, name: str) -> Scores:
