@@ -20,6 +20,7 @@ from typing import Any
 
 from splitknit.apps.calibration.bench_photos import BenchPhotos
 from splitknit.apps.calibration.calibrated_lights import LightSettings
+from splitknit.apps.printing import PrintingSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.pipeline import PRESETS
@@ -118,6 +119,11 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "`splitknit rig cad`",
         "Names may begin with `part.`; what follows from the rig file cannot be set.",
         (("part.", PartSettings()),),
+    ),
+    (
+        "`splitknit print`",
+        "`ink.ppi` follows `--ppi`; what `quality.` has for each figure is in [prints.md](prints.md#quality).",
+        (("", PrintingSettings()),),
     ),
     ("`splitknit rig circuit`", "Names may begin with `circuit.`.", (("circuit.", CircuitSettings()),)),
 )

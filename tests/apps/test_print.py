@@ -209,3 +209,59 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
 def test_an_earlier_result_is_not_overwritten(result: Path, capsys) -> None:
     assert "name another folder" in refusal(capsys, result, "--out", result)
     assert (result / "height.npz").is_file()
+
+
+def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> None:
+    """A good finger is called good; a shallow one scores less, and a sentence says what to do."""
+    good = facts_of(capsys, result, "--out", tmp_path / "good")["quality"]
+    assert good["ours"] > 70
+    assert not any("moisten" in words for words in good["advice"])
+    assert 0.35 < good["figures"]["period_mm"] < 0.6
+    arrays = read_npz(result / "height.npz")
+    shallow = tmp_path / "shallow_result"
+    shallow.mkdir()
+    write_npz(shallow / "height.npz", {**arrays, "ridge_mm": np.float32(0.3) * arrays["ridge_mm"]})
+    assert main(["print", str(shallow), "--out", str(tmp_path / "shallow"), "--ppi", "1000"]) == 0
+    words = capsys.readouterr().out.splitlines()
+    facts = json.loads((tmp_path / "shallow" / "report.json").read_text())
+    weak = facts["quality"]
+    assert weak["ours"] < good["ours"] - 5
+    assert weak["figures"]["ridge_height_um"] == pytest.approx(0.3 * good["figures"]["ridge_height_um"], rel=0.1)
+    assert 1 <= len(weak["advice"]) <= 3
+    assert any("moisten the finger" in sentence for sentence in weak["advice"])
+    assert set(weak["advice"]) <= set(words)
+    assert f"Quality: {weak['ours']:.0f} of 100" in " ".join(words)
+    if facts["minutiae"]["written"]:
+        from splitknit.io.iso19794 import read_iso19794
+
+        assert read_iso19794(tmp_path / "shallow" / "minutiae.iso").views[0].finger_quality == round(weak["ours"])
+        assert 0 <= weak["nfiq2"]["print"] <= 100
+
+
+def test_advice_is_chosen_by_the_worst_figure() -> None:
+    from dataclasses import replace
+
+    from splitknit.apps.printing_quality import advice
+    from splitknit.flatten import PrintQuality, QualityFigures, score_of
+
+    good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
+
+    def said(**changes: float) -> tuple[str, ...]:
+        figures = replace(good, **changes)
+        return advice(PrintQuality(*score_of(figures)[:1], figures, score_of(figures)[1]))
+
+    assert said() == ()
+    wanted = {
+        "moisten": {"ridge_height_um": 15.0}, "clean finger and lens": {"ridge_share": 0.4},
+        "wipe the finger": {"gap_share": 0.3}, "directions": {"coherence": 0.6}, "distances": {"plausible_share": 0.6},
+        "focus the camera": {"sharpness": 0.04, "ridge_height_um": 40.0}, "push the finger": {"ridge_length_mm": 9.0},
+        "turn its pad": {"centre_offset_mm": 6.0},
+    }  # fmt: skip
+    for words, changes in wanted.items():
+        assert len(said(**changes)) == 1
+        assert words in said(**changes)[0], words
+    assert said(sharpness=0.04) == ()  # high ridges: the finger's own
+    many = said(ridge_length_mm=7.0, ridge_area_mm2=40.0, ridge_height_um=10.0, gap_share=0.25, centre_offset_mm=5.0)
+    assert len(many) == 3
+    assert "push" in many[0]
+    assert "moisten" in many[1]

@@ -77,11 +77,18 @@ def _words(facts: dict[str, Any]) -> list[str]:
         )
     minutiae = facts["minutiae"]
     if minutiae["written"]:
-        quality = minutiae["nfiq2"]
-        lines.append(
-            f"{minutiae['count']} minutiae; NFIQ 2 is {quality['print']} (print) and {quality['enhanced']} (enhanced)."
-        )
+        lines.append(f"{minutiae['count']} minutiae.")
     else:
         lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
+    lines += _quality_words(facts["quality"])
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines
+
+
+def _quality_words(quality: dict[str, Any]) -> list[str]:
+    """One line of scores and, where something is wrong, what to do."""
+    words = f"Quality: {quality['ours']:.0f} of 100"
+    if quality["nfiq2"] is not None:
+        of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())
+        words += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
+    return [f"{words}.", *quality["advice"]]

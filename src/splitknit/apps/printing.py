@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.printing_files import distortion_picture, map_arrays, write_minutiae
+from splitknit.apps.printing_quality import nfiq2_of, quality_facts
 from splitknit.apps.printing_sources import Source, read_source
 from splitknit.check import BadInput, require
 from splitknit.flatten import (
@@ -20,6 +21,8 @@ from splitknit.flatten import (
     Enhanced,
     GaborSettings,
     PrintMap,
+    PrintQuality,
+    PrintQualitySettings,
     PrintSettings,
     StftSettings,
     Unrolled,
@@ -29,6 +32,7 @@ from splitknit.flatten import (
     gabor_enhance,
     ink,
     plane_map,
+    print_quality,
     resample,
     ridge_mask,
     stft_enhance,
@@ -61,6 +65,7 @@ class PrintingSettings:
     """In which picture minutiae are sought."""
     gabor: GaborSettings = field(default_factory=GaborSettings)
     stft: StftSettings = field(default_factory=StftSettings)
+    quality: PrintQualitySettings = field(default_factory=PrintQualitySettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +77,10 @@ class Print:
     weight: FloatArray
     """(h, w) share of the pixel that lies on the finger, 0 to 1."""
     map: PrintMap
+    values: FloatArray
+    """(h, w) what its quality is measured on: the relief in mm, or the light of the photograph."""
+    in_mm: bool
+    """Whether it is the relief."""
     unrolled: Unrolled | None = None
 
 
@@ -116,11 +125,13 @@ def make_print(
         ink(values, weight, inks)  # refuses what has no ridges
         grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1
         image = np.round(255.0 * (1.0 - grey * weight)).astype(np.uint8)
+        relief = _needed(source.ridge_mm)
+        inked, _ = resample(relief, source.mask & np.isfinite(relief), source.pitch_mm, print_map)
     else:
-        inked = _needed(source.photo if method == "photo" else source.ridge_mm)
-        values, weight = resample(inked, source.mask & np.isfinite(inked), source.pitch_mm, print_map)
-        image = ink(values, weight, inks)
-    return Print(image, weight, print_map, unrolled)
+        field_of = _needed(source.photo if method == "photo" else source.ridge_mm)
+        inked, weight = resample(field_of, source.mask & np.isfinite(field_of), source.pitch_mm, print_map)
+        image = ink(inked, weight, inks)
+    return Print(image, weight, print_map, inked, method != "photo", unrolled)
 
 
 def checked_surface(method: str, surface: str | None, settings: PrintingSettings) -> str:
@@ -149,6 +160,13 @@ def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -
     if settings.enhance == "stft":
         return stft_enhance(made.image, ppi, settings.stft, made.weight > 0.5)
     return gabor_enhance(made.image, ppi, settings.gabor, made.weight > 0.5)
+
+
+def measured(made: Print, enhanced: Enhanced, ppi: float, settings: PrintingSettings | None = None) -> PrintQuality:
+    """How good a print is; `enhanced` is what :func:`enhance` made of it."""
+    values = (np.float32(1000.0) * made.values).astype(np.float32) if made.in_mm else made.values
+    chosen = (settings or PrintingSettings()).quality
+    return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm, settings=chosen)
 
 
 def print_to_folder(
@@ -220,7 +238,13 @@ def print_to_folder(
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion.figures()
             write_image(target / "distortion.png", distortion_picture(made.map, made.unrolled))
-        facts["minutiae"] = write_minutiae(target, pictures, settings.minutiae, made.map, source, origin)
+        clock = time.perf_counter()
+        quality = measured(made, enhanced, ppi, settings)
+        timings["quality"] = time.perf_counter() - clock
+        nfiq2 = nfiq2_of(pictures, ppi)
+        facts["quality"] = quality_facts(quality, nfiq2)
+        sought = settings.minutiae
+        facts["minutiae"] = write_minutiae(target, pictures, sought, made.map, source, origin, round(quality.score))
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin

@@ -35,18 +35,19 @@ def write_minutiae(  # noqa: PLR0917
     print_map: PrintMap,
     source: Source,
     origin: dict[str, JsonValue],
+    finger_quality: int,
 ) -> dict[str, Any]:
     """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them.
 
-    Minutiae are sought in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``) says.
+    Minutiae are sought in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``) says;
+    `finger_quality` (0 to 100) goes into the record.
 
     Without the package that finds minutiae, nothing is written and the facts say what to install.
     """
-    from splitknit.match.minutiae import NFIQ2_FAILED, extract, nfiq2  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.match.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 
     try:
         found = extract(pictures[f"{sought_in}.png"], print_map.ppi)
-        quality = {name: nfiq2(pictures[f"{name}.png"], print_map.ppi) for name in ("print", "enhanced")}
     except BadInput as error:
         return {"written": False, "missing": " ".join(str(error).split())}
     finger = source.subject.get("finger", "unknown")
@@ -58,7 +59,7 @@ def write_minutiae(  # noqa: PLR0917
         type=found.type,
         quality=found.quality,
         size=found.size,
-        finger_quality=quality["print"] if quality["print"] != NFIQ2_FAILED else 0,
+        finger_quality=finger_quality,
         finger=finger,
         resolution_ppcm=pixels_per_cm(500.0),
     )
@@ -67,7 +68,6 @@ def write_minutiae(  # noqa: PLR0917
         "written": True,
         "sought_in": f"{sought_in}.png",
         "count": len(found.x_px),
-        "nfiq2": quality,
         "finger": finger,
     }
     if source.height_mm is not None:

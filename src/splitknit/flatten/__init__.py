@@ -5,6 +5,8 @@ from splitknit.flatten.enhance import Enhanced, GaborSettings, gabor_enhance
 from splitknit.flatten.enhance_stft import StftSettings, stft_enhance
 from splitknit.flatten.ink import ink
 from splitknit.flatten.print_map import PrintMap, plane_map, unrolled_map
+from splitknit.flatten.print_quality import Part, PrintQuality, PrintQualitySettings, print_quality, score_of
+from splitknit.flatten.print_quality_figures import QualityFigures, quality_figures
 from splitknit.flatten.resample import resample
 from splitknit.flatten.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
 from splitknit.flatten.ridges import PrintSettings, relief_print
@@ -20,8 +22,12 @@ __all__ = [
     "Enhanced",
     "GaborSettings",
     "GridSettings",
+    "Part",
     "PrintMap",
+    "PrintQuality",
+    "PrintQualitySettings",
     "PrintSettings",
+    "QualityFigures",
     "RidgeField",
     "RidgeFieldSettings",
     "StftSettings",
@@ -34,10 +40,13 @@ __all__ = [
     "gabor_enhance",
     "ink",
     "plane_map",
+    "print_quality",
+    "quality_figures",
     "relief_print",
     "resample",
     "ridge_field",
     "ridge_mask",
+    "score_of",
     "stft_enhance",
     "surface_grid",
     "thin",

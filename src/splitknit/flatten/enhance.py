@@ -81,7 +81,7 @@ def gabor_enhance(
     """
     settings = settings or GaborSettings()
     found = ridge_field(image, ppi, settings.field, inside)
-    coefficients = _at_nodes(image, found, settings.sigma_periods)
+    coefficients = node_amplitudes(image, found, settings.sigma_periods)
     amplitude = np.abs(coefficients)
     around = np.asarray(cv2.GaussianBlur(amplitude, (0, 0), 2.5), dtype=np.float32)
     typical = float(np.median(around[found.mask]))
@@ -115,8 +115,23 @@ def _wave_vectors(found: RidgeField) -> tuple[FloatArray, FloatArray]:
     return turn * np.cos(across), -turn * np.sin(across)  # rows run downwards
 
 
-def _at_nodes(image: NDArray[np.uint8], found: RidgeField, sigma_periods: float) -> NDArray[np.complex64]:
-    """(n, m) complex amplitude of the ridges at the nodes; zero outside the mask."""
+def node_amplitudes(
+    image: NDArray[np.uint8] | FloatArray, found: RidgeField, sigma_periods: float
+) -> NDArray[np.complex64]:
+    """Fit one plane wave, with a node's own direction and frequency, at every node.
+
+    Parameters
+    ----------
+    image : (h, w) uint8 or float32
+    found : RidgeField
+    sigma_periods : float
+        Standard deviation of the window in which a wave is fitted, in local ridge periods.
+
+    Returns
+    -------
+    (n, m) complex64
+        Amplitude and phase at the node, in the image's unit; zero outside the field's mask.
+    """
     step, (n, m) = found.step_px, found.mask.shape
     frequency = found.frequency_px[found.mask]
     sigma = np.float32(sigma_periods) / frequency

@@ -27,7 +27,7 @@ class UnrollSettings:
     """How the skin is laid flat."""
 
     kind: Literal["free", "arc", "tube", "cylinder"] = "free"
-    """See the module."""
+    """``free``, ``arc``, ``tube`` or ``cylinder`` (``--surface`` goes before it)."""
     iterations: int = 10
     """Rounds of relaxation at most (``free``)."""
     centre_weight: float = 4.0
