@@ -43,6 +43,11 @@ def drawn(store: Store, count: int, seed: int = 2) -> list[str]:
     return [str(name) for name in np.random.default_rng(seed).choice(usable, min(count, len(usable)), replace=False)]
 
 
+def earlier() -> list[str]:
+    """Names of the captures of the last report: it was drawn while the store was still filling up."""
+    return [row["capture"] for row in json.loads(OUT.read_text())["rows"]]
+
+
 def rank_correlation(a: np.ndarray, b: np.ndarray, rounds: int = 2000) -> dict:
     """Spearman's rho of (N,) and (N,) with the 2.5th and 97.5th percentile of a bootstrap over N."""
     rng = np.random.default_rng(0)
@@ -98,6 +103,7 @@ def main() -> None:
     parser.add_argument("population", type=Path)
     parser.add_argument("store", type=Path)
     parser.add_argument("--captures", type=int, default=60)
+    parser.add_argument("--draw", action="store_true", help="draw captures anew; else those of quality.json")
     parser.add_argument("--faults", type=Path)
     parser.add_argument("--rows", type=Path, help="kept between runs: captures that are in it are not measured again")
     options = parser.parse_args()
@@ -108,7 +114,7 @@ def main() -> None:
         kept = {row["capture"]: row for row in json.loads(options.rows.read_text())}
         names = list(kept)
     else:
-        names = drawn(store, options.captures)
+        names = drawn(store, options.captures) if options.draw else earlier()
     for name in names:
         if name not in kept:
             kept[name] = capture_facts(store, options.population, [name])[0]
