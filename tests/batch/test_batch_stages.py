@@ -294,3 +294,9 @@ def test_cases_and_matchers_that_cannot_be(people: Path) -> None:
         BatchSettings(matchers=("eyes",))
     with pytest.raises(BadInput, match="share of impostors"):
         BatchSettings(impostors=1.5)
+
+
+def test_columns_of_bytes_may_hold_more_than_two_gigabytes(copies: tuple[Path, Path]) -> None:
+    _, out = copies
+    columns = Store(out).features("ea").schema
+    assert {str(columns.field(name).type) for name in ("template", "print", "images")} == {"large_binary"}

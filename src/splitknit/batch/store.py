@@ -131,9 +131,11 @@ class Store:
 
 
 def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
-    """The tables as one, ordered by `keys`, of rows with equal keys the first."""
+    """The tables as one, ordered by `keys`, of rows with equal keys the first; its bytes may be more than 2 GB."""
     pa, pc = load("pyarrow", "batch"), load("pyarrow.compute", "batch")
     table = pa.concat_tables(tables)
+    wide = [field.with_type(pa.large_binary()) if pa.types.is_binary(field.type) else field for field in table.schema]
+    table = table.cast(pa.schema(wide))
     order = pc.sort_indices(table.select(keys), sort_keys=[(key, "ascending") for key in keys])
     names = table.select(keys).take(order).to_pylist()
     kept = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
