@@ -30,7 +30,7 @@ def roc_figure(curves: Sequence[tuple[str, Scores]], settings: BootstrapSettings
             band = (found.curve_far, found.curve_low, found.curve_high)
         drawn.append((name, roc(scores.genuine, scores.impostor), band))
     impostors = min(int(np.sum(~scores.label)) for _, scores in curves)
-    return str(roc_chart(drawn, 10.0 ** np.floor(np.log10(1.0 / impostors) + 1e-9)))
+    return str(roc_chart(drawn, 10.0 ** np.ceil(np.log10(1.0 / impostors) - 1e-9)))
 
 
 def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_label: str, y_label: str) -> str:
