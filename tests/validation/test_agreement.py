@@ -140,3 +140,7 @@ def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
     assert ridges[0] != ridges[1]
     assert np.cos(inner.direction_rad[0]) > 0.9 if more_right else np.cos(inner.direction_rad[0]) < -0.9
     assert inner.quality[0] > 60
+
+
+def test_the_page_shows_the_figures(script: Script) -> None:
+    assert script("agreement_report").main(["--check"]) == 0, "run validation/prints/agreement_report.py"

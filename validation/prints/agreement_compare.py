@@ -96,7 +96,7 @@ def recall_precision(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 
 def by_finger(
-    items: Sequence[Any], figure: Callable[[Sequence[Any]], dict[str, float]], replicates: int = 1000, seed: int = 1
+    items: Sequence[Any], figure: Callable[[Sequence[Any]], dict[str, float]], replicates: int = 300, seed: int = 1
 ) -> dict[str, list[float | None]]:
     """Figures of all fingers, each with its 95 % interval when fingers are drawn with replacement."""
     whole = figure(items)
@@ -109,3 +109,20 @@ def by_finger(
         limits = np.percentile(values, [2.5, 97.5]) if len(values) else (np.nan, np.nan)
         rows[name] = [None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)]
     return rows
+
+
+def agreed(rows: Sequence[dict[str, Any]], replicates: int = 1000, seed: int = 1) -> dict[str, Any]:
+    """:func:`recall_precision` with 95 % intervals of the two shares when fingers are drawn with replacement."""
+    whole = recall_precision(rows)
+    sums = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in ("true", "met", "found", "hit")}
+    drawn = np.random.default_rng(seed).multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=replicates)
+    result: dict[str, Any] = {}
+    for name, value in whole.items():
+        limits: tuple[float, ...] = (np.nan, np.nan)
+        if name in ("recall", "precision"):
+            of, out_of = ("met", "true") if name == "recall" else ("hit", "found")
+            total = drawn @ sums[out_of]
+            if np.any(total > 0):
+                limits = tuple(np.percentile((drawn @ sums[of])[total > 0] / total[total > 0], [2.5, 97.5]))
+        result[name] = [None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)]
+    return result

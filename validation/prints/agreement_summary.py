@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from agreement_compare import by_finger, counts, recall_precision
+from agreement_compare import agreed, by_finger, counts, recall_precision
 from agreement_scores import between_sessions, told_apart
 
 MARGIN_PX = 13.0
@@ -83,8 +83,8 @@ def agreement(reported: Records) -> dict[str, Any]:
                     name = " ".join(filter(None, [preset, method, picture]))
                     sums = {k: sum(item[k] for item in items) for k in ("true", "found")}
                     flat = [counts(row[picture], MARGIN_PX, (0.0, FACING_DEG)) for row in good if picture in row]
-                    table[name] = by_finger(items, recall_precision) | sums | {"refused": len(whole) - len(good)}
-                    table[name]["below_60_deg"] = by_finger(flat, recall_precision)
+                    table[name] = agreed(items) | sums | {"refused": len(whole) - len(good)}
+                    table[name]["below_60_deg"] = agreed(flat)
     return table
 
 
@@ -94,10 +94,10 @@ def reasons(rows: dict[str, Any], method: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for low, high in pairwise(SLANTS):
         items = [counts(one, MARGIN_PX, (low, high)) for one in prints]
-        found[f"slant {low:g} to {high:g} deg"] = by_finger(items, recall_precision)
+        found[f"slant {low:g} to {high:g} deg"] = agreed(items)
     for margin in MARGINS:
         items = [counts(one, margin, (0.0, 60.0)) for one in prints]
-        found[f"slant below 60 deg, {margin:g} px inside"] = by_finger(items, recall_precision)
+        found[f"slant below 60 deg, {margin:g} px inside"] = agreed(items)
     true, wrong = _inside(prints, "true"), _inside(prints, "found")
     met, gap, height = (true[name] for name in ("met", "gap", "crease"))
     for name, where in (
@@ -202,5 +202,5 @@ def thresholds(choosing: dict[str, Any], reported: dict[str, Any]) -> dict[str, 
                 "quality": best,
                 "on those it was chosen on": round(worth(best), 4),
                 "without it": round(worth(0), 4),
-            } | (by_finger(at(reported, best), recall_precision) if reported else {})
+            } | (agreed(at(reported, best)) if reported else {})
     return result
