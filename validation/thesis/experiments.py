@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from fusion import SETS, fused
+from fusion import MINUTIAE_SET, OF_THESIS, fused
 from measure import Work, difference_rows, rate_rows
 from plots import bins_figure, roc_figure, save
 from sensitivity import FACTORS, sensitivity_rows
@@ -19,29 +20,53 @@ from splitknit.evaluate import BootstrapSettings
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
+FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
 
 def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Figure 5.3: attributes and their fusion."""
+    """Figure 5.3: attributes and their fusion; with minutiae on the comparisons that they made too."""
     cases = [case for case in ("snk", "metric") if case in options.cases]
     captures = read_captures(store, cases)
-    table = read_table(store, captures, cases, ("thesis", "minutiae", "ridge"))
+    table = read_table(store, captures, cases, ("thesis",))
     work = _work(options, table, truth)
     trials, groups = [], []
     for case in cases:
         single = [trial for name in ATTRIBUTES if (trial := table.trial(case, "thesis", name)) is not None]
-        joined = [trial for name in SETS for trial in fused(table, case, name, options.seed)]
+        joined = [trial for name in OF_THESIS for trial in fused(table, case, name, options.seed)]
         trials += [*single, *joined]
-        named = {trial.attribute: trial for trial in (*single, *joined)}
-        first = "all three, mean"
-        named = {name: trial.labelled(f"{case}: {name.replace('_', ' ')}") for name, trial in named.items()}
-        groups += [(named[first], named[name]) for name in named if first in named and name != first]
-    rows = rate_rows(work, trials, options.jobs, (*COMPARED, Variant("none", "averaged", "all")))
+        groups += _against("all three, mean", case, [*single, *joined])
+    rows = rate_rows(work, trials, options.jobs, FUSION_VARIANTS)
     differences = difference_rows(work, groups, (THESIS_WHOLE, WHOLE), options.jobs)
     _write(options, "fusion", rows, differences)
     shown = [trial for trial in trials if trial.case == cases[0] and _in_figure(trial)]
     _rocs(options, work, "figure-5-3", shown, lambda trial: trial.attribute.replace("_", " "))
+    return _facts(table, trials) | {"with_minutiae": _fusion_with_minutiae(options, store, truth, captures, cases)}
+
+
+def _fusion_with_minutiae(
+    options: argparse.Namespace, store: Any, truth: Mapping[str, Row], captures: Captures, cases: list[str]
+) -> Row:
+    table = read_table(store, captures, cases, ("thesis", "minutiae"))
+    rows, differences = [], []
+    work = _work(options, table, truth)
+    trials: list[Trial] = []
+    for case in cases:
+        alone = table.trial(case, "minutiae")
+        if alone is None:
+            continue
+        mine = [replace(alone, attribute="minutiae")]
+        mine += [trial for name in ("all three", MINUTIAE_SET) for trial in fused(table, case, name, options.seed)]
+        rows += rate_rows(work, mine, options.jobs, FUSION_VARIANTS)
+        differences += difference_rows(work, _against("minutiae", case, mine), (THESIS_WHOLE, WHOLE), options.jobs)
+        trials += mine
+    _write(options, "fusion_minutiae", rows, differences)
     return _facts(table, trials)
+
+
+def _against(first: str, case: str, trials: Sequence[Trial]) -> list[tuple[Trial, Trial]]:
+    """One trial and each other, labelled."""
+    named = {trial.attribute: trial.labelled(f"{case}: {trial.attribute.replace('_', ' ')}") for trial in trials}
+    return [(named[first], named[name]) for name in named if first in named and name != first]
 
 
 def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:

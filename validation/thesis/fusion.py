@@ -1,4 +1,4 @@
-"""Attributes of the thesis's matcher, and other matchers, joined into one score (figure 5.3)."""
+"""Attributes of the thesis's matcher, and minutiae, joined into one score (figure 5.3)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from splitknit.evaluate.fusion import FusionSettings, fuse
 
 OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
 """What is joined; the thesis's figure 5.3 has all three, its further figures the first two apart."""
+MINUTIAE_SET = "all three + minutiae"
 SETS = {
     **{name: tuple(("thesis", one) for one in chosen) for name, chosen in OF_THESIS.items()},
-    "all three + minutiae": (*(("thesis", one) for one in ATTRIBUTES), ("minutiae", "")),
-    "all three + minutiae + ridge": (*(("thesis", one) for one in ATTRIBUTES), ("minutiae", ""), ("ridge", "")),
+    MINUTIAE_SET: (*(("thesis", one) for one in ATTRIBUTES), ("minutiae", "")),
 }
 
 

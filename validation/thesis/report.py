@@ -18,6 +18,7 @@ from page_facts import failures_table, run_words, sensitivity_table
 from page_tables import (
     CASES,
     JUDGED,
+    PLAIN,
     WHOLE,
     Row,
     difference_table,
@@ -73,6 +74,13 @@ def blocks(folder: Path) -> dict[str, str]:
         "fusion_differences": difference_table(differ["fusion"], (WHOLE,)),
         "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
     }
+    made["fusion_minutiae"] = rate_table(
+        read(folder / "fusion_minutiae.csv"),
+        "case, joined",
+        lambda row: f"{row['case']}, {_attribute(row)}",
+        (PLAIN, WHOLE),
+    )
+    made["fusion_minutiae_differences"] = difference_table(read(folder / "fusion_minutiae_differences.csv"), (WHOLE,))
     for name in ("normals", "relief"):
         rows = [row for row in tables["cases"] if row["attribute"] == name]
         made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))

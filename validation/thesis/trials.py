@@ -136,7 +136,7 @@ def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], match
     overlaps = {case: _overlap_case(store, captures, case, cases) for case in cases}
     asked = dict.fromkeys([*wanted, *((case, "thesis") for case in overlaps.values() if case is not None)])
     raw = {key: _columns(store, captures, *key) for key in asked}
-    longest = max((len(columns["key"]) for columns in raw.values() if columns), default=0)
+    longest = max((len(columns["key"]) for key in wanted if (columns := raw[key])), default=0)
     used = {key: columns for key, columns in raw.items() if columns and len(columns["key"]) >= KEPT_SHARE * longest}
     missing = [f"{case} by {matcher}" for case, matcher in wanted if (case, matcher) not in used]
     if not any(key in used for key in wanted):
