@@ -68,7 +68,7 @@ def test_minutiae_lie_where_the_ridges_say(finger: Finger, master: MasterPrint, 
 
 def test_directions_follow_the_ridges(finger: Finger, master: MasterPrint) -> None:
     """Directions run along the ridges of the print, turned and mirrored as it is."""
-    pressed = press_finger(finger, 4, PressSettings(turn_sd_deg=15, noise_grey=0), master=master)
+    pressed = press_finger(finger, 15, PressSettings(turn_sd_deg=15, noise_grey=0), master=master)  # by 30 deg
     grey = cv2.GaussianBlur(pressed.image.astype(np.float32), (0, 0), 2)
     right, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
     twice = cv2.GaussianBlur(right * right - down * down, (0, 0), 6), cv2.GaussianBlur(2 * right * down, (0, 0), 6)
