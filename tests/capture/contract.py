@@ -145,6 +145,7 @@ class LightContract(ABC):
         trace = tmp_path / "trace"
         script = textwrap.dedent(f"""
             import os, signal, sys, time
+            signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
             sys.path.insert(0, {str(Path(__file__).parent)!r})
             {textwrap.indent(self.making, " " * 12).strip()}
             switch = bank._switch

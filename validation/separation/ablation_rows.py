@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 from unittest import mock
 
@@ -19,6 +19,7 @@ from splitknit.pipeline import preset_settings, undoes_blur
 from splitknit.radiance import linear_channels
 from splitknit.recipe import surfaces
 from splitknit.recipe.finger import Finger, find_finger
+from splitknit.recipe.memory import Memory
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.result import assemble
 from splitknit.recipe.skin import metric_skin
@@ -219,7 +220,7 @@ def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) ->
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
     way = metric_skin if undoes_blur(capture, settings) else surfaces.metric_opaque
     if settings.method == "thesis":
-        way = surfaces.thesis
+        way = partial(surfaces.thesis, memory=Memory(capture))
     return assemble(capture, finger, way(capture, finger, settings, Stopwatch()), settings)
 
 
