@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +14,8 @@ from splitknit.apps.enrolling_sources import Made, made_or_failed, source_hash
 from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.apps.verb import Refused
-from splitknit.check import BadInput, require
+from splitknit.apps.workers import run_jobs
+from splitknit.check import require
 from splitknit.match.gallery import Gallery
 from splitknit.match.gallery_entry import check_session, session_order
 from splitknit.match.gallery_key import Key
@@ -142,38 +140,8 @@ def _waiting(gallery: Gallery | None, places: Sequence[Found], *, replace: bool)
 
 def _made(waiting: Sequence[Found], settings: Enrolling, workers: int) -> Iterator[tuple[Found, Made | str]]:
     """Make all templates, in order with one worker, as they come with several."""
-    work: Callable[[Path], Made | str] = partial(
-        made_or_failed, preset=settings.preset, settings=settings.matching, keep=settings.keep
-    )
-    if workers == 1 or len(waiting) < 2:
-        for place in waiting:
-            yield place, work(place.path)
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(waiting)), mp_context=context, initializer=_begin)
-    rest = iter(waiting)
-    running: dict[Future[Made | str], Found] = {}
-    try:
-        while True:
-            for place in rest:
-                running[pool.submit(work, place.path)] = place
-                if len(running) >= 2 * workers:
-                    break
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future.result()
-    except BrokenProcessPool as error:
-        raise BadInput(
-            "a worker was killed, perhaps for want of memory; what is enrolled is kept: run the same again, with fewer "
-            "workers."
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    yield from run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
 
 
-def _begin() -> None:
-    """In a new worker: one thread for OpenCV."""
-    import cv2  # noqa: PLC0415
-
-    cv2.setNumThreads(1)
+def _template_of(place: Found, settings: Enrolling) -> Made | str:
+    return made_or_failed(place.path, preset=settings.preset, settings=settings.matching, keep=settings.keep)

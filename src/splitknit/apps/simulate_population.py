@@ -10,14 +10,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-import multiprocessing
-import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.commands import Progress, no_progress
+from splitknit.apps.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_file, atomic_folder, plain_json, provenance, write_capture
@@ -144,42 +140,9 @@ def _simulated(
     jobs = jobs_of(waiting)
     work: Callable[[Job], int] = partial(simulate_job, settings=settings, folder=enrolment.folder)
     done = 0
-    if workers == 1 or len(jobs) <= 1:
-        for job in jobs:
-            done += work(job)
-            yield done, f"{job.places[0].subject} {job.places[0].finger}"
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
-    try:
-        running: dict[Future[int], Job] = {pool.submit(work, job): job for job in jobs}
-        while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                job = running.pop(future)
-                done += future.result()
-                yield done, f"{job.places[0].subject} {job.places[0].finger}"
-    except BrokenProcessPool as error:
-        raise BadInput(
-            f"a worker was killed, perhaps for want of memory; what is finished in '{enrolment.folder}' is kept: run "
-            "the same again, with fewer workers."
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _begin() -> None:
-    """In a new worker: one thread for OpenCV, and an end when the run that started it is no more."""
-    import cv2  # noqa: PLC0415
-
-    cv2.setNumThreads(1)
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):
+        done += captures
+        yield done, f"{job.places[0].subject} {job.places[0].finger}"
 
 
 def _check_settings(out: Path, document: dict[str, Any]) -> None:

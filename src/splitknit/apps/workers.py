@@ -1,0 +1,71 @@
+"""Jobs done by several processes that end with the run that started them; results as they come."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from typing import TypeVar
+
+from splitknit.check import BadInput
+
+Job = TypeVar("Job")
+Done = TypeVar("Done")
+
+
+def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str) -> Iterator[tuple[Job, Done]]:
+    """Do all jobs; yield each with its result: in order by one worker (this process), as they come by several.
+
+    Parameters
+    ----------
+    work : function of a module, so that processes find it
+    jobs : in the order in which they are begun
+    workers : processes
+    kept : what stays if a process is killed, for the message
+
+    Raises
+    ------
+    BadInput
+        If a process is killed, or one of its own from `work`.
+    """
+    if workers == 1 or len(jobs) < 2:
+        for job in jobs:
+            yield job, work(job)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
+    rest = iter(jobs)
+    running: dict[Future[Done], Job] = {}
+    try:
+        while True:
+            for job in islice(rest, 2 * workers - len(running)):  # few enough that an interrupt waits for little
+                running[pool.submit(work, job)] = job
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()
+    except BrokenProcessPool as error:
+        raise BadInput(
+            f"a worker was killed, perhaps for want of memory; {kept} is kept: run the same again, with fewer workers."
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin() -> None:
+    """In a new worker: one thread for OpenCV, and an end when the run that started it is no more."""
+    import cv2  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
