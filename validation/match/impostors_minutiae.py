@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from drawn import drawn_surface
 
-from splitknit.flatten.ridges import relief_print
 from splitknit.match import calibrate_scores
 from splitknit.match.minutiae import extract, minutiae_match
 from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.recipe.matchable import surface_print
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr_minutiae.json"
 SCALE = 0.27
@@ -30,12 +30,7 @@ SCALE = 0.27
 
 def drawn(seed: int) -> Minutiae:
     """One finger, laid down once."""
-    surface = drawn_surface(seed, SCALE)
-    return extract(
-        relief_print(
-            surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size
-        )
-    )
+    return extract(surface_print(drawn_surface(seed, SCALE)))
 
 
 def kept(cache: Path, seed: int) -> Minutiae:

@@ -10,9 +10,9 @@ from typing import Any
 from splitknit.apps.commands import TRUTH_ARRAYS, Progress, check_target, no_progress, twin_settings
 from splitknit.apps.outputs import PRINT_PPI, write_report, write_results
 from splitknit.apps.report import make_report
-from splitknit.flatten import relief_print
 from splitknit.io import atomic_folder, read_capture, write_capture
 from splitknit.pipeline import reconstruct
+from splitknit.recipe.matchable import surface_print
 from splitknit.simulate.twin import simulate_capture
 
 PRESETS = ("metric", "ea")
@@ -51,8 +51,7 @@ def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = n
             write_results(result, capture, target / preset, compared)
         progress("comparing", 0.92)
         main = results[0]
-        size = (main.input_from_upright, main.upright_size, PRINT_PPI)
-        prints = relief_print(main.ridge_mm, main.mask, 1.0 / main.pitch_mm, *size)
+        prints = surface_print(main, PRINT_PPI)
         report = make_report(
             main,
             replace(capture, truth=None),

@@ -13,10 +13,10 @@ import numpy as np
 
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, Side, no_progress, read_side
 from splitknit.check import BadInput, require
-from splitknit.flatten.ridges import relief_print
 from splitknit.io import read_capture, read_image
 from splitknit.io.prints import encode_print_png
 from splitknit.match import pack
+from splitknit.recipe.matchable import surface_print
 
 KEEP = ("none", "thumbnail", "raw")
 _THUMBNAIL_PPI = 250.0
@@ -114,16 +114,7 @@ def _kept(path: Path, side: Side, keep: str) -> bytes | None:
         size = (max(1, columns // 2), max(1, rows // 2))
         small = cv2.resize(image.reshape(rows, columns), size, interpolation=cv2.INTER_AREA)
         return encode_print_png(small.astype(np.uint8), _THUMBNAIL_PPI)
-    surface = side.surface
-    picture = relief_print(
-        surface.ridge_mm,
-        surface.mask,
-        1.0 / surface.pitch_mm,
-        surface.input_from_upright,
-        surface.upright_size,
-        _THUMBNAIL_PPI,
-    )
-    return encode_print_png(picture, _THUMBNAIL_PPI)
+    return encode_print_png(surface_print(side.surface, _THUMBNAIL_PPI), _THUMBNAIL_PPI)
 
 
 def _zipped(path: Path) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from typing import Any
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import Side, naming, read_print
 from splitknit.check import BadInput
-from splitknit.flatten.ridges import relief_print
 from splitknit.match import FmrTable, ridge_match
 from splitknit.match.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.match.minutiae_enhance import EnhanceSettings
 from splitknit.match.minutiae_joined import joined_similarity
+from splitknit.recipe.matchable import surface_print
 
 _FMR_TABLE = "match_fmr_minutiae.json"
 """Made by validation/match/impostors_minutiae.py."""
@@ -87,12 +87,7 @@ def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | 
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], float, bool]:
     """The print of a side, its resolution, and whether it comes from a file."""
     if side.surface is not None:
-        s = side.surface
-        image = naming(
-            side.path,
-            lambda: relief_print(s.ridge_mm, s.mask, 1 / s.pitch_mm, s.input_from_upright, s.upright_size, _PPI),
-        )
-        return image, _PPI, False
+        return naming(side.path, partial(surface_print, side.surface, _PPI)), _PPI, False
     if side.kind != "print":
         raise BadInput(
             f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."

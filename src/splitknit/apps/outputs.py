@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from splitknit.apps.figures import LONGEST_PX, render_views
 from splitknit.apps.pictures import normal_colours, upright_frame, upright_turn
 from splitknit.apps.report import Truth, make_report
-from splitknit.flatten import relief_print
 from splitknit.io import (
     atomic_file,
     atomic_folder,
@@ -35,7 +34,9 @@ from splitknit.io import (
     write_ply,
     write_print_png,
 )
+from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import JsonValue
+from splitknit.recipe.matchable import surface_print
 from splitknit.types import Capture, FloatArray, Reconstruction
 
 PRINT_PPI = 500.0
@@ -92,14 +93,7 @@ def write_files(
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into an existing folder."""
     origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-    prints = relief_print(
-        result.ridge_mm,
-        result.mask,
-        1.0 / result.pitch_mm,
-        result.input_from_upright,
-        result.upright_size,
-        PRINT_PPI,
-    )
+    prints = surface_print(result, PRINT_PPI)
     tasks: list[Callable[[], object]] = [
         partial(_write_pages, target, result, capture, prints, origin, truth, others),
         partial(_write_arrays, target / "height.npz", result, origin),
@@ -107,7 +101,7 @@ def write_files(
         partial(_write_normals, target / "normals.png", result, origin),
         partial(_write_albedo, target / "albedo.png", result, origin),
         partial(write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin),
-        partial(write_print_png, target / "print.png", prints, PRINT_PPI, _texts(origin)),
+        partial(write_print_png, target / "print.png", prints, PRINT_PPI, provenance_texts(origin)),
     ]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         jobs = [pool.submit(task) for task in tasks]
@@ -242,10 +236,6 @@ def _box(result: Reconstruction) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def _texts(origin: _Origin) -> dict[str, str]:
-    return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
-
-
 def _write_png(path: Path, picture: NDArray[np.uint8], origin: _Origin) -> None:
     """Write a grey or RGB picture as PNG, with its provenance."""
     image = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
@@ -254,7 +244,7 @@ def _write_png(path: Path, picture: NDArray[np.uint8], origin: _Origin) -> None:
         raise RuntimeError(f"{path.name} could not be encoded")
     encoded = data.tobytes()
     header = 33  # signature and IHDR
-    texts = b"".join(_text_chunk(keyword, text) for keyword, text in sorted(_texts(origin).items()))
+    texts = b"".join(_text_chunk(keyword, text) for keyword, text in sorted(provenance_texts(origin).items()))
     with atomic_file(path) as stream:
         stream.write(encoded[:header] + texts + encoded[header:])
 

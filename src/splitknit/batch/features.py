@@ -18,12 +18,11 @@ from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
 from splitknit.batch.surfaces import pack_surface
 from splitknit.check import BadInput
-from splitknit.flatten import relief_print
 from splitknit.io import atomic_file, canonical_json, provenance, read_capture, settings_hash
-from splitknit.io.prints import encode_print_png
+from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.match import pack
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
+from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
 from splitknit.recipe.memory import Memory
 from splitknit.types import Capture, Reconstruction
 
@@ -162,17 +161,8 @@ def _row(
 
 def print_png(result: Reconstruction) -> bytes:
     """Bytes of the ``print.png`` that ``splitknit reconstruct`` writes."""
-    image = relief_print(
-        result.ridge_mm,
-        result.mask,
-        1.0 / result.pitch_mm,
-        result.input_from_upright,
-        result.upright_size,
-        PRINT_PPI,
-    )
     origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-    text = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
-    return encode_print_png(image, PRINT_PPI, text)
+    return encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, provenance_texts(origin))
 
 
 def _quality(quality: Mapping[str, Any]) -> dict[str, float | None]:

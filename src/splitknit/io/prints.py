@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from splitknit.check import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.images import encode_image, read_bytes
 from splitknit.io.png import decode_png
+from splitknit.io.provenance import canonical_json
 
 _METRES_PER_INCH = 0.0254
 _AFTER_HEADER = 33
@@ -113,3 +115,8 @@ def _text_chunk(keyword: str, value: str) -> bytes:
 
 def _chunk(kind: bytes, body: bytes) -> bytes:
     return len(body).to_bytes(4, "big") + kind + body + zlib.crc32(body, zlib.crc32(kind)).to_bytes(4, "big")
+
+
+def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
+    """Texts of a PNG that say where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
+    return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}

@@ -1,4 +1,4 @@
-"""What matching needs of a reconstruction, and what it makes of it: a ridge template, and images for the thesis."""
+"""What matching needs of a reconstruction, and what it makes of it: a template, a print, and images for the thesis."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.flatten import relief_print
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.match import (
     FingerImages,
@@ -55,6 +56,18 @@ def surface_of(result: Reconstruction) -> Surface:
         result.pitch_mm,
         result.input_from_upright,
         result.upright_size,
+    )
+
+
+def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
+    """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
+    return relief_print(
+        surface.ridge_mm,
+        surface.mask,
+        1.0 / surface.pitch_mm,
+        surface.input_from_upright,
+        surface.upright_size,
+        ppi,
     )
 
 
