@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from functools import cache, partial
-from importlib import resources
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from splitknit.apps.fmr_tables import fmr_table
 from splitknit.apps.matching_inputs import (
     MatchingSettings,
     Progress,
@@ -21,7 +20,7 @@ from splitknit.apps.matching_inputs import (
 )
 from splitknit.check import BadInput, require
 from splitknit.io.templates import write_template
-from splitknit.match import VERSION, FmrTable, Template, pack, ridge_match, thesis_match
+from splitknit.match import VERSION, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override
 
 METHODS = ("ridge", "thesis", "minutiae")
@@ -104,7 +103,7 @@ def false_match_rate(similarity: float) -> float | None:
 
     Never below one over the number of impostor comparisons that the table was measured on.
     """
-    table = _fmr_table()
+    table = fmr_table(_FMR_TABLE)
     return None if table is None else table(similarity - _FMR_ROUNDING)
 
 
@@ -116,7 +115,7 @@ def similarity_at(fmr: float) -> float | None:
     BadInput
         If the table was measured on too few comparisons to state such a rate.
     """
-    table = _fmr_table()
+    table = fmr_table(_FMR_TABLE)
     if table is None:
         return None
     enough = table.fmr <= fmr
@@ -127,15 +126,6 @@ def similarity_at(fmr: float) -> float | None:
     )
     step = int(np.ceil(table.similarity[np.argmax(enough)] / _FMR_ROUNDING)) + 1
     return step * _FMR_ROUNDING
-
-
-@cache
-def _fmr_table() -> FmrTable | None:
-    file = resources.files("splitknit.apps") / _FMR_TABLE
-    if not file.is_file():
-        return None
-    document = json.loads(file.read_text(encoding="utf-8"))
-    return FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
 
 
 def as_calibrated(settings: MatchingSettings) -> bool:

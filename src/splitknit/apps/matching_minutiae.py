@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from functools import cache, partial
-from importlib import resources
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.apps.fmr_tables import fmr_table
 from splitknit.apps.matching_inputs import Side, naming, read_print
 from splitknit.check import BadInput
-from splitknit.match import FmrTable, ridge_match
+from splitknit.match import ridge_match
 from splitknit.match.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.match.minutiae_enhance import EnhanceSettings
 from splitknit.match.minutiae_joined import joined_similarity
@@ -62,7 +61,7 @@ def compare_minutiae(a: Side, b: Side) -> dict[str, Any]:
 
 def minutiae_false_match_rate(similarity: float) -> float | None:
     """Rate at which other (simulated) fingers' relief prints reach this similarity; None without a table."""
-    table = _table()
+    table = fmr_table(_FMR_TABLE)
     return None if table is None else table(similarity)
 
 
@@ -93,12 +92,3 @@ def _print_of(side: Side) -> tuple[NDArray[np.uint8], float, bool]:
             f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
         )
     return (*read_print(side.path), True)
-
-
-@cache
-def _table() -> FmrTable | None:
-    file = resources.files("splitknit.apps") / _FMR_TABLE
-    if not file.is_file():
-        return None
-    document = json.loads(file.read_text(encoding="utf-8"))
-    return FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
