@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from script_folder import Script, scripts_of
 from splitknit.radiance import linear_channels, linear_stack
 from splitknit.simulate.twin import TwinSettings, simulate_capture
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"
-Script = Callable[[str], ModuleType]
 
 
 @pytest.fixture(scope="module")
 def script() -> Iterator[Script]:
     """Import a script of validation/separation by its name."""
-    names = {file.stem for file in FOLDER.glob("*.py")}
-    with pytest.MonkeyPatch.context() as patch:
-        for name in names & set(sys.modules):
-            patch.delitem(sys.modules, name)
-        patch.syspath_prepend(str(FOLDER))
-        yield importlib.import_module
-        for name in names & set(sys.modules):
-            del sys.modules[name]
+    with scripts_of(FOLDER) as named:
+        yield named
 
 
 @pytest.fixture(scope="module")

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from script_folder import Script, scripts_of
+
 pytest.importorskip("pyarrow")
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "prints"
-Script = Callable[[str], ModuleType]
 
 
 @pytest.fixture(scope="module")
 def script() -> Iterator[Script]:
     """Import a script of validation/prints by its name."""
-    names = {file.stem for file in FOLDER.glob("*.py")}
-    with pytest.MonkeyPatch.context() as patch:
-        for name in names & set(sys.modules):
-            patch.delitem(sys.modules, name)
-        patch.syspath_prepend(str(FOLDER))
-        yield importlib.import_module
-        for name in names & set(sys.modules):
-            del sys.modules[name]
+    with scripts_of(FOLDER) as named:
+        yield named
 
 
 def test_pairs_are_as_many_and_as_near_as_can_be(script: Script) -> None:

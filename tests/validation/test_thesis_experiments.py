@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import json
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from script_folder import Script, scripts_of
+
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
-Script = Callable[[str], ModuleType]
 SUBJECTS, FINGERS, SESSIONS = 6, ("left_thumb", "right_index"), 3
 
 
 @pytest.fixture
-def thesis(monkeypatch: pytest.MonkeyPatch) -> Iterator[Script]:
+def thesis() -> Iterator[Script]:
     """Import a script of validation/thesis by its name."""
-    names = {file.stem for file in THESIS.glob("*.py")}
-    for name in names & set(sys.modules):
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.syspath_prepend(str(THESIS))
-    yield importlib.import_module
-    for name in names & set(sys.modules):
-        del sys.modules[name]
+    with scripts_of(THESIS) as named:
+        yield named
 
 
 class MadeUpStore:
