@@ -5,12 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
-
+from perfect_results import write_perfect
 from splitknit.apps.cli import main
-from splitknit.flatten.ridges import relief_print
-from splitknit.io import write_npz, write_print_png
-from splitknit.preprocess.orientation import find_upright
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.rig import default_rig
 
@@ -26,18 +22,7 @@ def people(folder: Path) -> Path:
         master = drawn.master()
         for session, pose in enumerate(POSES, start=1):
             seen = finger_surface(drawn, pose, camera, master=master)
-            upright = find_upright(seen.mask)
-            ridge = seen.height_mm - seen.shape_mm
-            place = folder / person / f"session_{session}" / finger
-            place.mkdir(parents=True)
-            arrays = {
-                "height_mm": seen.height_mm, "ridge_mm": ridge, "shape_mm": seen.shape_mm, "mask": seen.mask,
-                "pitch_mm": np.float64(camera.pitch_mm), "normals": seen.normals,
-                "input_from_upright": upright.input_from_upright, "upright_size": np.array(upright.size),
-            }  # fmt: skip
-            write_npz(place / "height.npz", arrays)
-            picture = relief_print(ridge, seen.mask, camera.px_per_mm, upright.input_from_upright, upright.size)
-            write_print_png(place / "print.png", picture, 500.0)
+            write_perfect(folder / person / f"session_{session}" / finger, seen, camera)
     return folder
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from perfect_results import write_perfect
 from splitknit.apps.cli import main
-from splitknit.flatten.ridges import relief_print
 from splitknit.io import write_npz, write_print_png
-from splitknit.preprocess.orientation import find_upright
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.rig import default_rig
 
@@ -27,19 +26,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (722, Pose(insertion_mm=27.0), "other"),
     ):
         seen = finger_surface(draw_finger(seed, "right_loop"), pose, camera)
-        upright = find_upright(seen.mask)
-        (folder / name).mkdir()
-        ridge = seen.height_mm - seen.shape_mm
-        write_npz(
-            folder / name / "height.npz",
-            {
-                "height_mm": seen.height_mm, "ridge_mm": ridge, "shape_mm": seen.shape_mm, "mask": seen.mask,
-                "pitch_mm": np.float64(camera.pitch_mm), "normals": seen.normals,
-                "input_from_upright": upright.input_from_upright, "upright_size": np.array(upright.size),
-            },
-        )  # fmt: skip
-        picture = relief_print(ridge, seen.mask, camera.px_per_mm, upright.input_from_upright, upright.size)
-        write_print_png(folder / name / "print.png", picture, 500.0)
+        write_perfect(folder / name, seen, camera)
     return folder
 
 

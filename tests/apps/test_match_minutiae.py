@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from perfect_results import write_perfect
 from splitknit.apps.cli import main
-from splitknit.flatten.ridges import relief_print
-from splitknit.io import read_print_png, write_npz, write_print_png
+from splitknit.io import read_print_png, write_print_png
 from splitknit.match.minutiae import extract, minutiae_match
-from splitknit.preprocess.orientation import find_upright
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.rig import default_rig
 
@@ -29,19 +28,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (732, Pose(insertion_mm=27.0), "other"),
     ):
         seen = finger_surface(draw_finger(seed, "right_loop"), pose, camera)
-        upright = find_upright(seen.mask)
-        (folder / name).mkdir()
-        ridge = seen.height_mm - seen.shape_mm
-        write_npz(
-            folder / name / "height.npz",
-            {
-                "ridge_mm": ridge, "shape_mm": seen.shape_mm, "mask": seen.mask, "normals": seen.normals,
-                "pitch_mm": np.float64(camera.pitch_mm), "input_from_upright": upright.input_from_upright,
-                "upright_size": np.array(upright.size),
-            },
-        )  # fmt: skip
-        picture = relief_print(ridge, seen.mask, camera.px_per_mm, upright.input_from_upright, upright.size)
-        write_print_png(folder / name / "print.png", picture, 500.0)
+        write_perfect(folder / name, seen, camera)
     return folder
 
 

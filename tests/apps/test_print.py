@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from perfect_results import write_perfect
 from splitknit.apps.cli import main
 from splitknit.io import read_npz, read_print_png, write_npz
-from splitknit.preprocess.orientation import find_upright
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.rig import default_rig
 
@@ -20,21 +20,10 @@ from splitknit.simulate.rig import default_rig
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A perfect reconstruction of a whorl, turned a little, with the places of its true minutiae."""
-    folder = tmp_path_factory.mktemp("print") / "result"
-    folder.mkdir()
     camera = default_rig(0.22).camera
     seen = finger_surface(draw_finger(741, "whorl"), Pose(insertion_mm=27.0, yaw_rad=0.12), camera)
-    upright = find_upright(seen.mask)
-    write_npz(
-        folder / "height.npz",
-        {
-            "height_mm": seen.height_mm, "ridge_mm": seen.height_mm - seen.shape_mm, "shape_mm": seen.shape_mm,
-            "mask": seen.mask, "pitch_mm": np.float64(camera.pitch_mm), "normals": seen.normals,
-            "input_from_upright": upright.input_from_upright, "upright_size": np.array(upright.size),
-            "minutiae_px": seen.landmarks["minutiae_px"],
-        },
-    )  # fmt: skip
-    return folder
+    more = {"minutiae_px": seen.landmarks["minutiae_px"]}
+    return write_perfect(tmp_path_factory.mktemp("print") / "result", seen, camera, more=more)
 
 
 def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:

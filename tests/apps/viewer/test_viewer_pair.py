@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from perfect_results import write_perfect
 from splitknit.apps.viewer.catalogue import make_catalogue
 from splitknit.apps.viewer.marks import Marks
 from splitknit.apps.viewer.pair import Alignment, align, matched_marks
 from splitknit.apps.viewer.surface import read_surface
-from splitknit.flatten.ridges import relief_print
 from splitknit.geometry import rotation_about
-from splitknit.io import write_npz, write_print_png
 from splitknit.preprocess.orientation import find_upright
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.rig import default_rig
-
-
-def write_finger(folder: Path, seen, camera, input_from_upright: np.ndarray, size: tuple[int, int]) -> Path:
-    folder.mkdir(parents=True)
-    ridge = seen.height_mm - seen.shape_mm
-    write_npz(
-        folder / "height.npz",
-        {
-            "height_mm": seen.height_mm, "ridge_mm": ridge, "shape_mm": seen.shape_mm, "mask": seen.mask,
-            "pitch_mm": np.float64(camera.pitch_mm), "normals": seen.normals,
-            "input_from_upright": input_from_upright, "upright_size": np.array(size),
-        },
-    )  # fmt: skip
-    picture = relief_print(ridge, seen.mask, camera.px_per_mm, input_from_upright, size)
-    write_print_png(folder / "print.png", picture, 500.0)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +29,7 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Path:
         upright = find_upright(seen.mask)
         middle = ((upright.size[1] - 1) / 2, (upright.size[0] - 1) / 2)
         matrix = upright.input_from_upright @ rotation_about(middle, np.deg2rad(turn_deg))
-        write_finger(folder / name, seen, camera, matrix, upright.size)
+        write_perfect(folder / name, seen, camera, replace(upright, input_from_upright=matrix))
     return folder
 
 

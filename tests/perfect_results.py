@@ -1,0 +1,32 @@
+"""Result folders of perfect reconstructions: the true surface of a simulated finger, as a reconstruction keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.flatten.ridges import relief_print
+from splitknit.io import write_npz, write_print_png
+from splitknit.preprocess.orientation import Upright, find_upright
+from splitknit.types import Camera
+
+
+def write_perfect(
+    folder: Path, seen: Any, camera: Camera, upright: Upright | None = None, more: Mapping[str, Any] | None = None
+) -> Path:
+    """Write ``height.npz`` (with the arrays `more`) and ``print.png`` of the surface that `camera` has seen."""
+    folder.mkdir(parents=True)
+    upright = upright or find_upright(seen.mask)
+    ridge = seen.height_mm - seen.shape_mm
+    arrays = {
+        "height_mm": seen.height_mm, "ridge_mm": ridge, "shape_mm": seen.shape_mm, "mask": seen.mask,
+        "pitch_mm": np.float64(camera.pitch_mm), "normals": seen.normals,
+        "input_from_upright": upright.input_from_upright, "upright_size": np.array(upright.size),
+    }  # fmt: skip
+    write_npz(folder / "height.npz", {**arrays, **(more or {})})
+    picture = relief_print(ridge, seen.mask, camera.px_per_mm, upright.input_from_upright, upright.size)
+    write_print_png(folder / "print.png", picture, 500.0)
+    return folder
