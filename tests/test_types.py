@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.types import Camera, Led, Rig
+from splitknit.io.rig import rig_from_json, rig_to_json
+from splitknit.types import Camera, Led, Mirror, Rig
 
 
 def rig_of(*leds: Led) -> Rig:
@@ -72,3 +73,49 @@ def test_lights_of_one_exposure_add() -> None:
     opposite = [Led("white", direction=(1, 0, 0)), Led("white", direction=(-1, 0, 0))]
     with pytest.raises(BadInput, match="cancel"):
         rig_of(*opposite).select([(0, 1)]).light_vectors()
+
+
+RIGHT = ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0))
+
+
+def test_a_mirror_knows_its_plane() -> None:
+    mirror = Mirror("right", RIGHT, 0.85)
+    np.testing.assert_allclose(mirror.normal, np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0), atol=1e-12)
+    np.testing.assert_allclose(mirror.point_mm, [19.0, 5.0, -8.0])
+    np.testing.assert_allclose(Mirror("right", RIGHT[::-1]).normal, mirror.normal, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "corners", "reflectance", "words"),
+    [
+        ("above", RIGHT, 0.9, "left, right or tip"),
+        ("right", RIGHT[:2], 0.9, "three"),
+        ("right", (*RIGHT[:3], (26.0, -10.0, float("nan"))), 0.9, "finite"),
+        ("right", ((0, 0, 0), (1, 0, 1), (2, 0, 2)), 0.9, "one line"),
+        ("right", (*RIGHT[:3], (26.0, -10.0, 3.0)), 0.9, "one plane"),
+        ("right", RIGHT, 0.0, "reflectance"),
+        ("right", ((9, 0, 0), (9, 9, 0), (9, 9, 9), (9, 0, 9)), 0.9, "upright"),
+    ],
+)
+def test_mirrors_that_cannot_be(name: str, corners: tuple, reflectance: float, words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        Mirror(name, corners, reflectance)
+
+
+def test_mirrors_of_a_rig_come_back_from_its_file() -> None:
+    led = Led("white", position_mm=(52.5, 0.0, 140.0))
+    rig = Rig(Camera(45.0, (40, 60)), (led,), {}, (Mirror("right", RIGHT, 0.85),))
+    document = rig_to_json(rig)
+    assert rig_from_json(document).mirrors == rig.mirrors
+    assert "mirrors" not in rig_to_json(Rig(rig.camera, (led,)))
+    document["mirrors"][0]["corners_mm"][1] = [1, 2]
+    with pytest.raises(BadInput, match=r"mirrors\[0\]\.corners_mm"):
+        rig_from_json(document)
+    with pytest.raises(BadInput, match="different names"):
+        Rig(rig.camera, (led,), {}, rig.mirrors * 2)
+
+
+def test_only_an_image_in_a_mirror_may_lie_below_the_finger_plane() -> None:
+    with pytest.raises(BadInput, match="above"):
+        Led("white", position_mm=(150.0, 0.0, -60.0))
+    assert Led("white", position_mm=(150.0, 0.0, -60.0), reflected=True).reflected

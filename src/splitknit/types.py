@@ -77,6 +77,8 @@ class Led:
     """Direction of a near LED's axis, from the LED outwards; None = towards the origin."""
     also: tuple[Led, ...] = ()
     """Further LEDs lit in the same exposure."""
+    reflected: bool = False
+    """The image of an LED in a mirror: it may lie below the finger plane, aimed anywhere. Never in a rig file."""
 
     def __post_init__(self) -> None:
         require(
@@ -93,7 +95,7 @@ class Led:
             np.isfinite(self.lobe_exponent) and self.lobe_exponent >= 0,
             "an LED's lobe_exponent must be zero or a positive number.",
         )
-        if self.position_mm is not None:
+        if self.position_mm is not None and not self.reflected:
             require(self.position_mm[2] > 0, "an LED's position_mm must lie above the finger plane (z > 0).")
         if self.aim is not None and vector is not None:
             require(self.position_mm is not None, "an LED's aim needs its position_mm: distant light has no axis.")
@@ -102,7 +104,10 @@ class Led:
                 "an LED's aim must be three finite numbers that are not all zero.",
             )
             towards = -float(np.dot(self.aim, vector)) / float(np.linalg.norm(self.aim) * np.linalg.norm(vector))
-            require(towards > 0.2, "an LED's aim must point towards the finger plane's middle, within 78 deg.")
+            require(
+                self.reflected or towards > 0.2,
+                "an LED's aim must point towards the finger plane's middle, within 78 deg.",
+            )
 
     @property
     def axis(self) -> NDArray[np.float64]:
@@ -113,13 +118,60 @@ class Led:
         return np.asarray(-vector / np.linalg.norm(vector))
 
 
+@dataclass(frozen=True, slots=True)
+class Mirror:
+    """A plane mirror beside the finger, in the rig's frame, as it was built: its true pose differs a little."""
+
+    name: str
+    """``left`` (x < 0), ``right`` (x > 0) or ``tip`` (beyond the fingertip)."""
+    corners_mm: tuple[tuple[float, float, float], ...]
+    """Outline of the reflecting face, at least three corners in order, all in one plane."""
+    reflectance: float = 0.9
+    """Share of the light that it reflects, the same in all bands."""
+
+    def __post_init__(self) -> None:
+        require(self.name in ("left", "right", "tip"), f"a mirror is left, right or tip, not '{self.name}'.")
+        corners = np.asarray(self.corners_mm, dtype=np.float64)
+        require(
+            corners.ndim == 2 and corners.shape[0] >= 3 and corners.shape[1] == 3 and bool(np.isfinite(corners).all()),
+            f"the {self.name} mirror's corners_mm must be at least three points of three finite numbers.",
+        )
+        centred = corners - corners.mean(axis=0)
+        size = np.linalg.svd(centred, compute_uv=False)
+        require(bool(size[1] > 1e-3), f"the {self.name} mirror's corners_mm lie on one line.")
+        require(bool(size[2] <= 1e-3 * size[1]), f"the {self.name} mirror's corners_mm do not lie in one plane.")
+        require(0.0 < self.reflectance <= 1.0, f"the {self.name} mirror's reflectance must lie in (0, 1].")
+        require(
+            abs(float(self.normal[2])) > 0.1,
+            f"the {self.name} mirror stands upright: the camera cannot see anything in it; lean it by about 45 deg.",
+        )
+
+    @property
+    def point_mm(self) -> NDArray[np.float64]:
+        """(3,) middle of the outline."""
+        return np.asarray(np.mean(np.asarray(self.corners_mm, dtype=np.float64), axis=0))
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """(3,) unit normal of the face that reflects, towards the camera (z > 0)."""
+        corners = np.asarray(self.corners_mm, dtype=np.float64)
+        _, _, axes = np.linalg.svd(corners - corners.mean(axis=0))
+        return np.asarray(axes[2] if axes[2, 2] > 0 else -axes[2])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """Camera and lights."""
+    """Camera, lights and mirrors."""
 
     camera: Camera
     leds: tuple[Led, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    mirrors: tuple[Mirror, ...] = ()
+    """Beside the finger; none in the thesis's main rig."""
+
+    def __post_init__(self) -> None:
+        names = [mirror.name for mirror in self.mirrors]
+        require(len(set(names)) == len(names), "the rig's mirrors must have different names: left, right, tip.")
 
     def select(self, groups: Sequence[Sequence[int]]) -> Rig:
         """Return the rig whose `leds[k]` is what lights image k: the LEDs `groups[k]` together."""

@@ -14,7 +14,7 @@ from splitknit.check import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
-from splitknit.types import Camera, Led, Rig
+from splitknit.types import Camera, Led, Mirror, Rig
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _MAX_PIXELS = 200_000_000
@@ -72,8 +72,14 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             **({"shading": plain_json(camera.shading)} if camera.shading else {}),
         },
         "leds": leds,
+        **({"mirrors": [_mirror_entry(mirror) for mirror in rig.mirrors]} if rig.mirrors else {}),
         "provenance": plain_json(rig.provenance),
     }
+
+
+def _mirror_entry(mirror: Mirror) -> JsonValue:
+    corners = [[float(value) for value in corner] for corner in mirror.corners_mm]
+    return plain_json({"name": mirror.name, "corners_mm": corners, "reflectance": float(mirror.reflectance)})
 
 
 def _distortion(camera: Camera) -> tuple[float, ...] | None:
@@ -85,7 +91,7 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     """Build a rig from its JSON document; `name` is the file's name for messages.
 
     ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
-    ``intensity`` (1) and ``lobe_exponent`` (0). Fields that the format does not know are ignored.
+    ``intensity`` (1), ``lobe_exponent`` (0) and ``mirrors`` (none). Fields that the format does not know are ignored.
 
     Raises
     ------
@@ -99,7 +105,31 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     if not 1 <= len(entries) <= 10_000:
         fields.refuse("leds", "a list of at least one LED")
     leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
-    return Rig(camera, leds, fields.mapping("provenance"))
+    mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(_mirror_items(fields))]
+    try:
+        return Rig(camera, leds, fields.mapping("provenance"), tuple(mirrors))
+    except BadInput as error:
+        raise BadInput(f"{name}: {error}") from error
+
+
+def _mirror_items(fields: Fields) -> list[Any]:
+    return list(fields.items("mirrors")) if fields.has("mirrors") else []
+
+
+def _mirror(fields: Fields) -> Mirror:
+    corners = []
+    for corner in fields.items("corners_mm"):
+        numbers = [as_number(item) for item in corner] if isinstance(corner, list) else []
+        x, y, z = numbers if len(numbers) == 3 else (None, None, None)
+        if x is None or y is None or z is None or max(abs(x), abs(y), abs(z)) > 1e4:
+            fields.refuse("corners_mm", "a list of points, each three numbers in mm")
+        corners.append((x, y, z))
+    try:
+        return Mirror(fields.text("name"), tuple(corners), fields.number("reflectance", 1e-6, 1.0, 0.9))
+    except BadInput as error:
+        if str(error).startswith(fields.name):
+            raise
+        raise BadInput(f"{fields.name}: {fields.where}: {error}") from error
 
 
 def _camera(fields: Fields) -> Camera:
