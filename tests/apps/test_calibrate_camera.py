@@ -14,6 +14,7 @@ from splitknit.apps.cli import main
 from splitknit.io import read_rig, write_image, write_rig
 from splitknit.simulate import bench
 from splitknit.simulate.built_rig import built_rig
+from splitknit.types import Mirror
 
 SCALE, SEED, COUNT = 0.15, 2, 7
 PRINTED = bench.Board(columns=9, rows=6, square_mm=3.0)
@@ -133,7 +134,10 @@ def test_same_photographs_same_bytes(photos, calibrated, tmp_path):
 def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
     place, rig = photos
     before = tmp_path / "before.json"
-    old = replace(rig, camera=replace(rig.camera, height_mm=150.0), provenance={"lights": {"method": "nail"}})
+    face = ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0))
+    mirrors = (Mirror("right", face, 0.85),)
+    camera = replace(rig.camera, height_mm=150.0)
+    old = replace(rig, camera=camera, provenance={"lights": {"method": "nail"}}, mirrors=mirrors)
     write_rig(old, before)
     out = tmp_path / "after.json"
     folder = tmp_path / "boards"
@@ -150,7 +154,7 @@ def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
     assert "Depth of field at f/8" in printed
     assert "Taken over: nothing" in printed
     after = read_rig(out)
-    assert after.leds == rig.leds
+    assert after.leds == rig.leds and after.mirrors == mirrors
     assert after.camera.shading == rig.camera.shading
     assert after.camera.height_mm == pytest.approx(rig.camera.height_mm, rel=0.003)
     assert after.provenance["lights"] == {"method": "nail"}

@@ -15,12 +15,14 @@ from splitknit.io import read_image, read_rig, write_image, write_rig
 from splitknit.simulate.bench import NailScene, SphereScene, photograph_bench, well_exposed
 from splitknit.simulate.built_rig import built_rig, nominal_rig
 from splitknit.simulate.rig import default_rig
+from splitknit.types import Mirror
 
 THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"
 RIG = (
     *("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5"),
     *("--led-centre-px", "1575,1174", "--image-size", "2200,3200"),
 )
+MIRROR = Mirror("right", ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0)), 0.85)
 GOOD = (*("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5.25"), "--image-size", "2200,3200")
 
 
@@ -122,7 +124,7 @@ def test_several_positions_are_fitted_together(capsys, tmp_path):
 def test_a_rig_keeps_what_it_knows(capsys, tmp_path):
     """Camera, intensities and other facts come from the rig, whose LEDs move."""
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
-    known = default_rig(seed=3)
+    known = replace(default_rig(seed=3), mirrors=(MIRROR,))
     write_rig(known, tmp_path / "old.json")
     code, said, _ = run(
         capsys, "--table", table, "--rig", tmp_path / "old.json", "--out", tmp_path / "new.json", "--json"
@@ -131,6 +133,7 @@ def test_a_rig_keeps_what_it_knows(capsys, tmp_path):
     rig = read_rig(tmp_path / "new.json")
     assert [led.intensity for led in rig.leds] == [led.intensity for led in known.leds]
     assert rig.provenance["source"] == known.provenance["source"]
+    assert rig.mirrors == known.mirrors
 
 
 def test_one_position_is_not_checked(capsys, tmp_path):

@@ -83,7 +83,9 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, share: N
     leds = base.leds if base is not None else default_rig().leds
     before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
     facts = facts_of(job, found, nominal_leds=base is None)
-    write_rig(Rig(found.camera, leds, {**before, "camera": rig_provenance(facts, found.hashes)}), job.out)
+    mirrors = base.mirrors if base is not None else ()
+    provenance = {**before, "camera": rig_provenance(facts, found.hashes)}
+    write_rig(Rig(found.camera, leds, provenance, mirrors), job.out)
     return facts
 
 

@@ -74,9 +74,9 @@ def lights_of_sphere(options: argparse.Namespace) -> Outcome:
         lines.append(f"  {one.path.name}  towards ({unit[0]:+.4f}, {unit[1]:+.4f}, {unit[2]:+.4f})")
     origin = provenance({"sphere": options.sphere, "ball": ball}, hashes)
     before = dict(inputs.base.provenance) if inputs.base is not None else {}
-    rig = Rig(
-        inputs.camera, tuple(leds), {**before, "lights": {"method": options.sphere, "provenance": plain_json(origin)}}
-    )
+    mirrors = inputs.base.mirrors if inputs.base is not None else ()
+    said = {**before, "lights": {"method": options.sphere, "provenance": plain_json(origin)}}
+    rig = Rig(inputs.camera, tuple(leds), said, mirrors)
     outline = {"column": ball.column, "row": ball.row, "radius_px": ball.radius_px}
     return write_lights(rig, options.out, {"method": options.sphere, "ball": outline, "leds": facts}, lines)
 
