@@ -151,4 +151,5 @@ PRESETS: dict[str, PipelineSettings] = {
     "snk": _thesis(split=True, knit="addition"),
     "pr": _thesis(split=True, knit="none"),
     "ea": _thesis(split=False, knit="none"),
+    "zheng": _thesis(split=False, knit="none"),
 }
