@@ -25,7 +25,7 @@ class NearLightSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Scene:
+class NearScene:
     """What a chunk of rows is cut from."""
 
     images: FloatArray
@@ -99,7 +99,7 @@ def near_light(  # noqa: PLR0917
     calibration and numerical solution", JMIV 60 (2018), eq. 2.5 and 3.1.
     """
     chosen = settings if settings is not None else NearLightSettings()
-    scene = _scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
+    scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
     _, count, rows, columns = scene.images.shape
     given = None if weights is None else _check_weights(weights, (count, rows, columns))
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
@@ -142,7 +142,7 @@ def pseudo_normals(  # noqa: PLR0917
     colours = array.shape[0] if channels else 1
     count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
     grouped = images.reshape(colours, count, rows, columns)
-    scene = _scene(grouped, rig, surface_mm, mask, x_mm, y_mm, view)
+    scene = near_scene(grouped, rig, surface_mm, mask, x_mm, y_mm, view)
     given = None if weights is None else _check_weights(weights, (count, rows, columns))
     result = np.zeros((colours, rows, columns, 3), dtype=np.float32)
 
@@ -173,7 +173,7 @@ def near_light_weights(  # noqa: PLR0917
     Parameters and errors as for :func:`near_light`.
     """
     chosen = settings if settings is not None else RobustSettings()
-    scene = _scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
+    scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
     _, count, rows, columns = scene.images.shape
     result = np.zeros((count, rows, columns), dtype=np.float32)
 
@@ -188,9 +188,10 @@ def near_light_weights(  # noqa: PLR0917
     return result
 
 
-def _scene(  # noqa: PLR0917
+def near_scene(  # noqa: PLR0917
     images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, x_mm: Any, y_mm: Any, given: View | None
-) -> _Scene:
+) -> NearScene:
+    """Check what near lights shine on; parameters and errors as for :func:`near_light`."""
     count, shape = images.shape[1], (images.shape[2], images.shape[3])
     check_lights(rig.light_vectors(), count, name="the rig's lights")
     surface = surface_array(surface_mm, shape)
@@ -207,7 +208,7 @@ def _scene(  # noqa: PLR0917
         float(surface.max(where=inside, initial=-np.inf)) < min(heights, default=np.inf),
         "surface_mm reaches the LEDs; it must be in mm above the finger plane.",
     )
-    return _Scene(images, rig, surface, inside, view)
+    return NearScene(images, rig, surface, inside, view)
 
 
 def _check_weights(weights: Any, shape: tuple[int, int, int]) -> FloatArray:
