@@ -61,6 +61,22 @@ class Camera:
         return 1.0 / self.px_per_mm
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Shade:
+    """How much of a light reaches the finger, place by place: what is turned away or hidden from it lies in shadow."""
+
+    x_mm: tuple[float, float]
+    """x of the first and last column."""
+    y_mm: tuple[float, float]
+    """y of the first and last row."""
+    share: FloatArray
+    """(h, w) in [0, 1], at least 2 x 2; read bilinearly, and at its border beyond it."""
+
+    def __post_init__(self) -> None:
+        require(self.share.ndim == 2 and min(self.share.shape) >= 2, "a light's shade must be at least 2 x 2.")
+        require(self.x_mm[0] != self.x_mm[1] and self.y_mm[0] != self.y_mm[1], "a light's shade must have a size.")
+
+
 @dataclass(frozen=True, slots=True)
 class Led:
     """One light: near (`position_mm`) or distant (`direction`, towards the light), never both."""
@@ -78,7 +94,10 @@ class Led:
     also: tuple[Led, ...] = ()
     """Further LEDs lit in the same exposure."""
     reflected: bool = False
-    """The image of an LED in a mirror: it may lie below the finger plane, aimed anywhere. Never in a rig file."""
+    """The image of an LED in a mirror: it may lie below the finger plane, aimed anywhere. Never in a rig file. Where an
+    exposure is spoken of as one light (:meth:`Rig.light_vectors`), the images among `also` are left out."""
+    shade: Shade | None = None
+    """Where its light does not reach the finger; None: it reaches everything. Never in a rig file."""
 
     def __post_init__(self) -> None:
         require(
@@ -208,7 +227,8 @@ def _vector_at_origin(led: Led) -> NDArray[np.float64]:
         direction = np.asarray(led.direction, dtype=np.float64)
         vector = led.intensity * direction / np.linalg.norm(direction)
     for other in led.also:
-        vector = vector + _vector_at_origin(other)
+        if not other.reflected:
+            vector = vector + _vector_at_origin(other)
     return np.asarray(vector, dtype=np.float64)
 
 

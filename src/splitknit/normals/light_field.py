@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from splitknit.check import require
 from splitknit.normals.chunks import row_chunks
-from splitknit.types import Camera, FloatArray, Led, Rig
+from splitknit.types import Camera, FloatArray, Led, Rig, Shade
 from splitknit.view import View, view_of
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
+_LONGEST = 30_000
 
 
 def seen_from(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any, view: View | None = None) -> View:
@@ -47,12 +50,19 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
     that share an exposure add. As in :meth:`splitknit.types.Rig.light_vectors`, the mean length at the origin is one.
     """
     origin = np.zeros(1, dtype=np.float32)
-    at_origin = np.stack([_sum(led, origin, origin, origin) for led in rig.leds]).astype(np.float64)
+    at_origin = np.stack([_sum(_alone(led), origin, origin, origin) for led in rig.leds]).astype(np.float64)
     scale = np.float32(1 / np.sqrt((at_origin**2).sum(axis=1)).mean())
     field = np.empty((len(rig.leds), 3, *z.shape), dtype=np.float32)
     for k, led in enumerate(rig.leds):
         np.multiply(_sum(led, x, y, z), scale, out=field[k])
     return field
+
+
+def _alone(led: Led) -> Led:
+    """An exposure's light without images in mirrors and without shadows."""
+    if led.shade is None and not any(other.reflected for other in led.also):
+        return led
+    return replace(led, shade=None, also=tuple(_alone(other) for other in led.also if not other.reflected))
 
 
 def _sum(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
@@ -80,8 +90,24 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         axis_unit = -led.axis.astype(np.float32)
         cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
         strength *= np.maximum(cosine, np.float32(0.0)) ** np.float32(led.lobe_exponent)
-    result *= strength
+    result *= strength if led.shade is None else strength * _share(led.shade, x, y)
     return result
+
+
+def _share(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Share of the light that reaches the places (x, y), of any shape."""
+    rows, columns = shade.share.shape
+    places = []
+    for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
+        places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
+    column, row = np.broadcast_arrays(*places)
+    flat = row.reshape(-1)
+    read = np.empty(flat.shape, dtype=np.float32)
+    for start in range(0, flat.size, _LONGEST):  # OpenCV reads at most so many places in one line
+        part = slice(start, start + _LONGEST)
+        where = column.reshape(-1)[part, None], flat[part, None]
+        read[part] = cv2.remap(shade.share, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
+    return read.reshape(row.shape)
 
 
 def light_field(
