@@ -53,7 +53,7 @@ def reconstruct(
     ----------
     capture : Capture
         From :func:`splitknit.read_capture` or a simulator.
-    preset : ``metric``, ``snk``, ``pr`` or ``ea``
+    preset : a name of :data:`PRESETS`
     settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
         Changes to the preset.
     progress : called with the name of the stage and the share done, optional

@@ -18,6 +18,7 @@ from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
 from splitknit.recipe.finger import Finger, finger_key
 from splitknit.recipe.memory import Memory
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
+from splitknit.recipe.smooth import smoothed
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.direct import direct_light, direct_of_enhanced
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
@@ -65,6 +66,10 @@ def thesis(
             slopes = memory(("below", *seen, nir is white), partial(_below, capture, nir, finger, settings))
             shape = _integrate(slopes, mask, settings) * pitch
             height, ridge = _knitted(ridge, shape, gradients, mask, settings, capture)
+        if settings.smooth.sigma_mm > 0:
+            sigma_px = settings.smooth.sigma_mm * capture.rig.camera.px_per_mm
+            height, ridge = smoothed(height, mask, sigma_px), smoothed(ridge, mask, sigma_px)
+            shape = height - ridge
     return SurfaceParts(height, ridge, shape, albedo, None, facts_of(capture, settings, white, nir), warnings)
 
 
