@@ -36,7 +36,7 @@ def by_the_book(normal, light, layers, base, exposure):
     way_in, way_out = inside(light), inside(view)
     turned = -way_in @ way_out
     scattering = np.array([layers.epidermis_scattering_per_mm, layers.dermis_scattering_per_mm])
-    extinction = scattering + [layers.epidermis_absorption_per_mm, layers.dermis_absorption_per_mm]
+    extinction = scattering + np.array([layers.epidermis_absorption_per_mm, layers.dermis_absorption_per_mm])
     path = 1 / (way_in @ normal) + 1 / (way_out @ normal)
     thickness = layers.epidermis_thickness_mm
     upper, lower = np.linspace(0, thickness, 20001), np.linspace(0, 1.0, 200001)

@@ -10,7 +10,7 @@ from typing import Any
 
 from splitknit.check import BadInput
 
-PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng")
+PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "xie")
 
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""

@@ -8,7 +8,7 @@ from splitknit.check import require
 from splitknit.integrate import PoissonSettings, ShapeletSettings
 from splitknit.knit import KnitSettings
 from splitknit.metric import MetricSettings
-from splitknit.normals import RobustSettings
+from splitknit.normals import HanrahanKruegerSettings, RobustSettings
 from splitknit.preprocess import (
     ClaheSettings,
     CreaseSettings,
@@ -54,16 +54,18 @@ class NormalsSettings:
     """Photometric stereo of opaque surfaces and of the thesis's cases."""
 
     method: str = "near_light"
-    """``lambertian``, ``robust`` or ``near_light``."""
+    """``lambertian``, ``robust``, ``near_light``, or ``hanrahan_krueger`` (two-layer skin under distant lights)."""
     robust: RobustSettings = field(default_factory=RobustSettings)
     """Weights of ``robust`` and ``near_light``."""
     rounds: int = 3
     """Turns of ``near_light`` and integration."""
     max_slope: float = 6.0
     """Steeper slopes are shortened to this."""
+    hanrahan_krueger: HanrahanKruegerSettings = field(default_factory=HanrahanKruegerSettings)
+    """Of that method alone."""
 
     def __post_init__(self) -> None:
-        known = ("lambertian", "robust", "near_light")
+        known = ("lambertian", "robust", "near_light", "hanrahan_krueger")
         require(self.method in known, f"normals.method must be one of {', '.join(known)}, not '{self.method}'.")
         require(1 <= self.rounds <= 20, "normals.rounds must lie between 1 and 20.")
         require(self.max_slope > 0, "normals.max_slope must be positive.")
@@ -175,6 +177,19 @@ def _kumar() -> PipelineSettings:
     return replace(_thesis(split=False, knit="none"), smooth=SmoothSettings(sigma_mm=0.05))
 
 
+def _xie() -> PipelineSettings:
+    """Case EA with a two-layer model of skin in place of Lambert's: all lights count alike, as in EA.
+
+    References
+    ----------
+    W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
+    means", Optical Engineering 52 (2013); the thesis, (2.1) to (2.3).
+    """
+    skin = HanrahanKruegerSettings(weights="equal")
+    normals = NormalsSettings(method="hanrahan_krueger", hanrahan_krueger=skin)
+    return replace(_thesis(split=False, knit="none"), normals=normals)
+
+
 PRESETS: dict[str, PipelineSettings] = {
     "metric": PipelineSettings(shapelets=ShapeletSettings(scales=4)),
     "snk": _thesis(split=True, knit="addition"),
@@ -182,4 +197,5 @@ PRESETS: dict[str, PipelineSettings] = {
     "ea": _thesis(split=False, knit="none"),
     "kumar": _kumar(),
     "zheng": _thesis(split=False, knit="none"),
+    "xie": _xie(),
 }

@@ -12,7 +12,7 @@ import numpy as np
 from splitknit.geometry import gradients_from_normals
 from splitknit.integrate import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
 from splitknit.knit import add, crossover
-from splitknit.normals import NearLightSettings, lambertian, near_light, robust
+from splitknit.normals import NearLightSettings, hanrahan_krueger, lambertian, near_light, robust
 from splitknit.preprocess import clahe
 from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
 from splitknit.recipe.finger import Finger, finger_key
@@ -171,6 +171,9 @@ def _distant_normals(
         lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     if settings.normals.method == "robust":
         return robust(stack, lights, mask, settings.normals.robust)
+    if settings.normals.method == "hanrahan_krueger":
+        normals, albedo, _ = hanrahan_krueger(stack, lights, mask, settings.normals.hanrahan_krueger)
+        return normals, albedo
     return lambertian(stack, lights, mask)
 
 
