@@ -14,7 +14,7 @@ from splitknit.simulate.landmarks import find_landmarks
 from splitknit.simulate.lens import picture_on_plane
 from splitknit.simulate.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulate.raycast import NOTHING_SEEN, Placement, above, cast_block, hits
-from splitknit.simulate.skin_map import Crease, SkinSettings, skin_map
+from splitknit.simulate.skin_map import Crease, SkinMap, SkinSettings, skin_map
 from splitknit.simulate.surface import Surface
 from splitknit.types import Camera
 
@@ -166,7 +166,14 @@ def draw_finger(seed: int, pattern: str | None = None, *, print_settings: Master
 
 
 def finger_surface(
-    finger: Finger, pose: Pose, camera: Camera, *, master: MasterPrint | None = None, workers: int = 2
+    finger: Finger,
+    pose: Pose,
+    camera: Camera,
+    *,
+    master: MasterPrint | None = None,
+    workers: int = 2,
+    skin: SkinMap | None = None,
+    keep_chart: bool = False,
 ) -> Surface:
     """Show one posed finger to a camera.
 
@@ -184,6 +191,10 @@ def finger_surface(
         The finger's master print where it was drawn already, else it is drawn.
     workers
         Threads; the result does not depend on them.
+    skin
+        Laid over the body instead of the finger's own.
+    keep_chart
+        Whether the surface tells where on the skin's map its points lie.
 
     Raises
     ------
@@ -192,7 +203,7 @@ def finger_surface(
     """
     body = FingerBody(finger.shape)
     master = master or finger.master()
-    skin = skin_map(master, finger.skin)
+    skin = skin_map(master, finger.skin) if skin is None else skin
     placement = place(body, pose, camera)
     top = above(body, placement)
     require(
@@ -227,7 +238,7 @@ def finger_surface(
     return Surface(
         camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
         find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
-        *places,
+        *places, chart=chart if keep_chart else None,
     )  # fmt: skip
 
 

@@ -99,6 +99,10 @@ def render_band(
     surface reflection.
     """
     settings = settings or RenderSettings()
+    if surface.coat is not None:
+        from splitknit.simulate.coat_light import render_coated  # noqa: PLC0415 - it builds on this module
+
+        return render_coated(surface, leds, optics, roughness=roughness, glare=glare, walks=walks, settings=settings)
     patch = cut_out(surface)
     pitch_mm, reach_mm = patch.pitch_mm, settings.reach_mm
     blur = Diffusion(patch, pitch_mm, optics, walks, reach_mm=reach_mm, roughness=roughness, rim=settings.rim_exponent)

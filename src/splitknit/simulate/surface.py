@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from splitknit.check import require
+from splitknit.simulate.coat import Coat
 from splitknit.types import BoolArray, Camera, FloatArray
 
 
@@ -38,6 +39,10 @@ class Surface:
     """(H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera, whose grid tells."""
     y_mm: FloatArray | None = None
     """(H, W) y of the same points."""
+    chart: FloatArray | None = None
+    """(H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for."""
+    coat: Coat | None = None
+    """What lies on the skin; None where it is clean and bare."""
 
     def __post_init__(self) -> None:
         require(

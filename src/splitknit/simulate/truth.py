@@ -25,6 +25,8 @@ def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
     }
     if surface.x_mm is not None and surface.y_mm is not None:
         truth |= {"x_mm": surface.x_mm, "y_mm": surface.y_mm} | _flat("camera", asdict(surface.camera))
+    if surface.coat is not None:
+        truth |= surface.coat.truth()
     return truth | _flat("landmark", surface.landmarks)
 
 
