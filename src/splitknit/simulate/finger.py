@@ -235,10 +235,11 @@ def finger_surface(
         list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
     mask = np.isfinite(height)
     require(bool(mask.any()), NOTHING_SEEN)
+    x_mm, y_mm = places or (None, None)
     return Surface(
         camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
         find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
-        *places, chart=chart if keep_chart else None,
+        x_mm, y_mm, chart if keep_chart else None,
     )  # fmt: skip
 
 
