@@ -74,7 +74,29 @@ def cast_block(
     """
     shape = (block[0].stop - block[0].start, block[1].stop - block[1].start)
     rays = rays_of(camera, _range(block[0]), _range(block[1]))
-    z_shape, hit = _meet_body(body, placement, rays, _first_guess(body, placement, camera, block))
+    index, values = cast_rays(body, skin, placement, rays, _first_guess(body, placement, camera, block))
+
+    def spread(values: Array | Array32, empty: float) -> Array32:
+        full = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=np.float32)
+        full[index] = values
+        return full.reshape(*shape, *values.shape[1:])
+
+    return tuple(spread(one, empty) for one, empty in zip(values, EMPTY, strict=False))
+
+
+EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
+"""What :func:`cast_block` has where a ray meets nothing, in its order."""
+
+
+def cast_rays(
+    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, start: Array
+) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
+    """Which of the rays meet the skin, and for those what :func:`cast_block` tells, in its order.
+
+    The search goes down from the heights `start`, which must lie above the finger. The placement may be left-handed:
+    a finger behind a mirror.
+    """
+    z_shape, hit = _meet_body(body, placement, rays, start)
     index = np.nonzero(hit)[0]
     rays, z_shape = rays.some(index), z_shape[index]
     _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(*rays.at(z_shape)))
@@ -84,18 +106,16 @@ def cast_block(
     x, y, z = rays.at(z)
     normals, relief, u, v = _skin_normals(body, skin, placement, (x, y, z))
     rays.turn_to_view(normals)  # a few rays that only touch a ridge: no visible skin faces away
-
-    def spread(values: Array | Array32, empty: float) -> Array32:
-        full = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=np.float32)
-        full[index] = values
-        return full.reshape(*shape, *values.shape[1:])
-
-    places = () if rays.slopes is None else (spread(x, np.nan), spread(y, np.nan))
-    return (
-        spread(z, np.nan), spread(z_shape[valid], np.nan), spread(normals, 0.0), spread(shape_normals[valid], 0.0),
-        spread(1e3 * relief, 0.0), spread(skin.pigment_at(u, v), 1.0), spread(np.stack([u, v], -1), np.nan),
+    places = () if rays.slopes is None else (x, y)
+    return index, (
+        z, z_shape[valid], normals, shape_normals[valid], 1e3 * relief, skin.pigment_at(u, v), np.stack([u, v], -1),
         *places,
     )  # fmt: skip
+
+
+def meets(body: FingerBody, placement: Placement, rays: Rays, start: Array) -> NDArray[np.bool_]:
+    """(N,) whether rays meet the smooth finger below the heights `start`."""
+    return _meet_body(body, placement, rays, start)[1]
 
 
 def _range(part: slice) -> NDArray[np.intp]:
