@@ -131,6 +131,7 @@ def simulate_to_folder(
     pattern: str | None = None,
     scale: float | None = None,
     rig: Path | None = None,
+    impression: int = 0,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -143,7 +144,7 @@ def simulate_to_folder(
     check_target(out, "truth.npz", "an earlier simulated capture")
     with atomic_folder(out) as target:
         progress("simulating", 0.0)
-        capture, truth = simulate_capture(seed, pattern, settings)
+        capture, truth = simulate_capture(seed, pattern, settings, impression=impression)
         progress("writing", 0.8)
         write_capture(capture, target, truth, overwrite=True)
     progress("done", 1.0)
