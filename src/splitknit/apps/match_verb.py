@@ -8,6 +8,8 @@ from typing import Any
 
 from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, new_verb
 
+_MINUTIAE = ("minutiae", "voted")
+
 
 def add_match(verbs: Any) -> None:
     """Add the verb."""
@@ -17,10 +19,11 @@ def add_match(verbs: Any) -> None:
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
     verb.add_argument(
         "--method",
-        choices=("ridge", "thesis", "minutiae"),
+        choices=("ridge", "thesis", "minutiae", "voted"),
         default="ridge",
-        help="ridge (ours, the default), thesis (local binary patterns; needs captures or results) or minutiae (of the "
-        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux)",
+        help="ridge (ours, the default), thesis (local binary patterns; needs captures or results), minutiae (of the "
+        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux) or voted (minutiae on "
+        "which sets of images that leave one out agree; needs captures)",
     )
     verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
     add_preset(verb)
@@ -49,7 +52,7 @@ def run_match(options: argparse.Namespace) -> Outcome:
 def _words(facts: dict[str, Any]) -> list[str]:
     lines = []
     if "similarity" in facts:
-        shown = f"{facts['similarity']:.{0 if facts['method'] == 'minutiae' else 4}f}"
+        shown = f"{facts['similarity']:.{0 if facts['method'] in _MINUTIAE else 4}f}"
         lines.append(f"similarity {shown} ({_meaning(facts)})")
         if facts["fmr"] is not None:
             lines.append(f"fmr at most {facts['fmr']:.2g} (share of other fingers, simulated ones, that are as alike)")
@@ -58,7 +61,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
                 f"overlap {facts['overlap']:.3f} of both outlines (intersection over union), "
                 f"B shifted {abs(facts['alignment']['right_mm']):.2f} mm to the {_side(facts)}"
             )
-        elif facts["method"] == "minutiae":
+        elif facts["method"] in _MINUTIAE:
             if facts["similarity_with_ridges"] is not None:
                 joined = facts["similarity_with_ridges"]
                 lines.append(f"joined with the ridges {joined:.2f} (mean of both z-scores; other fingers lie about 0)")
@@ -71,7 +74,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
             )
     for name in ("a", "b"):
         if name in facts and not facts[name]["acquired"]:
-            lacks = "fewer than ten minutiae" if facts["method"] == "minutiae" else "no ridges"
+            lacks = "fewer than ten minutiae" if facts["method"] in _MINUTIAE else "no ridges"
             lines.append(f"Please note: {facts[name]['path']} holds {lacks} (failure to acquire).")
     if "template" in facts:
         made = facts["template"]
@@ -87,11 +90,14 @@ def _meaning(facts: dict[str, Any]) -> str:
         "ridge": "1 = the same picture",
         "thesis": "1 = equal, 0 = as unlike as can be",
         "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
+        "voted": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
     }[facts["method"]]
 
 
 def _print_words(side: dict[str, Any]) -> str:
-    quality = "unknown" if side.get("nfiq2") is None else f"{side['nfiq2']} of 100"
+    if "nfiq2" not in side:
+        return f"{side['path']}: {side.get('minutiae', 0)} voted minutiae"
+    quality = "unknown" if side["nfiq2"] is None else f"{side['nfiq2']} of 100"
     return f"{side['path']}: {side.get('minutiae', 0)} minutiae, quality (NFIQ 2) {quality}"
 
 

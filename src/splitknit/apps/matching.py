@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from splitknit.io.templates import write_template
 from splitknit.match import VERSION, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override
 
-METHODS = ("ridge", "thesis", "minutiae")
+METHODS = ("ridge", "thesis", "minutiae", "voted")
 _FMR_TABLE = "match_fmr.json"
 """Made by validation/match/impostors.py."""
 _FMR_ROUNDING = 1e-5
@@ -47,7 +48,7 @@ def match_files(
     a, b
         Capture folder, result folder, template (``.skt``) or 500-ppi print. Without `b` only the template is made.
     method
-        ``ridge``, ``thesis`` or ``minutiae``.
+        ``ridge``, ``thesis``, ``minutiae`` or ``voted``.
     template
         File to write the template of `a` into.
     preset
@@ -72,8 +73,13 @@ def match_files(
         second = read_side(b, preset, chosen, progress)
         facts["b"] = _facts(second)
         progress("comparing", 0.9)
-        compare = {"ridge": _by_ridges, "thesis": _by_thesis, "minutiae": _by_minutiae}[method]
-        found = compare(first, second, chosen)
+        ways: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
+            "ridge": _by_ridges,
+            "thesis": _by_thesis,
+            "minutiae": _by_minutiae,
+            "voted": partial(_by_votes, preset),
+        }
+        found = ways[method](first, second, chosen)
         for name, side in zip("ab", found.pop("sides", ()), strict=False):
             facts[name] |= side
         facts |= found
@@ -158,6 +164,12 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
     from splitknit.apps.matching_minutiae import compare_minutiae  # noqa: PLC0415 - only where it is asked for
 
     return compare_minutiae(a, b)
+
+
+def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    from splitknit.apps.matching_voted import compare_voted  # noqa: PLC0415 - only where it is asked for
+
+    return compare_voted(a, b, preset, settings)
 
 
 def _template(side: Side) -> Template:

@@ -135,8 +135,24 @@ class MinutiaeMatcher(Matcher):
         return {"extraction": "mindtct", "comparison": "bozorth3"}
 
 
+class VotedMatcher(MinutiaeMatcher):
+    """Minutiae on which the sets of images that leave one out agree, compared by bozorth3."""
+
+    name = "voted"
+    source = "voted"
+
+    def __init__(self, settings: MatchingSettings) -> None:  # noqa: D107
+        self.settings = settings
+
+    def document(self) -> Any:  # noqa: D102
+        own = {"leave_one_out": self.settings.leave_one_out, "voted": self.settings.voted}
+        return {"extraction": "mindtct", "comparison": "bozorth3", **own}
+
+
 def matcher(name: str, settings: MatchingSettings) -> Matcher:
     """The matcher of that name."""
+    if name == VotedMatcher.name:
+        return VotedMatcher(settings)
     if name == RidgeMatcher.name:
         return RidgeMatcher(settings.ridge)
     return ThesisMatcher(settings.thesis) if name == ThesisMatcher.name else MinutiaeMatcher()

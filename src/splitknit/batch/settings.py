@@ -14,7 +14,7 @@ from splitknit.pipeline import PipelineSettings, preset_settings
 from splitknit.recipe.matchable import MatchingSettings
 from splitknit.settings import override
 
-MATCHERS = ("ridge", "thesis", "minutiae")
+MATCHERS = ("ridge", "thesis", "minutiae", "voted")
 
 
 @dataclass(frozen=True, slots=True)

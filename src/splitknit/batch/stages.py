@@ -17,6 +17,7 @@ from splitknit.batch.reading import Place, places_of
 from splitknit.batch.scores import ScoreTask
 from splitknit.batch.settings import BatchSettings, Case
 from splitknit.batch.store import Store
+from splitknit.batch.voted import VotedTask
 
 
 def feature_tasks(store: Store, population: Population, settings: BatchSettings) -> list[FeatureTask]:
@@ -53,6 +54,16 @@ def minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
     there = {file.stem for file in store.files("minutiae", case.name)}
     return [
         MinutiaeTask(store.folder, case.name, file.stem)
+        for file in store.files("features", case.name)
+        if file.stem not in there
+    ]
+
+
+def voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[VotedTask]:
+    """Chunks of features without their voted minutiae."""
+    there = {file.stem for file in store.files("voted", case.name)}
+    return [
+        VotedTask(store.folder, population.folder.resolve(), case, file.stem, settings.matching)
         for file in store.files("features", case.name)
         if file.stem not in there
     ]

@@ -60,7 +60,7 @@ class Store:
         return tuple(self.document()["cases"])
 
     def files(self, kind: str, name: str) -> list[Path]:
-        """Finished chunks of ``features`` or ``minutiae`` of a case, or of ``scores/CASE`` of a matcher."""
+        """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
         return chunk_files(self.folder / kind / name)
 
     def captures(self, case: str) -> set[str]:
@@ -180,7 +180,7 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
 
 def sweep(folder: Path) -> None:
     """Remove what killed runs left half-written; the caller holds the store's lock."""
-    for kind in ("features", "minutiae", "scores", "timings", "csv"):
+    for kind in ("features", "minutiae", "voted", "scores", "timings", "csv"):
         for leftover in (folder / kind).glob("**/.*.tmp"):
             leftover.unlink(missing_ok=True)
 

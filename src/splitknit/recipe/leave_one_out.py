@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
 from splitknit.flatten import PrintSettings, ink, plane_map, resample
+from splitknit.match.minutiae import extract
+from splitknit.match.minutiae_record import Minutiae, no_minutiae
+from splitknit.match.voted_minutiae import VoteSettings, vote
 from splitknit.normals.left_out import left_out
 from splitknit.radiance import linear_stack
 from splitknit.recipe.finger import Finger, find_finger
@@ -107,6 +110,28 @@ def left_out_pictures(
                 yield LeftOut(k, name, ink(values, weight, PrintSettings(ppi=PPI)))
             except BadInput:  # flat: no vote
                 continue
+
+
+def voted_minutiae(
+    capture: Capture,
+    settings: PipelineSettings,
+    chosen: LeaveOneOutSettings | None = None,
+    votes: VoteSettings | None = None,
+) -> Minutiae:
+    """Minutiae on which enough pictures of all sets agree; their quality is the share that does.
+
+    Parameters
+    ----------
+    capture, settings, chosen : as of :func:`left_out_pictures`
+    votes : VoteSettings, optional
+
+    Raises
+    ------
+    BadInput
+        As :func:`left_out_pictures`, or if `nbis-py` is not installed.
+    """
+    found = [extract(one.print_image, PPI) for one in left_out_pictures(capture, settings, chosen)]
+    return vote(found, votes) if found else no_minutiae()
 
 
 def _component(normals: FloatArray, albedo: FloatArray, name: str, finger: Finger) -> FloatArray:

@@ -20,6 +20,8 @@ from splitknit.match import (
     make_template,
     ridge_band,
 )
+from splitknit.match.voted_minutiae import VoteSettings
+from splitknit.recipe.leave_one_out import LeaveOneOutSettings
 from splitknit.types import Reconstruction
 
 
@@ -31,6 +33,8 @@ class MatchingSettings:
     template: TemplateSettings = field(default_factory=TemplateSettings)
     ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
     thesis: ThesisSettings = field(default_factory=ThesisSettings)
+    leave_one_out: LeaveOneOutSettings = field(default_factory=LeaveOneOutSettings)
+    voted: VoteSettings = field(default_factory=VoteSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,65 @@
+"""Voted minutiae of a chunk's captures: found once a capture, from its images, kept beside the features."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk
+from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.prints import MinutiaeDone, minutiae_schema
+from splitknit.batch.settings import Case
+from splitknit.check import BadInput
+from splitknit.io import atomic_file, canonical_json, read_capture
+from splitknit.match.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit.pipeline import PipelineSettings
+from splitknit.recipe.leave_one_out import voted_minutiae
+from splitknit.recipe.matchable import MatchingSettings
+
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class VotedTask:
+    """A chunk of features whose captures' voted minutiae are wanted."""
+
+    store: Path
+    population: Path
+    case: Case
+    name: str
+    matching: MatchingSettings
+
+
+def extract_voted(task: VotedTask) -> MinutiaeDone:
+    """Find the voted minutiae of all captures of a chunk and write them under the same name."""
+    case, settings = task.case.name, task.case.settings()
+    file = task.store / "features" / case / f"{task.name}{SUFFIX}"
+    table = read_chunk(file, ["capture", "acquired"])
+    captures = table.column("capture").to_pylist()
+    seconds, found = {}, []
+    for capture, acquired in zip(captures, table.column("acquired").to_pylist(), strict=True):
+        started = time.perf_counter()
+        found.append(_voted(task.population / capture, settings, task.matching) if acquired else no_minutiae())
+        seconds[capture] = round(time.perf_counter() - started, 3)
+    columns = {
+        "capture": captures,
+        "acquired": [one.acquired for one in found],
+        "minutiae": [pack_minutiae(one) for one in found],
+    }
+    origin = read_origin(file) | {"kind": "voted", "kind_version": VERSION}
+    with atomic_file(task.store / "timings" / case / "voting" / f"{task.name}.json") as stream:
+        stream.write((canonical_json(seconds) + "\n").encode("ascii"))
+    write_chunk(task.store / "voted" / case / f"{task.name}{SUFFIX}", columns, minutiae_schema(), origin)
+    return MinutiaeDone(len(captures), peak_memory_mb())
+
+
+def _voted(folder: Path, settings: PipelineSettings, matching: MatchingSettings) -> Minutiae:
+    """Voted minutiae of a capture; none where leaving out an image leaves nothing."""
+    capture = read_capture(folder)
+    try:
+        return voted_minutiae(capture, settings, matching.leave_one_out, matching.voted)
+    except BadInput as error:
+        if "nbis-py" in str(error):  # not the capture's fault
+            raise
+        return no_minutiae()

@@ -1,0 +1,55 @@
+"""The matcher ``voted`` of a batch: a folder of its own, made once, beside what is there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from batch_stores import chunks
+
+from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
+from splitknit.batch.chunks import read_chunk, read_origin
+from splitknit.batch.population import read_population
+from splitknit.batch.store import open_store
+from splitknit.check import BadInput
+from splitknit.io import read_capture
+from splitknit.match.minutiae_record import pack_minutiae
+from splitknit.match.voted_minutiae import VoteSettings
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.leave_one_out import LeaveOneOutSettings, voted_minutiae
+from splitknit.recipe.matchable import MatchingSettings
+
+MATCHING = MatchingSettings(
+    leave_one_out=LeaveOneOutSettings(pictures=("albedo",)), voted=VoteSettings(least_share=0.3)
+)
+VOTED = BatchSettings(cases=preset_cases(("ea",)), matchers=("voted",), chunk_captures=2, matching=MATCHING)
+
+
+def test_voted_minutiae_have_a_folder_of_their_own(people: Path, store: Path) -> None:
+    pytest.importorskip("nbis")
+    before = chunks(store)
+    facts = run_batch(people, store, VOTED, jobs=1)
+    after = chunks(store)
+    assert {name: after[name] for name in before} == before
+    assert facts["scores"][0]["compared"] == 4
+    files = Store(store).files("voted", "ea")
+    assert [file.stem for file in files] == [file.stem for file in Store(store).files("features", "ea")]
+    table = read_chunk(files[0])
+    name = table.column("capture")[0].as_py()
+    expected = voted_minutiae(
+        read_capture(people / name), preset_settings("ea"), MATCHING.leave_one_out, MATCHING.voted
+    )
+    assert table.column("minutiae")[0].as_py() == pack_minutiae(expected)
+    assert table.column("acquired")[0].as_py() == expected.acquired
+    assert read_origin(files[0])["kind"] == "voted"
+    again = run_batch(people, store, VOTED, jobs=1)
+    assert again["scores"][0]["compared"] == 0
+    assert chunks(store) == after
+
+
+def test_other_votes_need_another_store(people: Path, store: Path) -> None:
+    there = read_population(people)
+    open_store(store, there, VOTED)
+    other = BatchSettings(cases=preset_cases(("ea",)), matchers=("voted",), chunk_captures=2)
+    with pytest.raises(BadInput, match="other settings of matcher 'voted'"):
+        open_store(store, there, other)
