@@ -15,13 +15,12 @@ from splitknit.apps.printing_sources import Source
 from splitknit.check import BadInput
 from splitknit.flatten import PrintMap, Unrolled
 from splitknit.flatten.print_map import NOWHERE
-from splitknit.geometry import height_gradients
 from splitknit.io.finger_codes import FINGER_CODES
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.provenance import JsonValue
-from splitknit.types import FloatArray
+from splitknit.recipe.space_minutiae import in_space
 
 Array = NDArray[np.float64]
 AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
@@ -89,35 +88,10 @@ def minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap,
     NaN where the print shows nothing, or the surface is not known.
     """
     assert source.height_mm is not None
-    there = print_map.input_from_print(places)
-    ahead = print_map.directions_in_input(places, directions_rad)
-    rows, columns = source.mask.shape
-    turn = np.linalg.inv(source.input_from_upright[:2, :2])
-    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
-    flip = np.diag([1.0, -1.0])
-    turn = flip @ turn @ flip
-    right, up = height_gradients(source.height_mm, source.pitch_mm)
-    z, slope_x, slope_y = (_read(field, there) for field in (source.height_mm, right, up))
-    if source.x_mm is not None and source.y_mm is not None:
-        x, y = _read(source.x_mm, there), _read(source.y_mm, there)
-    else:
-        x = (there[:, 0] - (columns - 1) / 2) * source.pitch_mm
-        y = ((rows - 1) / 2 - there[:, 1]) * source.pitch_mm
-    dx, dy = np.cos(ahead), np.sin(ahead)
-    flat = np.stack([x, y], axis=1) @ turn.T
-    along = np.stack([dx, dy], axis=1) @ turn.T
-    return np.column_stack([flat, z, along, slope_x * dx + slope_y * dy])
-
-
-def _read(field: FloatArray, places: Array) -> Array:
-    """Bilinear values at places (N, 2; column, row); NaN outside and beside NaN."""
-    if len(places) == 0:
-        return np.zeros(0)
-    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
-    values = cv2.remap(
-        field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+    points = None if source.x_mm is None or source.y_mm is None else (source.x_mm, source.y_mm)
+    return in_space(
+        places, directions_rad, print_map, source.height_mm, source.pitch_mm, source.input_from_upright, points
     )
-    return np.asarray(values[:, 0], dtype=np.float64)
 
 
 def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:

@@ -1,0 +1,183 @@
+"""Comparison of minutiae in space after Lin and Kumar: tetrahedra of neighbouring minutiae, matched level by level.
+
+A tetrahedron is a minutia and three of its nearest. Level 1 compares six sorted edges of all tetrahedra, which is
+cheap and hardly misses: sorted lists of edges that are alike one by one stay alike. Level 2 finds which corner is
+which, and compares edges and the angles between each corner's direction and the edges from it. Level 3 lets what is
+left vote for corresponding minutiae; the tetrahedra whose corners have the most votes align the fingers. Level 4 counts
+minutiae that agree. Nothing of the first two levels depends on how the finger lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from splitknit.check import require
+from splitknit.match.minutiae3d_record import SpaceMinutiae
+from splitknit.match.space_alignment import (
+    AgreementSettings,
+    Framed,
+    Index,
+    best_agreement,
+    close_points,
+    share_of_both,
+)
+
+Array = NDArray[np.float64]
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_ORDERS = np.array([(0, *rest) for rest in permutations((1, 2, 3))])
+"""Ways to lay the corners of one tetrahedron on another's, the apex on the apex."""
+
+
+@dataclass(frozen=True, slots=True)
+class TetrahedraSettings:
+    """How minutiae in space are compared by tetrahedra."""
+
+    neighbours: int = 5
+    """Nearest minutiae; any three of them make a tetrahedron with the minutia."""
+    edge_mm: float = 0.35
+    """Largest difference of two edges that are alike."""
+    angle_deg: float = 25.0
+    """Largest difference of the angles between directions and edges."""
+    agreement: AgreementSettings = field(default_factory=AgreementSettings)
+
+    def __post_init__(self) -> None:
+        require(3 <= self.neighbours <= 12, "tetrahedra.neighbours must lie between 3 and 12.")
+        require(0 < self.edge_mm <= 5, "tetrahedra.edge_mm must lie between 0 and 5.")
+        require(0 < self.angle_deg <= 90, "tetrahedra.angle_deg must lie between 0 and 90.")
+
+
+@dataclass(frozen=True, slots=True)
+class TetrahedraMatch:
+    """How alike two sets of minutiae in space are."""
+
+    similarity: float
+    """0 to 1: the square of `agreeing` over the product of both numbers of minutiae."""
+    agreeing: int
+    """Minutiae that agree one to one."""
+    tetrahedra: int
+    """Pairs of tetrahedra that are alike in edges and angles."""
+    compared: bool
+    """False where one side has fewer than ten minutiae."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedTetrahedra(Framed):
+    """Minutiae in their own frame, and the tetrahedra among them."""
+
+    settings: TetrahedraSettings = field(default_factory=TetrahedraSettings)
+
+    @cached_property
+    def corners(self) -> Index:
+        """(T, 4) minutiae of each tetrahedron, its apex first."""
+        places = self.places[0]
+        apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+        np.fill_diagonal(apart2, np.inf)
+        near = np.argsort(apart2, axis=1, kind="stable")[:, : self.settings.neighbours]
+        triples = np.array(list(combinations(range(near.shape[1]), 3)), dtype=np.intp)
+        others = near[:, triples].reshape(-1, 3)
+        return np.column_stack([np.repeat(np.arange(len(places)), len(triples)), others])
+
+    @cached_property
+    def edges(self) -> Array:
+        """(T, 4, 4) distances between corners."""
+        corner = self.places[0][self.corners]
+        return np.asarray(np.linalg.norm(corner[:, :, None] - corner[:, None], axis=3))
+
+    @cached_property
+    def angles(self) -> Array:
+        """(T, 4, 4) angle between the direction of each corner and the line to each other one; 0 to itself."""
+        corner, ahead = self.places[0][self.corners], self.places[1][self.corners]
+        line = corner[:, None] - corner[:, :, None]  # (T, from, to, 3)
+        cosine = (line * ahead[:, :, None]).sum(axis=3) / np.maximum(self.edges, 1e-9)
+        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+        angle[:, np.arange(4), np.arange(4)] = 0.0
+        return np.asarray(angle)
+
+    @cached_property
+    def looks(self) -> Array:
+        """(T, 9) sorted: the edges from the apex, the other edges, and the apex's angles."""
+        flat = np.stack([self.edges[:, i, j] for i, j in _EDGES], axis=1)
+        parts = (flat[:, :3], flat[:, 3:], self.angles[:, 0, 1:])
+        return np.concatenate([np.sort(part, axis=1) for part in parts], axis=1)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """The looks in units of the tolerances."""
+        units = np.repeat([self.settings.edge_mm, self.settings.edge_mm, np.deg2rad(self.settings.angle_deg)], 3)
+        return cKDTree(self.looks / units)
+
+
+def tetrahedra_match(
+    a: SpaceMinutiae | PreparedTetrahedra,
+    b: SpaceMinutiae | PreparedTetrahedra,
+    settings: TetrahedraSettings | None = None,
+) -> TetrahedraMatch:
+    """Compare the minutiae in space of two fingers by their tetrahedra.
+
+    Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space.
+
+    Parameters
+    ----------
+    a, b : SpaceMinutiae or PreparedTetrahedra
+        Prepare a side that is compared more than once; then its settings must be those given here.
+    settings : TetrahedraSettings, optional
+
+    References
+    ----------
+    C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
+    Trans. PAMI 40(12), 2018. The paper does not print its tolerances where we could read them: those here are ours.
+    """
+    left, right = (_prepared(side, settings) for side in (a, b))
+    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
+    if not (left.minutiae.acquired and right.minutiae.acquired):
+        return TetrahedraMatch(0.0, 0, 0, compared=False)
+    if left.key > right.key:
+        left, right = right, left
+    corners = alike_tetrahedra(left, right)
+    total = len(corners[0])
+    found = best_agreement(left, right, corners, left.settings.agreement)
+    count = len(found.a)
+    score = share_of_both(count, left.minutiae.count, right.minutiae.count)
+    return TetrahedraMatch(score, count, total, compared=True)
+
+
+def alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
+    """Corners (K, 4) of both sides' tetrahedra that are alike, each corner beside the one that it corresponds to.
+
+    Where several orders of the corners are alike the one with the least difference of angles is taken.
+    """
+    i, j = close_points(a.tree, b.tree)
+    order, good = _best_order(a, b, i, j)
+    i, j, order = i[good], j[good], order[good]
+    return a.corners[i], np.take_along_axis(b.corners[j], _ORDERS[order], axis=1)
+
+
+def _best_order(a: PreparedTetrahedra, b: PreparedTetrahedra, i: Index, j: Index) -> tuple[Index, NDArray[np.bool_]]:
+    """Level 2: which order of the corners is alike in edges and angles, and whether any is."""
+    edge, angle = a.settings.edge_mm, np.deg2rad(a.settings.angle_deg)
+    best, order = np.full(len(i), np.inf), np.zeros(len(i), dtype=np.intp)
+    for number, corners in enumerate(_ORDERS):
+        turned = np.ix_(range(len(j)), corners, corners)
+        k = np.flatnonzero((np.abs(a.edges[i] - b.edges[j][turned]) <= edge).all(axis=(1, 2)))
+        if not len(k):
+            continue
+        turned = np.ix_(range(len(k)), corners, corners)
+        difference = np.abs(a.angles[i[k]] - b.angles[j[k]][turned]).max(axis=(1, 2))
+        better = (difference <= angle) & (difference < best[k])
+        best[k[better]], order[k[better]] = difference[better], number
+    return order, np.isfinite(best)
+
+
+def _prepared(side: SpaceMinutiae | PreparedTetrahedra, settings: TetrahedraSettings | None) -> PreparedTetrahedra:
+    if isinstance(side, PreparedTetrahedra):
+        require(
+            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
+        )
+        return side
+    return PreparedTetrahedra(side, settings or TetrahedraSettings())

@@ -1,0 +1,110 @@
+"""Minutiae in space: those of the relief's print, mapped back to the surface."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.flatten.print_map import PrintMap, plane_map
+from splitknit.geometry import height_gradients
+from splitknit.io.minutiae3d import angles_of
+from splitknit.match.minutiae3d_record import SpaceMinutiae, no_space_minutiae
+from splitknit.recipe.matchable import Surface, surface_print
+from splitknit.recipe.smooth import smoothed
+from splitknit.types import FloatArray
+
+Array = NDArray[np.float64]
+SLOPE_SIGMA_MM = 0.2
+"""Of the Gaussian over the surface before its slope along a ridge is taken: half a ridge's period, so that the slope is
+that of the skin and not of the ridge's end."""
+
+
+def space_minutiae(surface: Surface) -> SpaceMinutiae:
+    """Minutiae (x, y, z, theta, phi) of a reconstruction, in the upright finger's frame.
+
+    Found in the relief's print by mindtct; phi is the elevation of the smoothed surface along the minutia's direction.
+
+    Raises
+    ------
+    BadInput
+        If `nbis-py` is not installed.
+
+    References
+    ----------
+    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
+    37(3), 2015: minutiae of the plane print with their height z and elevation phi.
+    """
+    from splitknit.match.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+
+    found = extract(surface_print(surface, 500.0))
+    if not found.count:
+        return no_space_minutiae()
+    print_map = plane_map(surface.pitch_mm, surface.input_from_upright, surface.upright_size)
+    height = smoothed(surface.shape_mm + surface.ridge_mm, surface.mask, SLOPE_SIGMA_MM / surface.pitch_mm)
+    height = np.where(surface.mask, height, np.float32(np.nan)).astype(np.float32)
+    places = np.stack([found.x_px, found.y_px], axis=1).astype(np.float64)
+    space = in_space(places, found.direction_rad, print_map, height, surface.pitch_mm, surface.input_from_upright)
+    good = np.isfinite(space).all(axis=1)
+    if not bool(good.any()):
+        return no_space_minutiae()
+    theta, phi = angles_of(space[good, 3:])
+    return SpaceMinutiae(space[good, :3], theta, phi, found.type[good], found.quality[good])
+
+
+def in_space(  # noqa: PLR0917
+    places: Array,
+    directions_rad: Array,
+    print_map: PrintMap,
+    height_mm: FloatArray,
+    pitch_mm: float,
+    input_from_upright: Array,
+    points_mm: tuple[FloatArray, FloatArray] | None = None,
+) -> Array:
+    """Where places of a print lie on the surface, in the upright finger's frame, and their directions there.
+
+    Parameters
+    ----------
+    places : (N, 2) column and row on the print
+    directions_rad : (N,) counter-clockwise, as seen in the print
+    print_map : between the print and the input
+    height_mm : (H, W), NaN where it is not known
+    pitch_mm : of the input
+    input_from_upright : (3, 3)
+    points_mm : x and y (H, W) of the surface's points, where the camera's rays spread
+
+    Returns
+    -------
+    (N, 6) x, y, z in mm and the direction; NaN where the print shows nothing, or the surface is not known
+    """
+    require(height_mm.ndim == 2, f"heights must be (H, W), but they are {height_mm.shape}.")
+    there = print_map.input_from_print(places)
+    ahead = print_map.directions_in_input(places, directions_rad)
+    rows, columns = height_mm.shape
+    turn = np.linalg.inv(input_from_upright[:2, :2])
+    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
+    flip = np.diag([1.0, -1.0])
+    turn = flip @ turn @ flip
+    right, up = height_gradients(height_mm, pitch_mm)
+    z, slope_x, slope_y = (_read(field, there) for field in (height_mm, right, up))
+    if points_mm is not None:
+        x, y = (_read(field, there) for field in points_mm)
+    else:
+        x = (there[:, 0] - (columns - 1) / 2) * pitch_mm
+        y = ((rows - 1) / 2 - there[:, 1]) * pitch_mm
+    dx, dy = np.cos(ahead), np.sin(ahead)
+    flat = np.stack([x, y], axis=1) @ turn.T
+    along = np.stack([dx, dy], axis=1) @ turn.T
+    return np.column_stack([flat, z, along, slope_x * dx + slope_y * dy])
+
+
+def _read(field: FloatArray, places: Array) -> Array:
+    """Bilinear values at places (N, 2; column, row); NaN outside and beside NaN."""
+    if len(places) == 0:
+        return np.zeros(0)
+    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
+    values = cv2.remap(
+        field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+    )
+    return np.asarray(values[:, 0], dtype=np.float64)
