@@ -57,22 +57,22 @@ class Scene:
             self.surface, leds, optics, roughness=skin.roughness, glare=skin.glare, walks=self.walks, settings=render
         )
         fallen = None if self.fall_off is None else self.fall_off[light.window]
-        exposure = np.float32(self.settings.sensor.exposure / _brightest(light.diffuse, fallen))
-        ambient = self._ambient(name, leds)
+        exposure = np.float32(self.settings.sensor.exposure / brightest(light.diffuse, fallen))
+        ambient = self.ambient(name, leds)
         seeds = seed.spawn(len(leds) + 1)
         height, width = self.rig.camera.image_size
         glare = np.zeros((len(leds), height, width), dtype=np.float16)
 
         def shoot(k: int) -> PixelArray:
-            frame = ambient + self._frame(
+            frame = ambient + self.frame(
                 light, k, white_card(self.rig.camera, leds[k], -self.settings.background.depth_mm)
             )
             glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
-            return self._record(frame * exposure, name, seeds[k])
+            return self.record(frame * exposure, name, seeds[k])
 
         with ThreadPoolExecutor(render.workers) as pool:
             images = list(pool.map(shoot, range(len(leds))))
-        dark = self._record(np.broadcast_to(ambient, (height, width, 3)) * exposure, name, seeds[-1])
+        dark = self.record(np.broadcast_to(ambient, (height, width, 3)) * exposure, name, seeds[-1])
         band = Band(
             name=name,
             pixels=_stack(images),
@@ -84,7 +84,7 @@ class Scene:
         )
         return band, glare, np.array(float(exposure))
 
-    def _frame(self, light: BandLight, k: int, card: FloatArray) -> FloatArray:
+    def frame(self, light: BandLight, k: int, card: FloatArray) -> FloatArray:
         """(H, W, 3) radiance of the whole frame under light k."""
         frame = np.repeat((card * self.albedo)[..., None], 3, axis=2)
         window = frame[light.window]
@@ -94,7 +94,7 @@ class Scene:
         frame *= self.shade[..., None]
         return frame
 
-    def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
+    def ambient(self, name: str, leds: list[Led]) -> FloatArray:
         """(H, W, 3) radiance of the frame with all LEDs off."""
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         level = room_level(self.rig.camera, leds, self.settings.background.ambient)
@@ -102,7 +102,8 @@ class Scene:
             self.surface, self.albedo, level, optics, self.skin.roughness, walks=self.walks, render=self.settings.render
         )
 
-    def _record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
+    def record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
+        """(H, W, 3) what the sensor stores of the radiance (H, W, 3) times the exposure."""
         if self.blur is not None:
             frame = defocus(frame, self.blur)
         if self.fall_off is not None:
@@ -162,7 +163,7 @@ def _stack(images: list[PixelArray]) -> PixelArray:
     return stacked
 
 
-def _brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
+def brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
     """99.9th percentile of the diffuse light behind the lens over all lights, in the channel where it is highest."""
     sample = diffuse[:, :, ::4, ::4]
     if fall_off is not None:
