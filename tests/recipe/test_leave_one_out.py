@@ -100,7 +100,7 @@ def test_voted_minutiae_are_those_that_most_pictures_show(capture: Capture) -> N
     assert isinstance(found, Minutiae)
     assert found.acquired
     assert set(found.quality.tolist()) <= {round(100 * k / 7) for k in range(1, 8)}
-    assert found.quality.min() >= 40
+    assert found.quality.min() >= 50
 
 
 def test_match_by_votes_needs_captures(capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,10 @@ def add_batch(verbs: Any) -> None:
         help="a case of your own: a preset with settings changed; may be repeated",
     )
     verb.add_argument(
-        "--matchers", default="ridge", metavar="LIST", help="ridge (default), thesis, minutiae, voted, with commas; or none"
+        "--matchers",
+        default="ridge",
+        metavar="LIST",
+        help="ridge (default), thesis, minutiae, voted, with commas; or none",
     )
     verb.add_argument(
         "--impostors", type=share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"

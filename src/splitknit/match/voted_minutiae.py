@@ -24,7 +24,7 @@ class VoteSettings:
     """Minutiae of two pictures are the same if they lie no further apart: a third to two thirds of a ridge period."""
     turn_deg: float = 40.0
     """... and their directions differ by no more."""
-    least_share: float = 0.4
+    least_share: float = 0.5
     """Share of the pictures in which a minutia must be found to be kept."""
 
     def __post_init__(self) -> None:
