@@ -17,6 +17,7 @@ from splitknit.batch.pairs import Blocks
 from splitknit.batch.reading import Place, images_of, small_column
 from splitknit.match import Prepared, RidgeMatchSettings, ThesisSettings, ridge_match, similarity_of, unpack
 from splitknit.match.minutiae import minutiae_match
+from splitknit.match.minutiae_edge import EDGE_MM
 from splitknit.match.minutiae_record import unpack_minutiae
 from splitknit.match.thesis import ATTRIBUTES
 from splitknit.match.thesis_many import database_finger, match_database
@@ -132,7 +133,7 @@ class MinutiaeMatcher(Matcher):
         return {"similarity": score, "bozorth3": score}
 
     def document(self) -> Any:  # noqa: D102
-        return {"extraction": "mindtct", "comparison": "bozorth3"}
+        return {"extraction": "mindtct", "edge_mm": EDGE_MM, "comparison": "bozorth3"}
 
 
 class VotedMatcher(MinutiaeMatcher):

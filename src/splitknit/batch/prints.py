@@ -18,7 +18,8 @@ from splitknit.io.png import decode_png
 from splitknit.match.minutiae import extract
 from splitknit.match.minutiae_record import no_minutiae, pack_minutiae
 
-VERSION = 1
+VERSION = 2
+"""1: with the ends at the outline."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
+from splitknit.match.minutiae_edge import EDGE_MM, edge_distance, inside_by
 from splitknit.match.minutiae_enhance import EnhanceSettings, enhance_print
 from splitknit.match.minutiae_record import (
     BIFURCATION,
@@ -34,7 +35,13 @@ _LOCK = threading.Lock()
 """mindtct and NFIQ 2 keep state of their own."""
 
 
-def extract(print_image: NDArray[np.uint8], ppi: float = PPI, enhance: EnhanceSettings | None = None) -> Minutiae:
+def extract(
+    print_image: NDArray[np.uint8],
+    ppi: float = PPI,
+    enhance: EnhanceSettings | None = None,
+    *,
+    edge_mm: float | None = None,
+) -> Minutiae:
     """Find the minutiae of a print with mindtct.
 
     Parameters
@@ -46,6 +53,10 @@ def extract(print_image: NDArray[np.uint8], ppi: float = PPI, enhance: EnhanceSe
     enhance : EnhanceSettings, optional
         How the print is enhanced first: for prints that were pressed on glass or paper. Without, it is taken as it is:
         right for the relief prints of reconstructions, whose contrast is even.
+    edge_mm : float, optional
+        Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
+        :data:`splitknit.match.minutiae_edge.EDGE_MM` for prints taken as they are, and 0 after `enhance`: pressed
+        prints fade out at their border, and mindtct looks after it.
 
     Returns
     -------
@@ -72,7 +83,7 @@ def extract(print_image: NDArray[np.uint8], ppi: float = PPI, enhance: EnhanceSe
     if not rows:
         return no_minutiae((image.shape[0], image.shape[1]))
     x, y, angle, kind, reliability = (np.array(column) for column in zip(*rows, strict=True))
-    return Minutiae(
+    every = Minutiae(
         x.astype(np.int32),
         y.astype(np.int32),
         np.deg2rad(angle % 360.0),
@@ -80,6 +91,8 @@ def extract(print_image: NDArray[np.uint8], ppi: float = PPI, enhance: EnhanceSe
         np.clip(np.round(100 * reliability), 0, 100).astype(np.uint8),
         (image.shape[0], image.shape[1]),
     )
+    least = edge_mm if edge_mm is not None else (EDGE_MM if enhance is None else 0.0)
+    return inside_by(every, edge_distance(image), least) if least > 0 else every
 
 
 def minutiae_match(a: Minutiae, b: Minutiae) -> float:
