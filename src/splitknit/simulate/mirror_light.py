@@ -24,6 +24,7 @@ def render_between_mirrors(
     lights: Sequence[Sequence[Light]],
     optics: Sequence[ChannelOptics],
     skin: SkinSettings,
+    *,
     walks: WalkTable,
     settings: RenderSettings,
 ) -> BandLight:
@@ -71,6 +72,7 @@ def render_room(
     level: float,
     optics: Sequence[ChannelOptics],
     skin: SkinSettings,
+    *,
     walks: WalkTable,
     settings: RenderSettings,
     up: Array,

@@ -55,11 +55,11 @@ class MirrorScene:
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         render, walks = self.settings.render, self.walks
         lit = [lights_of(led, self.mirrors) for led in leds]
-        front = render_between_mirrors(self.front.surface, lit, optics, self.skin, walks, render)
+        front = render_between_mirrors(self.front.surface, lit, optics, self.skin, walks=walks, settings=render)
         sides = []
         for view in self.views:
             behind = [[light.reflected(view.reflection) for light in group] for group in lit]
-            sides.append(render_between_mirrors(view.surface, behind, optics, self.skin, walks, render))
+            sides.append(render_between_mirrors(view.surface, behind, optics, self.skin, walks=walks, settings=render))
         exposure = np.float32(self.settings.sensor.exposure / self._brightest(front, sides))
         ambient = self._ambient(name, leds)
         seeds = seed.spawn(len(leds) + 1)
@@ -134,7 +134,9 @@ class MirrorScene:
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         for view, plates in zip(self.views, self.frames, strict=True):
             up = view.reflection.vectors(np.array([0.0, 0.0, 1.0]))
-            light = render_room(view.surface, level, optics, self.skin, self.walks, self.settings.render, up)
+            light = render_room(
+                view.surface, level, optics, self.skin, walks=self.walks, settings=self.settings.render, up=up
+            )
             albedo = np.float32(0.5 * level * self.settings.mirrors.plastic_albedo)
             inside = np.full_like(frame, albedo)
             window = finger_window(view.surface)

@@ -36,7 +36,7 @@ class MirrorParts:
     widest_mm: float = 22.0
     """Of the fingers."""
     finger_clearance_mm: float = 2.0
-    tip_margin_mm: float = 25.1
+    tip_margin_mm: float = 26.3
     """From the fingertip's stop to the picture's upper border."""
     phalanx_mm: float = 30.0
 
@@ -74,7 +74,7 @@ class MirrorViews:
     """Of the full frame: all views must fit."""
     image_size: tuple[int, int] = (2464, 3280)
     """Rows and columns of the full frame: all of the IMX219."""
-    insertion_mm: tuple[float, float] = (29.3, 30.8)
+    insertion_mm: tuple[float, float] = (28.2, 29.7)
     """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
     nir: bool = True
     """Whether the rig has its NIR LEDs: mirrors can do without."""

@@ -81,11 +81,18 @@ def section_points(body: FingerBody, y: Array, theta: Array) -> tuple[Array, Arr
     """x, y, z (N,) in the finger's frame of the smooth skin at places `y` and angles `theta` about the axis."""
     axis, drop = body.axis_line(y)
     sine, cosine = np.sin(theta), np.cos(theta)
+
+    def value_and_rise(radius: Array) -> tuple[Array, Array]:
+        value, gx, _, gz = body.value_and_gradient(axis + radius * sine, y, drop + radius * cosine)
+        return value, gx * sine + gz * cosine
+
     low, high = np.zeros_like(y), np.full_like(y, 1.5 * max(body.shape.width_mm, body.shape.thickness_mm))
-    for _ in range(45):  # bisection: the sections are star-shaped about the axis
+    for _ in range(8):  # bisection: the sections are star-shaped about the axis
         middle = 0.5 * (low + high)
-        value, *_ = body.value_and_gradient(axis + middle * sine, y, drop + middle * cosine)
-        inside = value < 0
+        inside = value_and_rise(middle)[0] < 0
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-    radius = 0.5 * (low + high)
+    radius = high
+    for _ in range(5):  # Newton from outside, where the function rises more steeply than it needs to
+        value, rise = value_and_rise(radius)
+        radius = np.clip(radius - value / np.maximum(rise, 1e-9), low, high)
     return axis + radius * sine, y, drop + radius * cosine

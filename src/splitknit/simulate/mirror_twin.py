@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from splitknit.simulate.twin import TwinSettings
 
 _FADE_MM = 2.0
+"""Width over which the ridges fade."""
+_AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
+"""How much further than the master print the skin's map reaches, to either side and beyond the tip."""
 
 
 def has_mirrors(settings: TwinSettings) -> bool:
@@ -37,7 +40,7 @@ def has_mirrors(settings: TwinSettings) -> bool:
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:
-    """Return the rig as drawn: the one that the settings give, else the thesis's with a camera that sees the mirrors."""
+    """Return the rig as drawn: the one that is given, else the thesis's with a camera that sees the mirrors too."""
     views = settings.mirrors
     if settings.rig is None:
         return mirror_rig(views, settings.scale, settings.rig_seed, settings.intensity_spread)
@@ -71,6 +74,7 @@ def photograph_between_mirrors(
     pose: Pose,
     rig: Rig,
     skin: SkinSettings,
+    *,
     seeds: tuple[np.random.SeedSequence, int],
     settings: TwinSettings,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
@@ -103,7 +107,7 @@ def photograph_between_mirrors(
         _check_apart(body, placement, mirror)
     workers = settings.render.workers
     surface = finger_surface(finger, pose, camera, master=master, workers=workers, skin=worn, keep_chart=True)
-    seen = [mirror_view(body, worn, placement, camera, mirror, workers) for mirror in mirrors]
+    seen = [mirror_view(body, worn, placement, camera, mirror, workers=workers) for mirror in mirrors]
     background_seed, noise_seed = seeds[0].spawn(2)
     scene = MirrorScene((surface, rig, skin), seen, settings, background_seed, load_walks())
     truth = surface_truth(surface)
@@ -124,19 +128,27 @@ def photograph_between_mirrors(
 
 
 def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMap:
-    """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back has no ridges."""
+    """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back has no ridges.
+
+    The map grows by plain skin, so that it reaches all around the finger.
+    """
     shape = body.shape
     y = np.array([0.5 * shape.length_mm])
     edge = section_points(body, y, np.array([np.deg2rad(ridges_to_deg)]))
     u, reach = float(body.distance_and_chart(*edge)[1][0]), shape.length_mm - shape.tip_length_mm
-    rows, columns = skin.coefficients.shape
-    across = skin.u0_mm + skin.pitch_mm * np.arange(columns)
-    beyond = np.maximum(skin.v0_mm - skin.pitch_mm * np.arange(rows) - reach, 0.0)
+    around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (_AROUND_MM, _OVER_TIP_MM))
+    grown = ((over_tip, 0), (around, around))
+    coefficients = np.pad(skin.coefficients, grown)
+    pigment = np.pad(skin.pigment, grown, constant_values=1.0)
+    u0, v0 = skin.u0_mm - around * skin.pitch_mm, skin.v0_mm + over_tip * skin.pitch_mm
+    rows, columns = coefficients.shape
+    across = u0 + skin.pitch_mm * np.arange(columns)
+    beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
     arc = np.hypot(across[None, :], beyond[:, None])
     share = np.clip((abs(u) + 0.5 * _FADE_MM - arc) / _FADE_MM, 0.0, 1.0)
     share = share * share * (3.0 - 2.0 * share)
-    pigment = 1.0 - share * (1.0 - skin.pigment)
-    return replace(skin, coefficients=skin.coefficients * share, pigment=pigment.astype(np.float32))
+    pigment = (1.0 - share * (1.0 - pigment)).astype(np.float32)
+    return replace(skin, coefficients=coefficients * share, pigment=pigment, u0_mm=u0, v0_mm=v0)
 
 
 def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -60,7 +60,7 @@ class View:
 
 
 def mirror_view(
-    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, mirror: Mirror, workers: int = 2
+    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, mirror: Mirror, *, workers: int = 2
 ) -> View:
     """Show the finger's reflection to a camera.
 
@@ -85,7 +85,7 @@ def mirror_view(
     )
     margin = int(np.ceil(BEYOND_MM * camera.px_per_mm))
     box = _widened(coverage.window, margin, camera.image_size)
-    surface = _surface(body, skin, behind, camera, box, workers)
+    surface = _surface(body, skin, behind, (camera, box), workers)
     view = View(mirror, reflection, surface, coverage)
     require(
         bool(view.mask.any()), f"the {mirror.name} mirror shows nothing of the finger; move the finger or the mirror."
@@ -123,16 +123,17 @@ def _widened(window: tuple[slice, slice], margin: int, size: tuple[int, int]) ->
 
 
 def _surface(
-    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, box: tuple[slice, slice], workers: int
+    body: FingerBody, skin: SkinMap, placement: Placement, part: tuple[Camera, tuple[slice, slice]], workers: int
 ) -> Surface:
-    """The first points of a placed finger on the rays of the pixels in `box`."""
+    """The first points of a placed finger on the rays of a part of the camera's pixels."""
+    camera, box = part
     rows, columns = camera.image_size
     perspective = camera.model == "perspective"
     shapes: list[tuple[int, ...]] = [(), (), (3,), (3,), (), (), (2,), *([()] * (2 * perspective))]
     arrays = [
         np.full((rows, columns, *shape), empty, dtype=np.float32) for shape, empty in zip(shapes, EMPTY, strict=False)
     ]
-    top = highest(body, placement)
+    bottom, top = reach_in_height(body, placement)
     near = _near(body, placement, camera, box, top)
     tall = max(4, 24000 // (box[1].stop - box[1].start))
     across = np.arange(box[1].start, box[1].stop)
@@ -143,33 +144,23 @@ def _surface(
         wanted = np.flatnonzero(near[down[0] - box[0].start : down[-1] + 1 - box[0].start].ravel())
         if wanted.size == 0:
             return
-        index, values = cast_rays(body, skin, placement, rays.some(wanted), np.full(wanted.size, top))
-        flat = wanted[index]
+        rays = rays.some(wanted)
+        index, values = cast_rays(body, skin, placement, rays, np.full(wanted.size, top), bottom=bottom)
+        _, along, _ = placement.to_finger(*rays.some(index).at(np.asarray(values[0], dtype=np.float64)))
+        bare = along > -PROXIMAL_MM
+        flat = wanted[index[bare]]
         i, j = down[flat // across.size], across[flat % across.size]
         for array, value in zip(arrays, values, strict=True):
-            array[i, j] = value
+            array[i, j] = value[bare]
 
     with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
         list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
     height, shape_height, normals, shape_normals, relief, pigment, chart, *places = arrays
-    mask = np.isfinite(height) & ~(chart[..., 1] < -PROXIMAL_MM)
-    surface = Surface(
-        camera, height, shape_height, normals, shape_normals, relief, mask, pigment, {}, *places, chart=chart
-    )
-    return _blanked(surface)
-
-
-def _blanked(surface: Surface) -> Surface:
-    """The surface with nothing outside its mask."""
-    outside = ~surface.mask
-    changes = {}
-    for name in ("height_mm", "shape_mm", "x_mm", "y_mm", "chart"):
-        array = getattr(surface, name)
-        if array is not None:
-            array[outside] = np.nan
-    for name, empty in (("normals", 0.0), ("shape_normals", 0.0), ("relief_um", 0.0), ("pigment", 1.0)):
-        getattr(surface, name)[outside] = empty
-    return replace(surface, **changes)
+    x_mm, y_mm = places or (None, None)
+    return Surface(
+        camera, height, shape_height, normals, shape_normals, relief, np.isfinite(height), pigment,
+        x_mm=x_mm, y_mm=y_mm, chart=chart,
+    )  # fmt: skip
 
 
 def _near(body: FingerBody, placement: Placement, camera: Camera, box: tuple[slice, slice], top: float) -> BoolArray:
@@ -183,11 +174,12 @@ def _near(body: FingerBody, placement: Placement, camera: Camera, box: tuple[sli
     return np.asarray(fine[: box[0].stop - box[0].start, : box[1].stop - box[1].start])
 
 
-def highest(body: FingerBody, placement: Placement) -> float:
-    """A height over every point of a finger, however it is turned, that is not hidden in the sleeve."""
+def reach_in_height(body: FingerBody, placement: Placement) -> tuple[float, float]:
+    """Heights below and above every point of a finger, however it is turned, that is not hidden in the sleeve."""
     shape = body.shape
     half = 0.8 * max(shape.width_mm, shape.thickness_mm)
     corners = np.array(
         [(x, y, z) for x in (-half, half) for y in (-PROXIMAL_MM, shape.length_mm + 2.0) for z in (-half, half)]
     )
-    return float((corners @ placement.rotation[2]).max() + placement.shift[2]) + 2.0
+    heights = corners @ placement.rotation[2] + placement.shift[2]
+    return float(heights.min()) - 2.0, float(heights.max()) + 2.0

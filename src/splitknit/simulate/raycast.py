@@ -89,14 +89,17 @@ EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
 
 
 def cast_rays(
-    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, start: Array
+    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, start: Array, *, bottom: float | None = None
 ) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
     """Which of the rays meet the skin, and for those what :func:`cast_block` tells, in its order.
 
     The search goes down from the heights `start`, which must lie above the finger. The placement may be left-handed:
-    a finger behind a mirror.
+    a finger behind a mirror. Rays that run along the finger, where it is not convex, are followed down to `bottom`
+    where it is given.
     """
     z_shape, hit = _meet_body(body, placement, rays, start)
+    if bottom is not None and not hit.all():
+        _meet_along(body, placement, rays, (start, bottom), (z_shape, hit))
     index = np.nonzero(hit)[0]
     rays, z_shape = rays.some(index), z_shape[index]
     _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(*rays.at(z_shape)))
@@ -166,6 +169,33 @@ def _meet_body(body: FingerBody, placement: Placement, rays: Rays, start: Array)
         if active.size == 0:
             break
     return z, settled
+
+
+def _meet_along(
+    body: FingerBody,
+    placement: Placement,
+    rays: Rays,
+    heights: tuple[Array, float],
+    found: tuple[Array, NDArray[np.bool_]],
+) -> None:
+    """Follow the rays that Newton's steps lost, in small steps; heights and hits of `found` are changed in place."""
+    (start, bottom), (z, settled) = heights, found
+    which = np.nonzero(~settled)[0]
+    here = start[which].copy()
+    while which.size:
+        here = here - 0.5
+        value, *_ = body.value_and_gradient(*placement.to_finger(*rays.some(which).at(here)))
+        inside = value < 0
+        if inside.any():
+            entered = which[inside]
+            low, high = here[inside], here[inside] + 0.5
+            for _ in range(20):
+                middle = 0.5 * (low + high)
+                within = body.value_and_gradient(*placement.to_finger(*rays.some(entered).at(middle)))[0] < 0
+                low, high = np.where(within, middle, low), np.where(within, high, middle)
+            z[entered], settled[entered] = 0.5 * (low + high), True
+        going = ~inside & (here > bottom)
+        which, here = which[going], here[going]
 
 
 def _meet_skin(  # noqa: PLR0917
