@@ -51,14 +51,12 @@ def by_the_book(normal, light, layers, base, exposure):
 
 
 @pytest.mark.parametrize("slant_deg", [0, 25, 60, 80])
-@pytest.mark.parametrize("azimuth_deg", [0, 130])
+@pytest.mark.parametrize("azimuth_deg", [0, 100])
 def test_model_is_the_integral_over_depth(slant_deg, azimuth_deg):
     slant, azimuth = np.deg2rad([slant_deg, azimuth_deg])
     normal = np.array([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
     light = np.array([0.35, 0.1, 0.0])
     light[2] = np.sqrt(1 - light @ light)
-    if light @ normal < 0.02:
-        pytest.skip("the light is behind this normal")
     wanted = by_the_book(normal, light, LAYERS, BASE, EXPOSURE)
     one = np.ones(1)
     got = reflected(
@@ -123,3 +121,8 @@ def test_single_precision_stays_single():
 def test_layers_that_are_none_are_refused(change):
     with pytest.raises(BadInput, match=next(iter(change))):
         replace(LAYERS, **change)
+
+
+def test_a_layer_that_only_absorbs_is_refused():
+    with pytest.raises(BadInput, match="epidermis must lie between"):
+        replace(LAYERS, epidermis_scattering_per_mm=1e-3, epidermis_absorption_per_mm=1e3)
