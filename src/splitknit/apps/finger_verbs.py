@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.verb import PRESETS, Outcome, Progress, add_settings, natural, new_verb, scale
-from splitknit.check import require
+from splitknit.check import BadInput, require
 
 
 def add_demo(verbs: Any) -> None:
@@ -51,6 +51,32 @@ def add_simulate(verbs: Any) -> None:
     )
     verb.add_argument(
         "--scale", type=scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
+    )
+    verb.add_argument(
+        "--motion",
+        type=float,
+        default=None,
+        metavar="MM",
+        help="the finger moves by MM during the capture, as a hand does that is held still (0.5 is much)",
+    )
+    verb.add_argument(
+        "--condition",
+        choices=("none", "wet", "dry", "dusty", "scarred", "glossy"),
+        default=None,
+        help="what is the matter with the finger's skin (default: none)",
+    )
+    verb.add_argument(
+        "--severity", type=float, default=None, metavar="S", help="of the condition: 0 (nothing) to 1 (default: 1)"
+    )
+    verb.add_argument(
+        "--mirrors",
+        default=None,
+        metavar="NAMES",
+        help="mirrors beside the finger, seen in the same picture: left, right, tip, or several with commas between",
+    )
+    verb.add_argument("--no-nir", action="store_true", help="a rig with mirrors does without NIR LEDs")
+    verb.add_argument(
+        "--impression", type=natural, default=0, help="which capture of the finger: pose and noise change (default: 0)"
     )
     add_settings(verb)
     add_population_options(verb)
@@ -103,6 +129,18 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
         return run_population(options)
     refuse_population_options(options)
     changes = read_changes(options.settings, options.assignments)
+    if options.motion is not None:
+        require(not options.bench, "--bench and --motion do not go together: the bench has no finger.")
+        changes = {**changes, "motion.amplitude_mm": options.motion}
+    require(
+        options.severity is None or options.condition not in (None, "none"),
+        "--severity says how bad a --condition is; name one.",
+    )
+    if options.condition is not None:
+        require(not options.bench, "--bench and --condition do not go together: the bench has no finger.")
+        worst = {} if options.severity is None else {"condition.severity": options.severity}
+        changes = {**changes, "condition.kind": options.condition, **worst}
+    changes = _mirror_changes(options) | changes
     if options.bench:
         return _run_bench(options, changes)
     with Progress(options) as progress:
@@ -112,6 +150,7 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
             pattern=options.pattern,
             scale=options.scale,
             rig=options.rig,
+            impression=options.impression,
             changes=changes,
             progress=progress.update,
         )
@@ -122,6 +161,24 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
         f"Next: splitknit reconstruct {options.out} --out RESULT",
     ]
     return facts, lines
+
+
+def _mirror_changes(options: argparse.Namespace) -> dict[str, Any]:
+    """Settings that ``--mirrors`` and ``--no-nir`` stand for."""
+    asked = [name for name in ("mirrors", "no_nir", "impression") if getattr(options, name)]
+    if options.bench and asked:
+        option = asked[0].replace("_", "-")
+        raise BadInput(f"--bench and --{option} do not go together: the bench has no finger.")
+    changes: dict[str, Any] = {}
+    if options.mirrors is not None:
+        changes["mirrors.names"] = tuple(part.strip() for part in options.mirrors.split(","))
+    if options.no_nir:
+        require(
+            options.mirrors is not None or options.rig is not None,
+            "--no-nir needs --mirrors: without mirrors the shape of the finger comes from its NIR images.",
+        )
+        changes["mirrors.nir"] = False
+    return changes
 
 
 def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outcome:

@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.simulate.background import BackgroundSettings
+from splitknit.simulate.conditions import Condition, conditioned_surface
 from splitknit.simulate.diffusion import WalkTable, load_walks
 from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulate.mirror_settings import MirrorViews
+from splitknit.simulate.mirror_twin import has_mirrors, mirror_pose, photograph_between_mirrors, rig_with_mirrors
+from splitknit.simulate.motion import HandMotion
+from splitknit.simulate.moving import MovingFinger, moving_finger
+from splitknit.simulate.moving_scene import photograph_moving
 from splitknit.simulate.pose_ranges import PoseRanges
 from splitknit.simulate.renderer import RenderSettings
 from splitknit.simulate.rig import default_rig
@@ -46,8 +52,23 @@ class TwinSettings:
     sensor_scale: float | None = None
     """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
     binned. None: as :func:`splitknit.simulate.sensor.binning_scale` tells it of the camera."""
+    motion: HandMotion = field(default_factory=HandMotion)
+    """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""
+    mirrors: MirrorViews = field(default_factory=MirrorViews)
+    """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
+    condition: Condition = field(default_factory=Condition)
+    """State of the finger's skin: clean unless `condition.kind` says wet, dry, dusty, scarred or glossy."""
 
     def __post_init__(self) -> None:
+        require(
+            not self.condition.active or (self.motion.amplitude_mm == 0 and not has_mirrors(self)),
+            "a finger in some condition lies still and without mirrors in the twin; leave out motion and mirrors, or "
+            "condition.",
+        )
+        require(
+            self.motion.amplitude_mm == 0 or not has_mirrors(self),
+            "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
+        )
         require(
             self.sensor_scale is None or 0.0 < self.sensor_scale <= 1.0,
             f"twin.sensor_scale must lie in (0, 1] or be None, but it is {self.sensor_scale}.",
@@ -82,9 +103,19 @@ def simulate_capture(
     The same arguments give the same bytes, whatever the number of workers.
     """
     settings = settings or TwinSettings()
+    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
+    if settings.motion.amplitude_mm > 0:
+        moving, rig, skin, photo_seed = _set_in_motion(seed, pattern, settings, impression, finger)
+        capture, truth = photograph_moving(moving, rig, skin, photo_seed, settings)
+        return replace(capture, subject=subject), truth
+    if has_mirrors(settings):
+        finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
+        capture, truth = photograph_between_mirrors(
+            finger, pose, rig, skin, seeds=(photo_seed, seed), settings=settings
+        )
+        return replace(capture, subject=subject), truth
     laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
     capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
-    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
     return replace(capture, subject=subject), truth
 
 
@@ -109,18 +140,48 @@ def lay_down(
 ) -> LaidDown:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
+    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
+    workers, camera = settings.render.workers, rig.camera
+    if settings.condition.active:
+        condition_seed = np.random.SeedSequence([seed, impression, 0x54])
+        surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
+    else:
+        surface = finger_surface(finger, pose, camera, workers=workers)
+    return LaidDown(surface, rig, skin, photo_seed)
+
+
+def _drawn(
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
+) -> tuple[Finger, Pose, Rig, SkinSettings, np.random.SeedSequence]:
+    """Draw what a seed stands for: finger, pose, rig, skin, and the seed of background and noise."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
-    rig = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
+    between = has_mirrors(settings)
+    if between:
+        rig = rig_with_mirrors(settings)
+    else:
+        rig = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
     finger = finger or draw_finger(seed, pattern)
     person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
     skin = settings.skin if isinstance(settings.skin, SkinSettings) else settings.skin.draw(person)
+    pose_rng = np.random.default_rng(pose_seed)
     if isinstance(settings.pose, Pose):
         pose = settings.pose
     else:
-        pose = settings.pose.draw(np.random.default_rng(pose_seed), rig.camera)
-    surface = finger_surface(finger, pose, rig.camera, workers=settings.render.workers)
-    return LaidDown(surface, rig, skin, photo_seed)
+        pose = mirror_pose(settings, rig.camera, pose_rng) if between else settings.pose.draw(pose_rng, rig.camera)
+    return finger, pose, rig, skin, photo_seed
+
+
+def _set_in_motion(
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
+) -> tuple[MovingFinger, Rig, SkinSettings, np.random.SeedSequence]:
+    """Draw the same finger in the same pose as :func:`lay_down` does, and its motion from there."""
+    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
+    motion_seed = np.random.SeedSequence([seed, impression, 0x53])
+    shots = sum(led.band in BAND_CHANNELS for led in rig.leds)
+    workers = settings.render.workers
+    moving = moving_finger(finger, pose, rig.camera, motion_seed, settings.motion, shots, workers)
+    return moving, rig, skin, photo_seed
 
 
 def photograph(
