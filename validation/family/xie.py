@@ -51,7 +51,8 @@ def source_hash() -> str:
     folders = ("normals", "integrate")
     files = [file for folder in folders for file in sorted((package / folder).rglob("*.py"))]
     digest = hashlib.sha256()
-    for file in [*files, *sorted(HERE.glob("xie*.py")), package / "apps" / "compare.py"]:
+    own = [HERE / f"{name}.py" for name in ("xie", "xie_itself", "xie_photographs", "xie_skin", "xie_ways")]
+    for file in [*files, *own, package / "apps" / "compare.py"]:
         digest.update(file.read_bytes())
     return digest.hexdigest()
 
@@ -141,12 +142,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if set(seeds) & set(trial_seeds):
         print("the fingers of the trials must be others than those reported.", file=sys.stderr)
         return 2
-    folder = OUT / f"xie-{source_hash()[:12]}-{chosen.scale:g}"
+    code = source_hash()
+    folder = OUT / f"xie-{code[:12]}-{chosen.scale:g}"
     folder.mkdir(parents=True, exist_ok=True)
     results = {
         "format": "splitknit-xie",
         "version": 1,
-        "source_sha256": source_hash(),
+        "source_sha256": code,
         "scale": chosen.scale,
         "trials": [kept(f"trial-{s}", folder, lambda s=s: tried(s, chosen.scale)) for s in trial_seeds],
         "itself": kept("itself", folder, lambda: on_itself(chosen.first_seed, chosen.scale)),
