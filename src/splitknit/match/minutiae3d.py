@@ -33,11 +33,11 @@ Array = NDArray[np.float64]
 class Minutiae3DSettings:
     """How minutiae in space are compared."""
 
-    neighbours: int = 8
+    neighbours: int = 6
     """Nearest minutiae with which each forms pairs."""
-    length_mm: float = 0.35
+    length_mm: float = 0.25
     """Largest difference of the lengths of two pairs that are alike."""
-    angle_deg: float = 20.0
+    angle_deg: float = 15.0
     """Largest difference of their angles."""
     agreement: AgreementSettings = field(default_factory=AgreementSettings)
 

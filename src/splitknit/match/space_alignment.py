@@ -25,19 +25,19 @@ Index = NDArray[np.intp]
 class AgreementSettings:
     """When two minutiae of laid-on fingers agree, and how motions are found."""
 
-    plane_mm: float = 0.8
+    plane_mm: float = 1.2
     """Largest distance along the finger's plane (x and y)."""
-    height_mm: float = 0.8
+    height_mm: float = 1.2
     """Largest distance across it (z)."""
-    theta_deg: float = 25.0
+    theta_deg: float = 20.0
     """Largest difference of the azimuths."""
-    phi_deg: float = 25.0
+    phi_deg: float = 20.0
     """Largest difference of the elevations."""
     motions: int = 4
     """Motions with the most votes that are tried on all minutiae."""
-    turn_deg: float = 12.0
+    turn_deg: float = 10.0
     """Votes fall into cells of this size, and count in their neighbours too."""
-    shift_mm: float = 1.5
+    shift_mm: float = 1.2
     """Size of the cells along the plane."""
     rounds: int = 3
     """Refinements: a new motion from all that agree."""

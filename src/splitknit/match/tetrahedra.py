@@ -100,6 +100,15 @@ class PreparedTetrahedra(Framed):
         return np.asarray(angle)
 
     @cached_property
+    def ordered(self) -> tuple[Array, Array]:
+        """(T, 6, 6) edges and (T, 6, 12) angles with the corners in each of the six orders."""
+        first, second = np.array(_EDGES).T
+        edges = np.stack([self.edges[:, order[first], order[second]] for order in _ORDERS], axis=1)
+        start, end = np.array([(i, j) for i in range(4) for j in range(4) if i != j]).T
+        angles = np.stack([self.angles[:, order[start], order[end]] for order in _ORDERS], axis=1)
+        return edges, angles
+
+    @cached_property
     def looks(self) -> Array:
         """(T, 9) sorted: the edges from the apex, the other edges, and the apex's angles."""
         flat = np.stack([self.edges[:, i, j] for i, j in _EDGES], axis=1)
@@ -110,7 +119,7 @@ class PreparedTetrahedra(Framed):
     def tree(self) -> cKDTree:
         """The looks in units of the tolerances."""
         units = np.repeat([self.settings.edge_mm, self.settings.edge_mm, np.deg2rad(self.settings.angle_deg)], 3)
-        return cKDTree(self.looks / units)
+        return cKDTree(self.looks / units, leafsize=32)
 
 
 def tetrahedra_match(
@@ -161,17 +170,14 @@ def alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Inde
 def _best_order(a: PreparedTetrahedra, b: PreparedTetrahedra, i: Index, j: Index) -> tuple[Index, NDArray[np.bool_]]:
     """Level 2: which order of the corners is alike in edges and angles, and whether any is."""
     edge, angle = a.settings.edge_mm, np.deg2rad(a.settings.angle_deg)
-    best, order = np.full(len(i), np.inf), np.zeros(len(i), dtype=np.intp)
-    for number, corners in enumerate(_ORDERS):
-        turned = np.ix_(range(len(j)), corners, corners)
-        k = np.flatnonzero((np.abs(a.edges[i] - b.edges[j][turned]) <= edge).all(axis=(1, 2)))
-        if not len(k):
-            continue
-        turned = np.ix_(range(len(k)), corners, corners)
-        difference = np.abs(a.angles[i[k]] - b.angles[j[k]][turned]).max(axis=(1, 2))
-        better = (difference <= angle) & (difference < best[k])
-        best[k[better]], order[k[better]] = difference[better], number
-    return order, np.isfinite(best)
+    own_edges, own_angles = (one[:, 0] for one in a.ordered)
+    edges, angles = b.ordered
+    k, order = np.nonzero((np.abs(own_edges[i][:, None] - edges[j]) <= edge).all(axis=2))
+    difference = np.abs(own_angles[i[k]] - angles[j[k], order]).max(axis=1)
+    all_of = np.full((len(i), len(_ORDERS)), np.inf)
+    all_of[k, order] = difference
+    best = all_of.argmin(axis=1)
+    return best, all_of[np.arange(len(i)), best] <= angle
 
 
 def _prepared(side: SpaceMinutiae | PreparedTetrahedra, settings: TetrahedraSettings | None) -> PreparedTetrahedra:
