@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from splitknit.match.minutiae_record import PPI, Minutiae
 from splitknit.types import FloatArray
 
-EDGE_MM = 0.8
-"""Minutiae nearer to the outline are left out: almost two ridge periods."""
+EDGE_MM = 0.6
+"""Minutiae nearer to the outline are left out: about one and a third ridge periods."""
 _PAPER = 235
 """Brighter is paper (or the middle of a valley)."""
 _CLOSED_MM, _OPENED_MM = 1.0, 0.6
