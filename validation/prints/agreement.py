@@ -25,7 +25,7 @@ from agreement_truth import read_truth
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "agreement.json"
-VERSION = 2
+VERSION = 3
 """Of what is kept; it rises when the measurement changes."""
 FINGERS = ("right_index", "left_thumb", "right_ring", "left_middle")
 REPORTED = tuple(f"S{k:02d}" for k in range(1, 11))
