@@ -15,6 +15,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 SUITES = {
     "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
+    "bench_skin_layers.py": (["--rounds", "5"], ["--rounds", "1", "--pixels", "20"]),
     "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
