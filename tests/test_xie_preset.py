@@ -1,0 +1,65 @@
+"""Xie's case: EA with two-layer skin, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.apps.cli import main
+from splitknit.check import BadInput
+from splitknit.io import read_capture
+from splitknit.pipeline import PRESETS, reconstruct
+from splitknit.settings import flatten
+from splitknit.types import Capture, Reconstruction
+
+
+@pytest.fixture(scope="module")
+def capture(twin_folder: Path) -> Capture:
+    return read_capture(twin_folder)
+
+
+@pytest.fixture(scope="module")
+def xie(capture: Capture) -> Reconstruction:
+    return reconstruct(capture, "xie")
+
+
+def test_it_differs_from_ea_by_the_reflectance_alone() -> None:
+    ea, xie = (flatten(asdict(PRESETS[name])) for name in ("ea", "xie"))
+    changed = {name: (ea[name], xie[name]) for name in ea if ea[name] != xie[name]}
+    assert changed == {
+        "normals.method": ("lambertian", "hanrahan_krueger"),
+        "normals.hanrahan_krueger.weights": ("robust", "equal"),
+    }
+
+
+def test_surface_follows_from_the_layers(capture: Capture, xie: Reconstruction) -> None:
+    plain = reconstruct(capture, "ea")
+    np.testing.assert_array_equal(xie.mask, plain.mask)
+    between = np.sum(xie.normals * plain.normals, axis=-1)[xie.mask]
+    turned = np.degrees(np.arccos(np.clip(between, -1, 1)))
+    assert 0.1 < turned.mean() < 5
+    assert np.isfinite(xie.height_mm[xie.mask]).all()
+    # a surface that passes less light from the side makes sloping skin darker: it is taken for less steep
+    tilt, flat = (np.degrees(np.arccos(result.normals[..., 2][xie.mask])) for result in (xie, plain))
+    steep = flat > 30
+    assert tilt[steep].mean() < flat[steep].mean()
+
+
+def test_settings_reach_the_fit(capture: Capture, xie: Reconstruction) -> None:
+    other = reconstruct(capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.37})
+    assert not np.array_equal(other.height_mm, xie.height_mm, equal_nan=True)
+    with pytest.raises(BadInput, match="refractive_index"):
+        reconstruct(capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.0})
+
+
+def test_bad_settings_are_one_sentence(twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["reconstruct", str(twin_folder), "--out", str(tmp_path / "out"), "--preset", "xie"]
+    assert main([*command, "--set", "normals.hanrahan_krueger.base_reflectance=7"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.strip().splitlines()) == 1
+    assert "hanrahan_krueger.base_reflectance must lie between 0.01 and 1" in said.err
+    assert not (tmp_path / "out").exists()
