@@ -30,6 +30,7 @@ class HanrahanKruegerSettings:
     """Photometric stereo of two-layer skin."""
 
     layers: SkinLayers = field(default_factory=SkinLayers)
+    """What all pixels have in common."""
     base_reflectance: float = 0.45
     """Share of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
     against the layers' single scattering, which the exposure leaves unknown."""
@@ -40,10 +41,12 @@ class HanrahanKruegerSettings:
     spread_depth: float = 0.7
     """Standard deviation of the logarithm of its optical depth; small: the same everywhere."""
     weights: str = "robust"
-    """``robust``: shadowed and glossy lights lose weight as in :func:`splitknit.normals.robust`; ``equal``: none does,
-    as the source has it."""
+    """``robust``: shadowed and glossy lights lose weight as in the method of that name; ``equal``: none does, as the
+    source has it."""
     robust: RobustSettings = field(default_factory=RobustSettings)
+    """The weights of ``robust``."""
     fit: LevenbergSettings = field(default_factory=LevenbergSettings)
+    """When a pixel's fit ends."""
 
     def __post_init__(self) -> None:
         require(

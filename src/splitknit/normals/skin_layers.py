@@ -32,15 +32,19 @@ class SkinLayers:
     refractive_index: float = 1.5
     """Of both layers; theirs is 1.37 to 1.5, of which the largest was best on fingers of the twin."""
     epidermis_asymmetry: float = 0.79
-    """Mean cosine of one scattering."""
+    """g: mean cosine of the angle by which the epidermis scatters; near 1 is forward."""
     dermis_asymmetry: float = 0.81
+    """g' of the dermis."""
     epidermis_scattering_per_mm: float = 50.0
-    """Where a pixel's layer starts, and what it is held to where its images do not say."""
+    """With absorption and thickness: where a pixel's fit starts, and what holds it where its images do not say."""
     epidermis_absorption_per_mm: float = 3.8
+    """See scattering."""
     epidermis_thickness_mm: float = 0.08
-    """Theirs is 0.001 to 0.15 mm."""
+    """See scattering; theirs is 0.001 to 0.15 mm."""
     dermis_scattering_per_mm: float = 21.7
+    """Only its share of scattering and absorption counts: the dermis has no end."""
     dermis_absorption_per_mm: float = 0.3
+    """See scattering."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
