@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _TUBE_MM = 52.0
 """Inner radius of the tube around the finger."""
+_STRAY_SHARE = 0.1
+"""Light that comes to the tube by way of other things, against that of a white card under the LED."""
 _LID_SHARE = 0.2
 """Light from what hangs above the finger, which a second mirror shows, against that from the tube."""
 
@@ -88,7 +90,7 @@ def mirror_frame(
     lip = (plate(outside, start, views.plastic_albedo), plate(inside, outside, views.plastic_albedo))
     shown = tuple(
         replace(one, coverage=outline_coverage(camera, view.reflection.points(profile.quad(name, camera, *ends))))
-        for one, ends in zip(lip[1:], ((inside, outside),), strict=True)
+        for one, ends in ((plate(*profile.shade, 0.0), profile.shade), (lip[1], (inside, outside)))
     )
     opposite = tuple(
         outline_coverage(camera, view.reflection.points(np.asarray(other.corners_mm)))
@@ -123,7 +125,9 @@ def blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, fre
 
 def background_of(frame: Frame, camera: Camera, led: Led) -> FloatArray:
     """(H, W, 3) radiance of what a mirror shows behind the finger."""
-    wall = frame.wall.radiance(led)
+    above = np.array([0.0, 0.0, 1.0])
+    stray = _STRAY_SHARE * frame.wall.albedo / np.pi * irradiance(led, np.zeros(3), above)
+    wall = frame.wall.radiance(led) + stray
     content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
     for cover in frame.opposite:
         blend(content, cover, np.float32(_LID_SHARE * wall))

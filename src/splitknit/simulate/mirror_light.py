@@ -58,7 +58,8 @@ def light_through(
     entering = np.zeros(patch.mask.shape, dtype=np.float32)
     gloss = np.zeros(patch.mask.shape, dtype=np.float32)
     for light in lights:
-        enters, shines = light_on(patch, light.led, roughness, led_radius_mm)
+        with np.errstate(divide="ignore", invalid="ignore"):  # light from straight behind, where nothing is lit
+            enters, shines = light_on(patch, light.led, roughness, led_radius_mm)
         if light.gate is not None:
             share = light.gate.share(patch.x, patch.y, patch.z, light.led, led_radius_mm)
             enters, shines = enters * share, shines * share

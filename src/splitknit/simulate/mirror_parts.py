@@ -25,6 +25,10 @@ def mirror_rig(views: MirrorViews, scale: float, seed: int | None = None, intens
     rig = default_rig(scale, seed, intensity_spread)
     rows, columns = (round(side * scale) for side in views.image_size)
     camera = replace(rig.camera, px_per_mm=views.px_per_mm * scale, image_size=(rows, columns))
+    if views.model == "perspective":
+        focal_px = camera.px_per_mm * camera.height_mm
+        matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
+        camera = replace(camera, model="perspective", matrix=matrix)
     leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
     return replace(rig, camera=camera, leds=leds, mirrors=nominal_mirrors(views, camera))
 
@@ -81,6 +85,12 @@ class HolderProfile:
         outside = inside - _LIP_WALL_MM * behind
         end = self.parts.lip_mm * along
         return inside + end, outside + end, np.array([0.0, outside[1] - outside[0]])
+
+    @property
+    def shade(self) -> tuple[Array, Array]:
+        """What stands before the mirror below the lip's upper edge, seen from the mirror: dark."""
+        high = self.lip[1]
+        return high - np.array([0.0, 8.0]), high
 
     @property
     def back(self) -> tuple[Array, Array]:

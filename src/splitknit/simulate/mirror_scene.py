@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.simulate.defocus import blur_sigma_px
 from splitknit.simulate.diffusion import WalkTable
+from splitknit.simulate.lens import px_per_mm_at
 from splitknit.simulate.lighting import finger_window, white_card
 from splitknit.simulate.mirror_frame import Frame, background_of, blend, mirror_frame
 from splitknit.simulate.mirror_light import render_between_mirrors, render_room
@@ -18,7 +20,7 @@ from splitknit.simulate.mirrors import lights_of
 from splitknit.simulate.renderer import BandLight
 from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulate.surface import Surface
-from splitknit.simulate.twin_scene import Scene, brightest, room_level
+from splitknit.simulate.twin_scene import Scene, brightest, finger_depth, room_level
 from splitknit.types import Band, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ class MirrorScene:
         surface, rig, skin = subject
         self.views, self.rig, self.skin, self.settings, self.walks = tuple(seen), rig, skin, settings, walks
         self.front = Scene(subject, settings, np.random.default_rng(seed), walks)
+        self.front.blur = _blur(surface, self.views, settings)
         self.mirrors = [view.mirror for view in seen]
         self.free = ~surface.mask
         rngs = [np.random.default_rng(child) for child in seed.spawn(len(self.views))]
@@ -150,6 +153,20 @@ class MirrorScene:
             for plate in plates.lip:
                 blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
         return frame
+
+
+def _blur(surface: Surface, seen: Sequence[View], settings: TwinSettings) -> FloatArray | None:
+    """(H, W) defocus in pixels by depth, or None; what a mirror shows lies as deep as its image behind the mirror."""
+    render, camera = settings.render, surface.camera
+    if render.aperture_mm == 0.0:
+        return None
+    depth, top = finger_depth(surface)
+    focus = top - render.focus_depth_mm
+    for view in seen:
+        cover = view.coverage
+        inside = finger_depth(view.surface)[0][cover.window]
+        depth[cover.window] += cover.share * (inside - depth[cover.window])
+    return blur_sigma_px(depth, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
 
 
 def _put(

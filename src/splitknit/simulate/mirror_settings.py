@@ -21,7 +21,7 @@ class MirrorParts:
 
     long_mm: float = 30.0
     """Of a mirror, along its lower edge."""
-    wide_mm: float = 28.5
+    wide_mm: float = 30.0
     """Of a mirror, up its slope."""
     thick_mm: float = 2.0
     gap_mm: float = 1.0
@@ -31,12 +31,12 @@ class MirrorParts:
     clearance_mm: float = 0.2
     """Of all joints."""
     wall_mm: float = 2.4
-    pad_height_mm: float = 20.0
+    pad_height_mm: float = 21.2
     """Of the finger plane over the groove's bottom."""
     widest_mm: float = 22.0
     """Of the fingers."""
     finger_clearance_mm: float = 2.0
-    tip_margin_mm: float = 26.3
+    tip_margin_mm: float = 27.0
     """From the fingertip's stop to the picture's upper border."""
     phalanx_mm: float = 30.0
 
@@ -70,11 +70,14 @@ class MirrorViews:
     shift_most_mm: float = 2.0
     pose_seed: int | None = None
     """Of the true poses; None: they follow from the finger's seed, and are the same in all its impressions."""
-    px_per_mm: float = 44.0
+    px_per_mm: float = 43.0
     """Of the full frame: all views must fit."""
     image_size: tuple[int, int] = (2464, 3280)
     """Rows and columns of the full frame: all of the IMX219."""
-    insertion_mm: tuple[float, float] = (28.2, 29.7)
+    model: str = "orthographic"
+    """Of the camera: ``orthographic``, or ``perspective`` from 140 mm with a lens without distortion. A given `rig` has
+    its own camera."""
+    insertion_mm: tuple[float, float] = (28.7, 30.3)
     """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
     nir: bool = True
     """Whether the rig has its NIR LEDs: mirrors can do without."""
@@ -111,6 +114,10 @@ class MirrorViews:
                 bool(np.isfinite(value)) and low <= value <= high,
                 f"mirrors.{name} must lie between {low:g} and {high:g}, but it is {value}.",
             )
+        require(
+            self.model in ("orthographic", "perspective"),
+            f"mirrors.model is orthographic or perspective, not '{self.model}'.",
+        )
         low_mm, high_mm = self.insertion_mm
         require(0.0 < low_mm <= high_mm, f"mirrors.insertion_mm must be (low, high), but it is {self.insertion_mm}.")
         require(min(self.image_size) >= 64, "mirrors.image_size must be at least 64 x 64 pixels.")

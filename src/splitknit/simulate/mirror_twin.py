@@ -28,7 +28,7 @@ from splitknit.types import Camera, Capture, Mirror, Rig
 if TYPE_CHECKING:
     from splitknit.simulate.twin import TwinSettings
 
-_FADE_MM = 2.0
+_FADE_MM = 4.0
 """Width over which the ridges fade."""
 _AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
 """How much further than the master print the skin's map reaches, to either side and beyond the tip."""
@@ -130,7 +130,7 @@ def photograph_between_mirrors(
 def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMap:
     """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back has no ridges.
 
-    The map grows by plain skin, so that it reaches all around the finger.
+    The map grows, as it would be continued, so that it reaches all around the finger.
     """
     shape = body.shape
     y = np.array([0.5 * shape.length_mm])
@@ -138,8 +138,7 @@ def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMa
     u, reach = float(body.distance_and_chart(*edge)[1][0]), shape.length_mm - shape.tip_length_mm
     around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (_AROUND_MM, _OVER_TIP_MM))
     grown = ((over_tip, 0), (around, around))
-    coefficients = np.pad(skin.coefficients, grown)
-    pigment = np.pad(skin.pigment, grown, constant_values=1.0)
+    coefficients, pigment = (np.pad(one, grown, mode="reflect") for one in (skin.coefficients, skin.pigment))
     u0, v0 = skin.u0_mm - around * skin.pitch_mm, skin.v0_mm + over_tip * skin.pitch_mm
     rows, columns = coefficients.shape
     across = u0 + skin.pitch_mm * np.arange(columns)
