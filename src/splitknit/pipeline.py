@@ -7,16 +7,18 @@ dataclass, so that an experiment changes one thing at a time.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from splitknit.check import BadInput, require
+from splitknit.recipe.coloured import as_lit
 from splitknit.recipe.finger import find_finger, finger_key
 from splitknit.recipe.memory import Memory
 from splitknit.recipe.presets import PRESETS, PipelineSettings
 from splitknit.recipe.rays import as_modelled
 from splitknit.recipe.result import assemble
+from splitknit.recipe.settings_document import settings_document
 from splitknit.recipe.skin import metric_skin
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.recipe.surfaces import metric_opaque, thesis
@@ -78,12 +80,17 @@ def reconstruct(
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
-    capture = as_modelled(capture, chosen)
+    capture, notes = as_lit(as_modelled(capture, chosen), chosen)
     watch = Stopwatch(progress)
     finger = memory(finger_key(chosen), partial(find_finger, capture, chosen, watch))
     if chosen.method == "thesis":
         surface = thesis(capture, finger, chosen, watch, memory)
     elif undoes_blur(capture, chosen):
+        require(
+            not capture.bands["white"].colours,
+            "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea "
+            "or another of the published cases.",
+        )
         surface = metric_skin(capture, finger, chosen, watch)
     else:
         surface = metric_opaque(capture, finger, chosen, watch)
@@ -92,9 +99,9 @@ def reconstruct(
     return replace(
         result,
         preset=preset,
-        settings=asdict(chosen),
+        settings=settings_document(chosen),
         hashes=capture.hashes,
-        warnings=(*finger.warnings, *surface.warnings),
+        warnings=(*notes, *finger.warnings, *surface.warnings),
         timings_s=watch.seconds,
     )
 

@@ -100,20 +100,31 @@ def linear_channels(
     Returns
     -------
     (C, L, h, w) float32
-        Negative values, which noise gives where there is no light, are kept: clipping would bias dark pixels upwards.
+        L is the number of `band.lights`: where coloured LEDs share an exposure, each colour has an image of its own,
+        without what the other colours leave in its pixels; it is had as ``grey`` alone. Negative values, which noise
+        gives where there is no light, are kept: clipping would bias dark pixels upwards.
     """
     for channel in channels:
         require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
+        require(
+            channel == "grey" or not band.colours,
+            f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channel '{channel}'.",
+        )
     where = window if window is not None else (slice(None), slice(None))
     ambient = _ambient_light(band, encoding, where, binning)
     shape = band.pixels[0][where].shape[:2]
     count = band.pixels.shape[0]
-    stack = np.empty((len(channels), count, shape[0] // binning, shape[1] // binning), dtype=np.float32)
+    stack = np.empty((len(channels), len(band.lights), shape[0] // binning, shape[1] // binning), dtype=np.float32)
+    first, levels = _first_lights(band), _clip_levels(band, encoding)
 
     def work(k: int) -> None:
         light = _lit_light(band, k, encoding, where, binning, ambient)
+        if band.colours and band.colours[k][0]:
+            told = _told_apart(light, band.colours[k], band.crosstalk, float(levels[k]))
+            stack[:, first[k] : first[k] + len(told)] = told
+            return
         for c, channel in enumerate(channels):
-            stack[c, k] = pick_channel(light, channel)
+            stack[c, first[k]] = pick_channel(light, channel)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(count)))
@@ -179,12 +190,17 @@ def shading_at(shading: Sequence[float], squared: NDArray[np.float64]) -> NDArra
 def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:
     """Mean over all images with all their channels, and every image in grey, without ever holding both for all.
 
+    The mean of a band of coloured LEDs is grey: its colours came from different sides.
+
     Returns
     -------
     mean : (h, w, C) float32
     grey : (L, h, w) float32
         As :func:`linear_stack` gives it.
     """
+    if band.colours:
+        grey = linear_stack(band, encoding, "grey", binning=binning)
+        return np.asarray(grey.mean(axis=0)[..., None], dtype=np.float32), grey
     count = band.pixels.shape[0]
     height, width = (n // binning for n in band.pixels.shape[1:3])
     total = np.zeros((height, width, band.pixels.shape[3]), dtype=np.float32)
@@ -224,14 +240,44 @@ def pick_channel(light: FloatArray, channel: str) -> FloatArray:
 
 def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
     """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with ambient left in."""
+    count = np.diff([*_first_lights(band), len(band.lights)])
+    return np.repeat(_clip_levels(band, encoding), count)
+
+
+def _clip_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+    """The same for each exposure."""
     table = decode_table(band.pixels.dtype, encoding)
     black = np.interp(band.black_level, np.arange(table.size), table)
     return np.asarray((0.985 - black) / band.exposure)
 
 
+def _first_lights(band: Band) -> list[int]:
+    """For each exposure the first of its images in the stack."""
+    counts = [len(set(names)) for names in band.colours] if band.colours else [1] * band.pixels.shape[0]
+    return [sum(counts[:k]) for k in range(len(counts))]
+
+
+def _told_apart(
+    light: FloatArray, colours: Sequence[str], crosstalk: NDArray[np.float64] | None, clips_at: float
+) -> FloatArray:
+    """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green, blue.
+
+    Light that clips in a channel is kept as it is stored, so that it still counts as clipped.
+    """
+    present = [c for name, c in CHANNELS.items() if name in colours]
+    if light.shape[2] == 1:
+        return np.moveaxis(light, 2, 0)
+    if crosstalk is None:
+        return np.ascontiguousarray(np.moveaxis(light[..., present], 2, 0))
+    inverse = np.linalg.inv(np.asarray(crosstalk, dtype=np.float64))[present]
+    apart = np.moveaxis(cv2.transform(light, inverse).reshape(*light.shape[:2], len(present)), 2, 0)
+    stored = np.moveaxis(light[..., present], 2, 0)
+    return np.where(stored >= np.float32(clips_at), stored, apart).astype(np.float32)
+
+
 def has_colour(band: Band) -> bool:
-    """Whether the band's images carry three channels."""
-    return bool(band.pixels.shape[-1] == 3)
+    """Whether the band's images carry three channels of one light."""
+    return bool(band.pixels.shape[-1] == 3) and not band.colours
 
 
 def bin_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:

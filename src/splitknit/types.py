@@ -18,6 +18,8 @@ from splitknit.check import require
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
+COLOURS = ("red", "green", "blue")
+"""Of LEDs and of a camera's pixels, in the order of an image's channels."""
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 
 
@@ -40,8 +42,17 @@ class Camera:
     shading: tuple[float, ...] = ()
     """Fall-off of the lens towards the corners: brightness is 1 + a r^2 + b r^4 + ..., r the distance from the image's
     centre over half its diagonal. Images are divided by it."""
+    crosstalk: NDArray[np.float64] | None = None
+    """3 x 3: signal of the red, green and blue pixels (rows) under a red, a green and a blue LED (columns), each row
+    relative to its own colour. None: every LED is seen by the pixels of its own colour alone."""
 
     def __post_init__(self) -> None:
+        if self.crosstalk is not None:
+            mixing = np.asarray(self.crosstalk, dtype=np.float64)
+            require(
+                mixing.shape == (3, 3) and bool(np.isfinite(mixing).all()) and bool(np.linalg.cond(mixing) < 50.0),
+                "camera.crosstalk must be 3 x 3 finite numbers by which the three colours can be told apart.",
+            )
         require(np.isfinite(self.px_per_mm) and self.px_per_mm > 0, "camera.px_per_mm must be a positive number.")
         require(np.isfinite(self.height_mm) and self.height_mm > 0, "camera.height_mm must be a positive number.")
         require(min(self.image_size) > 0, f"camera.image_size must be positive, but it is {list(self.image_size)}.")
@@ -98,8 +109,15 @@ class Led:
     exposure is spoken of as one light (:meth:`Rig.light_vectors`), the images among `also` are left out."""
     shade: Shade | None = None
     """Where its light does not reach the finger; None: it reaches everything. Never in a rig file."""
+    colour: str = ""
+    """``red``, ``green`` or ``blue``; empty: white, or of the whole band."""
 
     def __post_init__(self) -> None:
+        require(
+            self.colour == "" or self.colour in COLOURS,
+            f"an LED's colour is red, green or blue (or none), not '{self.colour}'.",
+        )
+        require(self.colour == "" or self.band == "white", "only LEDs of the band 'white' may have a colour.")
         require(
             (self.position_mm is None) != (self.direction is None),
             "an LED has either position_mm (near) or direction (distant), not both and not neither.",
@@ -192,6 +210,15 @@ class Rig:
         names = [mirror.name for mirror in self.mirrors]
         require(len(set(names)) == len(names), "the rig's mirrors must have different names: left, right, tip.")
 
+    def colours_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[str, ...], ...]:
+        """Colours of the LEDs of every exposure, for :class:`Band`; nothing where all LEDs are white."""
+        colours = tuple(tuple(self.leds[index].colour for index in group) for group in groups)
+        return colours if any(any(names) for names in colours) else ()
+
+    def lights_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[int, ...], ...]:
+        """LEDs of every image of :func:`splitknit.radiance.linear_stack`: colours that share an exposure apart."""
+        return _lights(groups, self.colours_of(groups))
+
     def select(self, groups: Sequence[Sequence[int]]) -> Rig:
         """Return the rig whose `leds[k]` is what lights image k: the LEDs `groups[k]` together."""
         chosen = []
@@ -232,6 +259,19 @@ def _vector_at_origin(led: Led) -> NDArray[np.float64]:
     return np.asarray(vector, dtype=np.float64)
 
 
+def _lights(groups: Sequence[Sequence[int]], colours: Sequence[Sequence[str]]) -> tuple[tuple[int, ...], ...]:
+    """The groups of LEDs, those of coloured exposures divided by colour, in the order red, green, blue."""
+    result: list[tuple[int, ...]] = []
+    for k, group in enumerate(groups):
+        if not colours or not any(colours[k]):
+            result.append(tuple(group))
+            continue
+        named = list(zip(group, colours[k], strict=True))
+        parts = [tuple(i for i, name in named if name == colour) for colour in COLOURS]
+        result.extend(part for part in parts if part)
+    return tuple(result)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
     """The images of one spectral band, as stored: integers, not yet linear.
@@ -255,6 +295,16 @@ class Band:
     shading: tuple[float, ...] = ()
     """Of the camera that took the images, see :class:`Camera`."""
     files: tuple[str, ...] = ()
+    colours: tuple[tuple[str, ...], ...] = ()
+    """`colours[k]` are the colours of the LEDs `leds[k]`, see :class:`Led`; nothing where all are white."""
+    crosstalk: NDArray[np.float64] | None = None
+    """Of the camera that took the images, see :class:`Camera`; used where LEDs are coloured."""
+
+    @property
+    def lights(self) -> tuple[tuple[int, ...], ...]:
+        """LEDs of every image of :func:`splitknit.radiance.linear_stack`: `leds` but for coloured ones, each of whose
+        colours has an image of its own."""
+        return _lights(self.leds, self.colours)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

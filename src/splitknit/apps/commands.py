@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.apps.outputs import FILES, write_files
+from splitknit.apps.simulated_lights import coloured_lights
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder, read_capture, read_rig, with_rig, write_capture
 from splitknit.pipeline import preset_settings, reconstruct
@@ -131,6 +132,7 @@ def simulate_to_folder(
     pattern: str | None = None,
     scale: float | None = None,
     rig: Path | None = None,
+    lights: str = "white",
     impression: int = 0,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
@@ -141,6 +143,8 @@ def simulate_to_folder(
     if rig is not None:
         require(scale is None, "the rig file says how large the images are; leave out the scale.")
         settings = replace(settings, rig=read_rig(rig))
+    if lights != "white":
+        settings = replace(settings, rig=coloured_lights(lights, settings))
     check_target(out, "truth.npz", "an earlier simulated capture")
     with atomic_folder(out) as target:
         progress("simulating", 0.0)

@@ -60,6 +60,13 @@ def add_simulate(verbs: Any) -> None:
         help="the finger moves by MM during the capture, as a hand does that is held still (0.5 is much)",
     )
     verb.add_argument(
+        "--lights",
+        choices=("white", "coloured", "coloured9"),
+        default="white",
+        help="LEDs of the visible band: seven white ones (the default), or six or nine coloured ones, of which a red, "
+        "a green and a blue one share an exposure",
+    )
+    verb.add_argument(
         "--condition",
         choices=("none", "wet", "dry", "dusty", "scarred", "glossy"),
         default=None,
@@ -141,6 +148,8 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
         worst = {} if options.severity is None else {"condition.severity": options.severity}
         changes = {**changes, "condition.kind": options.condition, **worst}
     changes = _mirror_changes(options) | changes
+    if options.lights != "white":
+        require(not options.bench, "--bench and --lights do not go together: what is calibrated has white LEDs.")
     if options.bench:
         return _run_bench(options, changes)
     with Progress(options) as progress:
@@ -150,6 +159,7 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
             pattern=options.pattern,
             scale=options.scale,
             rig=options.rig,
+            lights=options.lights,
             impression=options.impression,
             changes=changes,
             progress=progress.update,
@@ -158,7 +168,8 @@ def run_simulate(options: argparse.Namespace) -> Outcome:
     lines = [
         f"Simulated capture of a {facts['pattern']} written to {options.out}: "
         f"{facts['images']} images of {columns} x {rows} pixels, with truth.",
-        f"Next: splitknit reconstruct {options.out} --out RESULT",
+        f"Next: splitknit reconstruct {options.out} --out RESULT"
+        + (" --preset lin" if options.lights != "white" else ""),
     ]
     return facts, lines
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from splitknit.check import BadInput
 
-PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "xie")
+PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "lin", "xie")
 
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""

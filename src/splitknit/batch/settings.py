@@ -12,6 +12,7 @@ from splitknit.check import require
 from splitknit.io.provenance import settings_hash
 from splitknit.pipeline import PipelineSettings, preset_settings
 from splitknit.recipe.matchable import MatchingSettings
+from splitknit.recipe.settings_document import settings_document
 from splitknit.settings import override
 
 MATCHERS = ("ridge", "thesis", "minutiae", "voted")
@@ -41,7 +42,7 @@ class Case:
 
     def document(self) -> dict[str, Any]:
         """For the store: the preset, all settings, and their hash."""
-        settings = self.settings()
+        settings = settings_document(self.settings())
         return {
             "preset": self.preset,
             "settings_sha256": settings_hash({"preset": self.preset, "settings": settings}),

@@ -22,7 +22,7 @@ from splitknit.io.images import ImageSettings, StackReader, encode_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
-from splitknit.types import Band, Capture, PixelArray
+from splitknit.types import Band, Capture, PixelArray, Rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +69,8 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         }
         mask_pixels = None if plan.mask is None else reader.start([plan.mask], size, rig_name)[0]
         hashes = reader.finish()
-    shading = plan.rig.camera.shading
     bands = {
-        key: replace(_band(key, band, stacks[key], ambients.get(key)), shading=shading)
-        for key, band in plan.bands.items()
+        key: _seen_by(plan.rig, _band(key, band, stacks[key], ambients.get(key))) for key, band in plan.bands.items()
     }
     for band in bands.values():
         check_content(band, settings.content)
@@ -113,7 +111,7 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
                 f"{name} does not fit the capture: LED {index}, which lit images of the band '{band.name}', is "
                 + (f"of the band '{rig.leds[index].band}' there." if index < len(rig.leds) else "not in it."),
             )
-    bands = {key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()}
+    bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
     digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
     return replace(capture, rig=rig, bands=bands, hashes={**capture.hashes, f"replaced rig: {Path(path).name}": digest})
 
@@ -210,14 +208,33 @@ def _band(key: str, plan: BandPlan, pixels: PixelArray, ambient: PixelArray | No
     )
 
 
+def _seen_by(rig: Rig, band: Band) -> Band:
+    """The band with what the rig says about its lens and the colours of its LEDs.
+
+    Raises
+    ------
+    BadInput
+        If several colours share an exposure of grey images.
+    """
+    colours = rig.colours_of(band.leds)
+    for k, names in enumerate(colours):
+        require(
+            band.pixels.shape[3] == 3 or len(set(names)) == 1,
+            f"{band.files[k] if band.files else f'image {k}'} is grey, but LEDs of {len(set(names))} colours lit it; "
+            "their light can be told apart in colour images only.",
+        )
+    crosstalk = rig.camera.crosstalk if colours else None
+    return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
+
+
 def _check_parts(capture: Capture) -> None:
     size = capture.rig.camera.image_size
     require("white" in capture.bands, "a capture needs a band 'white'.")
     for key, band in capture.bands.items():
         require(key in BANDS, f"a capture's bands are 'white' and 'nir', not '{key}'.")
-        shape = band.pixels.shape
+        shape, least = band.pixels.shape, 1 if band.colours else 3
         require(
-            len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= 3,
+            len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least,
             f"the pixels of the band '{key}' have the shape {shape}; "
             f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
         )

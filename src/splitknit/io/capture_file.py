@@ -120,7 +120,7 @@ def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
 def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
     images = fields.items("images")
     require(
-        len(images) >= 3,
+        len(images) >= 3 or (len(images) > 0 and any(led.colour for led in rig.leds if led.band == band)),
         f"{fields.name}: {fields.path('images')} names {len(images)} images, but at least three are needed.",
     )
     leds = tuple(_group(fields, item, k) for k, item in enumerate(fields.items("leds")))

@@ -72,8 +72,14 @@ def check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], whe
                 f"{where}[{k}] names LED {index}, which is a '{rig.leds[index].band}' LED in the rig, not '{band}'; "
                 f"correct the list or the rig.",
             )
+    for k, names in enumerate(rig.colours_of(leds)):
+        require(
+            all(names) or not any(names),
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be told apart; use one kind.",
+        )
+    lights = rig.lights_of(leds)
     try:
-        check_lights(rig.select(leds).light_vectors(), len(leds))
+        check_lights(rig.select(lights).light_vectors(), len(lights))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from error
 

@@ -58,6 +58,8 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             entry["lobe_exponent"] = led.lobe_exponent
         if led.aim is not None:
             entry["aim"] = plain_json(led.aim)
+        if led.colour:
+            entry["colour"] = led.colour
         leds.append(plain_json(entry))
     return {
         "format": RIG_FORMAT,
@@ -70,6 +72,7 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             "matrix": plain_json(camera.matrix),
             "distortion": plain_json(_distortion(camera)),
             **({"shading": plain_json(camera.shading)} if camera.shading else {}),
+            **({} if camera.crosstalk is None else {"crosstalk": plain_json(camera.crosstalk)}),
         },
         "leds": leds,
         **({"mirrors": [_mirror_entry(mirror) for mirror in rig.mirrors]} if rig.mirrors else {}),
@@ -152,19 +155,26 @@ def _camera(fields: Fields) -> Camera:
     if perspective or fields.has("matrix"):
         matrix = _matrix(fields)
     shading = fields.numbers("shading", (1, 2, 3, 4)) if fields.has("shading") else ()
+    crosstalk = _numbers_3x3(fields, "crosstalk") if fields.has("crosstalk") else None
     try:
-        return Camera(px_per_mm, (size[0], size[1]), height_mm, model, matrix, distortion, shading)
+        return Camera(px_per_mm, (size[0], size[1]), height_mm, model, matrix, distortion, shading, crosstalk)
     except BadInput as error:
         raise BadInput(f"{fields.name}: {error}") from error
 
 
-def _matrix(fields: Fields) -> np.ndarray[Any, np.dtype[np.float64]]:
-    rows = fields.items("matrix")
+def _numbers_3x3(
+    fields: Fields, name: str, what: str = "3 x 3 finite numbers"
+) -> np.ndarray[Any, np.dtype[np.float64]]:
+    rows = fields.items(name)
     values = [as_number(item) for row in rows if isinstance(row, list) and len(row) == 3 for item in row]
     numbers = [item for item in values if item is not None and abs(item) <= 1e7]
     if len(rows) != 3 or len(numbers) != 9:
-        fields.refuse("matrix", "3 x 3 finite numbers (the camera matrix in pixels)")
-    matrix = np.array(numbers, dtype=np.float64).reshape(3, 3)
+        fields.refuse(name, what)
+    return np.array(numbers, dtype=np.float64).reshape(3, 3)
+
+
+def _matrix(fields: Fields) -> np.ndarray[Any, np.dtype[np.float64]]:
+    matrix = _numbers_3x3(fields, "matrix", "3 x 3 finite numbers (the camera matrix in pixels)")
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])):
         fields.refuse("matrix", "a camera matrix: positive focal lengths, last row 0 0 1")
     return matrix
@@ -188,6 +198,7 @@ def _led(fields: Fields) -> Led:
             intensity=fields.number("intensity", 1e-9, 1e9, 1.0),
             lobe_exponent=fields.number("lobe_exponent", 0.0, 1000.0, 0.0),
             aim=_aim(fields) if fields.has("aim") else None,
+            colour=fields.text("colour", ""),
         )
     except BadInput as error:
         if str(error).startswith(fields.name):

@@ -36,6 +36,7 @@ from splitknit.radiance import (
     pick_channel,
     saturation_levels,
 )
+from splitknit.recipe.coloured import colour_factors_of
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.types import Band, BoolArray, Capture, FloatArray
@@ -68,7 +69,7 @@ def finger_key(settings: PipelineSettings) -> tuple[Hashable, ...]:
     """What a finger follows from, beside its capture: equal keys, equal fingers."""
     camera = settings.camera, settings.top_mm
     found = settings.mask, settings.orientation, settings.crease, settings.cut_at_crease, settings.photometric
-    return "finger", *camera, *found, settings.quality, settings.motion
+    return "finger", *camera, *found, settings.quality, settings.motion, settings.lights
 
 
 def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) -> Finger:
@@ -153,7 +154,9 @@ def _quality(  # noqa: PLR0917
         if name != "white":
             stack = linear_stack(band, capture.encoding, "grey", binning=binning)
             saturation = saturation_levels(band, capture.encoding)
-        lights = capture.rig.select(band.leds).light_vectors()
+        lights = capture.rig.select(band.lights).light_vectors()
+        if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
+            lights = lights * colour_factors_of(stack, capture.rig, band, outline)[:, None]
         ambient = _ambient(band, capture.encoding, binning)
         found = capture_quality(
             stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation, settings=settings.quality
@@ -180,7 +183,8 @@ def _drift(
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """Whether the LEDs still are as bright as the rig's radiometric calibration found them."""
     members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.name]
-    names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in band.leds]
+    groups = band.lights
+    names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in groups]
     try:
         drift = led_drift(stack, lights, outline)
     except BadInput:  # too little of the finger is lit by all of them: nothing can be said

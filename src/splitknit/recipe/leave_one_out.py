@@ -15,6 +15,7 @@ from splitknit.match.minutiae_record import Minutiae, no_minutiae
 from splitknit.match.voted_minutiae import VoteSettings, vote
 from splitknit.normals.left_out import left_out
 from splitknit.radiance import linear_stack
+from splitknit.recipe.coloured import as_lit, balanced
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rays import as_modelled
@@ -88,7 +89,7 @@ def left_out_pictures(
     the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
     """
     chosen = chosen or LeaveOneOutSettings()
-    capture = as_modelled(capture, settings)
+    capture, _ = as_lit(as_modelled(capture, settings), settings)
     finger = find_finger(capture, settings, Stopwatch(None)) if finger is None else finger
     white, window = capture.bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
@@ -97,7 +98,9 @@ def left_out_pictures(
         f"leaving out one image needs at least four of them, but the white band has {len(stack)}.",
     )
     mask = finger.mask[window]
-    lights = capture.rig.select(white.leds).light_vectors()
+    if settings.lights.balance and white.colours:
+        stack = balanced(stack, capture.rig, white, mask)
+    lights = capture.rig.select(white.lights).light_vectors()
     pitch = capture.rig.camera.pitch_mm
     window_from_upright = finger.upright.input_from_upright.copy()
     window_from_upright[:2, 2] -= window[1].start, window[0].start

@@ -98,6 +98,20 @@ class SmoothSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class LightsSettings:
+    """Coloured LEDs: Lin's case only."""
+
+    compose: int = 0
+    """Put so many coloured exposures together from the images under white LEDs, three images for each; 0 takes the
+    capture as it is, and so does any capture under coloured LEDs."""
+    balance: bool = False
+    """Divide the images of each colour by how bright the finger is in it; one factor a colour."""
+
+    def __post_init__(self) -> None:
+        require(0 <= self.compose <= 3, f"lights.compose must be 0 to 3 exposures, but it is {self.compose}.")
+
+
+@dataclass(frozen=True, slots=True)
 class ShapeSettings:
     """Where the finger's shape comes from."""
 
@@ -133,6 +147,7 @@ class PipelineSettings:
     shapelets: ShapeletSettings = field(default_factory=ShapeletSettings)
     knit: KnitSettings = field(default_factory=KnitSettings)
     smooth: SmoothSettings = field(default_factory=SmoothSettings)
+    lights: LightsSettings = field(default_factory=LightsSettings)
     skin: SkinSettings = field(default_factory=SkinSettings)
     metric: MetricSettings = field(default_factory=MetricSettings)
     quality: QualitySettings = field(default_factory=QualitySettings)
@@ -190,6 +205,20 @@ def _xie() -> PipelineSettings:
     return replace(_thesis(split=False, knit="none"), normals=normals)
 
 
+def _lin() -> PipelineSettings:
+    """Case EA under coloured LEDs, three of which share an exposure.
+
+    Lin and Kumar reconstruct as Kumar and Kwong do, from the red, green and blue images of coloured LEDs. Colour images
+    under white LEDs are put together into two such exposures first.
+
+    References
+    ----------
+    C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
+    Trans. PAMI 40(12), 2018.
+    """
+    return replace(_thesis(split=False, knit="none"), lights=LightsSettings(compose=2, balance=True))
+
+
 PRESETS: dict[str, PipelineSettings] = {
     "metric": PipelineSettings(shapelets=ShapeletSettings(scales=4)),
     "snk": _thesis(split=True, knit="addition"),
@@ -197,5 +226,6 @@ PRESETS: dict[str, PipelineSettings] = {
     "ea": _thesis(split=False, knit="none"),
     "kumar": _kumar(),
     "zheng": _thesis(split=False, knit="none"),
+    "lin": _lin(),
     "xie": _xie(),
 }

@@ -105,7 +105,7 @@ def _grid(capture: Capture, finger: Finger, binning: int) -> Grid:
 def _images(capture: Capture, band: Band, names: tuple[str, ...], window: Window, binning: int) -> BandImages:
     wanted = names if len(names) == 3 else ("grey",)
     return BandImages(
-        names, linear_channels(band, capture.encoding, wanted, window, binning), capture.rig.select(band.leds)
+        names, linear_channels(band, capture.encoding, wanted, window, binning), capture.rig.select(band.lights)
     )
 
 

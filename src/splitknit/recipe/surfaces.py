@@ -15,6 +15,7 @@ from splitknit.knit import add, crossover
 from splitknit.normals import NearLightSettings, hanrahan_krueger, lambertian, near_light, robust
 from splitknit.preprocess import clahe
 from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
+from splitknit.recipe.coloured import balanced
 from splitknit.recipe.finger import Finger, finger_key
 from splitknit.recipe.memory import Memory
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
@@ -80,12 +81,14 @@ def _visible(
     mask = finger.wider[finger.window]
     with watch("light"):
         visible = _grey(capture, white, finger.window)
+        if settings.lights.balance and white.colours:
+            visible = balanced(visible, capture.rig, white, finger.mask[finger.window])
         if settings.enhance.clahe:
             visible = _enhanced(visible, mask, capture, settings)
         if _draws_direct(capture, settings):
             visible = _direct(capture, white, finger.window, visible * mask, settings)
     with watch("normals"):
-        normals, albedo = _distant_normals(visible, capture.rig.select(white.leds), mask, settings)
+        normals, albedo = _distant_normals(visible, capture.rig.select(white.lights), mask, settings)
         return _slopes(normals, finger, capture, settings), albedo
 
 
@@ -231,7 +234,7 @@ def _iterated(
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Slopes and albedo of one band; near lights and the surface in turns."""
     mask = finger.wider[finger.window]
-    rig = capture.rig.select(band.leds)
+    rig = capture.rig.select(band.lights)
     with watch("light"):
         stack = linear_stack(band, capture.encoding, "grey", finger.window)
     if settings.normals.method != "near_light":

@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 from splitknit.check import require
 from splitknit.types import Camera, FloatArray, PixelArray
 
-RESPONSE: Mapping[str, tuple[float, float, float]] = {"white": (0.90, 1.00, 0.47), "nir": (1.00, 0.98, 0.97)}
+RESPONSE: Mapping[str, tuple[float, float, float]] = {
+    "white": (0.90, 1.00, 0.47),
+    "nir": (1.00, 0.98, 0.97),
+    "coloured": (0.86, 1.00, 0.83),
+}
 """Signal of the red, green and blue pixels, relative: a white card under a white LED of 5000 K (CIE LED-B3 through the
-IMX219's quantum efficiency), and under 850 nm, where the colour filters are transparent."""
+IMX219's quantum efficiency), and under 850 nm, where the colour filters are transparent; and
+each under an LED of its own colour (625, 525 and 465 nm)."""
 FULL_SIZE = (2200, 3200)
 """Rows and columns of the full frame."""
 FULL_PX_PER_MM = 75.7

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.simulate.background import background_albedo, hand_shadow
+from splitknit.simulate.coloured import photograph_coloured
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.diffusion import WalkTable
 from splitknit.simulate.lens import fall_off, px_per_mm_at
@@ -51,6 +52,8 @@ class Scene:
         """
         members = [k for k, led in enumerate(self.rig.leds) if led.band == name]
         leds = [self.rig.leds[k] for k in members]
+        if any(led.colour for led in leds):
+            return photograph_coloured(self, name, seed)
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         skin, render = self.skin, self.settings.render
         light = render_band(
