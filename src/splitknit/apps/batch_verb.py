@@ -29,7 +29,7 @@ def add_batch(verbs: Any) -> None:
         "--matchers",
         default="ridge",
         metavar="LIST",
-        help="ridge (default), thesis, minutiae, voted, with commas; or none",
+        help="ridge (default), thesis, minutiae, voted, minutiae3d, surface-code, tetrahedra, with commas; or none",
     )
     verb.add_argument(
         "--impostors", type=share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"

@@ -9,6 +9,7 @@ from typing import Any
 from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, new_verb
 
 _MINUTIAE = ("minutiae", "voted")
+_IN_SPACE = ("minutiae3d", "tetrahedra")
 
 
 def add_match(verbs: Any) -> None:
@@ -19,11 +20,12 @@ def add_match(verbs: Any) -> None:
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
     verb.add_argument(
         "--method",
-        choices=("ridge", "thesis", "minutiae", "voted"),
+        choices=("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
         default="ridge",
         help="ridge (ours, the default), thesis (local binary patterns; needs captures or results), minutiae (of the "
-        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux) or voted (minutiae on "
-        "which sets of images that leave one out agree; needs captures)",
+        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux), voted (minutiae on which "
+        "sets of images that leave one out agree; needs captures), or of surfaces (captures or results): minutiae3d "
+        "(Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
     )
     verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
     add_preset(verb)
@@ -66,6 +68,15 @@ def _words(facts: dict[str, Any]) -> list[str]:
                 joined = facts["similarity_with_ridges"]
                 lines.append(f"joined with the ridges {joined:.2f} (mean of both z-scores; other fingers lie about 0)")
             lines += [_print_words(facts[name]) for name in ("a", "b")]
+        elif facts["method"] in _IN_SPACE:
+            both = " and ".join(str(facts[name]["minutiae"]) for name in ("a", "b"))
+            lines.append(f"{facts['agreeing']} minutiae agree in place and direction, of {both}")
+        elif facts["method"] == "surface-code" and facts["compared"]:
+            turned = facts["alignment"]["rotation_deg"]
+            lines.append(
+                f"{facts['distance']:.1%} of the bits differ over {facts['overlap_mm2']:.0f} mm² of skin, A turned by "
+                f"{turned:.1f} deg"
+            )
         elif facts["compared"]:
             laid = facts["alignment"]
             lines.append(
@@ -74,7 +85,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
             )
     for name in ("a", "b"):
         if name in facts and not facts[name]["acquired"]:
-            lacks = "fewer than ten minutiae" if facts["method"] in _MINUTIAE else "no ridges"
+            lacks = "fewer than ten minutiae" if facts["method"] in (*_MINUTIAE, *_IN_SPACE) else "no ridges"
             lines.append(f"Please note: {facts[name]['path']} holds {lacks} (failure to acquire).")
     if "template" in facts:
         made = facts["template"]
@@ -84,12 +95,17 @@ def _words(facts: dict[str, Any]) -> list[str]:
 
 def _meaning(facts: dict[str, Any]) -> str:
     if not facts["compared"]:
-        why = "too little overlap" if facts["method"] == "thesis" else "failure to acquire"
+        both = facts["a"]["acquired"] and facts["b"]["acquired"]
+        apart = facts["method"] == "thesis" or (facts["method"] == "surface-code" and both)
+        why = "too little overlap" if apart else "failure to acquire"
         return f"not compared: {why}"
     return {
         "ridge": "1 = the same picture",
         "thesis": "1 = equal, 0 = as unlike as can be",
         "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
+        "minutiae3d": "share of minutiae that agree, squared",
+        "tetrahedra": "share of minutiae that agree, squared",
+        "surface-code": "share of equal bits; other fingers have about two thirds",
         "voted": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
     }[facts["method"]]
 

@@ -24,7 +24,9 @@ from splitknit.io.templates import write_template
 from splitknit.match import VERSION, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override
 
-METHODS = ("ridge", "thesis", "minutiae", "voted")
+SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
+"""Those that compare surfaces in space."""
+METHODS = ("ridge", "thesis", "minutiae", "voted", *SPACE_METHODS)
 _FMR_TABLE = "match_fmr.json"
 """Made by validation/match/impostors.py."""
 _FMR_ROUNDING = 1e-5
@@ -48,7 +50,7 @@ def match_files(
     a, b
         Capture folder, result folder, template (``.skt``) or 500-ppi print. Without `b` only the template is made.
     method
-        ``ridge``, ``thesis``, ``minutiae`` or ``voted``.
+        ``ridge``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``.
     template
         File to write the template of `a` into.
     preset
@@ -78,6 +80,7 @@ def match_files(
             "thesis": _by_thesis,
             "minutiae": _by_minutiae,
             "voted": partial(_by_votes, preset),
+            **{name: partial(_in_space, name) for name in SPACE_METHODS},
         }
         found = ways[method](first, second, chosen)
         for name, side in zip("ab", found.pop("sides", ()), strict=False):
@@ -170,6 +173,12 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
     from splitknit.apps.matching_voted import compare_voted  # noqa: PLC0415 - only where it is asked for
 
     return compare_voted(a, b, preset, settings)
+
+
+def _in_space(method: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    from splitknit.apps.matching_space import compare_in_space  # noqa: PLC0415 - only where it is asked for
+
+    return compare_in_space(a, b, method, settings)
 
 
 def _template(side: Side) -> Template:

@@ -19,7 +19,8 @@ from splitknit.batch.prints import extract_minutiae
 from splitknit.batch.reading import forget
 from splitknit.batch.scores import score_block
 from splitknit.batch.settings import BatchSettings
-from splitknit.batch.stages import feature_tasks, minutiae_tasks, score_tasks, voted_tasks
+from splitknit.batch.solids import SOLIDS, extract_solids
+from splitknit.batch.stages import feature_tasks, minutiae_tasks, score_tasks, solid_tasks, voted_tasks
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.batch.voted import extract_voted
 from splitknit.check import require
@@ -134,6 +135,9 @@ def _match(run: _Run) -> list[dict[str, Any]]:
             if using.source == "voted":
                 sets = voted_tasks(run.store, run.population, case, run.settings)
                 run.done(extract_voted, sets, f"{case.name}: voted minutiae", [1] * len(sets))
+            if using.source in SOLIDS:
+                chunks = solid_tasks(run.store, case, using.source, run.settings)
+                run.done(extract_solids, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
             tasks = score_tasks(run.store, run.population, run.settings, case, using)
             sizes = [len(task.pairs) for task in tasks]

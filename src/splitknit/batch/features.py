@@ -16,6 +16,7 @@ from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
+from splitknit.batch.solids import solid_payload, write_solids
 from splitknit.batch.surfaces import pack_surface
 from splitknit.check import BadInput
 from splitknit.io import atomic_file, canonical_json, provenance, read_capture, settings_hash
@@ -47,6 +48,8 @@ class FeatureTask:
     """Each case with the names of the captures that it lacks."""
     matching: MatchingSettings
     images: bool
+    solids: tuple[str, ...] = ()
+    """Features in space that are made at once, of :data:`splitknit.batch.solids.SOLIDS`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,9 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
         timings = task.store / "timings" / case.name / f"{name}.json"
         with atomic_file(timings) as stream:
             stream.write((canonical_json(seconds[case.name]) + "\n").encode("ascii"))
+        for kind in task.solids:  # before the features, by which a later run knows what is finished
+            file = task.store / kind / case.name / f"{name}{SUFFIX}"
+            write_solids(file, kind, columns["capture"], [row.get(kind, b"") for row in rows[case.name]], origin)
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
     return FeatureDone(task.group, sum(map(len, rows.values())), tuple(failures), peak_memory_mb())
 
@@ -155,6 +161,7 @@ def _row(
         "template": pack(template),
         "print": print_png(result),
         "images": pack_surface(surface, result.height_mm) if task.images else None,
+        **{kind: solid_payload(kind, surface, task.matching) for kind in task.solids},
     }
     return row | _quality(result.quality)
 

@@ -152,6 +152,10 @@ class VotedMatcher(MinutiaeMatcher):
 
 def matcher(name: str, settings: MatchingSettings) -> Matcher:
     """The matcher of that name."""
+    from splitknit.batch.solid_matchers import SOLID_MATCHERS  # noqa: PLC0415 - it needs what is above
+
+    if name in SOLID_MATCHERS:
+        return SOLID_MATCHERS[name](settings)
     if name == VotedMatcher.name:
         return VotedMatcher(settings)
     if name == RidgeMatcher.name:

@@ -15,7 +15,7 @@ from splitknit.recipe.matchable import MatchingSettings
 from splitknit.recipe.settings_document import settings_document
 from splitknit.settings import override
 
-MATCHERS = ("ridge", "thesis", "minutiae", "voted")
+MATCHERS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,14 @@ import numpy as np
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.features import FeatureTask
 from splitknit.batch.matchers import Matcher
+from splitknit.batch.matchers import matcher as matcher_named
 from splitknit.batch.pairs import Pairs, all_pairs, blocks_of, missing_pairs
 from splitknit.batch.population import CaptureRef, Population
 from splitknit.batch.prints import MinutiaeTask
 from splitknit.batch.reading import Place, places_of
 from splitknit.batch.scores import ScoreTask
 from splitknit.batch.settings import BatchSettings, Case
+from splitknit.batch.solids import SOLIDS, SolidTask
 from splitknit.batch.store import Store
 from splitknit.batch.voted import VotedTask
 
@@ -44,6 +46,7 @@ def feature_tasks(store: Store, population: Population, settings: BatchSettings)
                     missing,
                     settings.matching,
                     images=settings.surfaces,
+                    solids=wanted_solids(settings),
                 )
             )
     return tasks
@@ -64,6 +67,22 @@ def voted_tasks(store: Store, population: Population, case: Case, settings: Batc
     there = {file.stem for file in store.files("voted", case.name)}
     return [
         VotedTask(store.folder, population.folder.resolve(), case, file.stem, settings.matching)
+        for file in store.files("features", case.name)
+        if file.stem not in there
+    ]
+
+
+def wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
+    """Features in space that the matchers read."""
+    sources = {matcher_named(name, settings.matching).source for name in settings.matchers}
+    return tuple(sorted(sources & set(SOLIDS)))
+
+
+def solid_tasks(store: Store, case: Case, kind: str, settings: BatchSettings) -> list[SolidTask]:
+    """Chunks of features without their features in space of one kind."""
+    there = {file.stem for file in store.files(kind, case.name)}
+    return [
+        SolidTask(store.folder, case.name, file.stem, kind, settings.matching)
         for file in store.files("features", case.name)
         if file.stem not in there
     ]

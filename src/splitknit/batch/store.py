@@ -14,6 +14,7 @@ from splitknit.batch.packages import load
 from splitknit.batch.population import Population
 from splitknit.batch.reading import images_of, places_of
 from splitknit.batch.settings import BatchSettings
+from splitknit.batch.solids import SOLIDS
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_file, provenance
 from splitknit.io.provenance import plain_json, settings_hash
@@ -180,7 +181,7 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
 
 def sweep(folder: Path) -> None:
     """Remove what killed runs left half-written; the caller holds the store's lock."""
-    for kind in ("features", "minutiae", "voted", "scores", "timings", "csv"):
+    for kind in ("features", "minutiae", "voted", *SOLIDS, "scores", "timings", "csv"):
         for leftover in (folder / kind).glob("**/.*.tmp"):
             leftover.unlink(missing_ok=True)
 

@@ -100,8 +100,8 @@ class PreparedSurface:
         back[:, 2] = middle - back[:, :2] @ np.array([(columns - 1) / 2, (rows - 1) / 2])
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         both = code.code | (code.mask.astype(np.uint8) << 7)
-        there = cv2.warpAffine(both, back, (columns, rows), flags=flags, borderValue=0.0)
-        return np.asarray(there & 15, dtype=np.uint8), np.asarray(there >> 7, dtype=np.bool_)
+        there = np.asarray(cv2.warpAffine(both, back, (columns, rows), flags=flags, borderValue=0.0), dtype=np.uint8)
+        return there & np.uint8(15), (there >> np.uint8(7)).astype(np.bool_)
 
     def grid(self, pitch_mm: float) -> tuple[int, int]:
         """Rows and columns of a grid that holds the code and a little more, both odd."""
@@ -186,22 +186,23 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
     settings, pitch = a.settings, a.settings.coarse_mm
     grids = a.grid(pitch), b.grid(pitch)
     reach = [int(limit / pitch) for limit in (settings.shift_mm, settings.side_shift_mm)]
-    size = tuple(
-        scipy.fft.next_fast_len(max(one, other, (one + other + 1) // 2 + limit), real=True)
-        for one, other, limit in zip(*grids, reach, strict=True)
+    rows, columns = (
+        max(one, other, (one + other + 1) // 2 + limit) for one, other, limit in zip(*grids, reach, strict=True)
     )
+    # in large steps, so that the transforms of a side serve nearly all that it is compared with
+    size = max(-(-rows // 64) * 64, 256), max(-(-columns // 64) * 64, 192)
     # both grids begin at their corner; their middles lie half the difference of the sides apart
     shifts = [np.arange(-limit, limit + 1) for limit in reach]
     chosen = np.ix_(*((shifts[k] + (grids[1][k] - grids[0][k]) // 2) % size[k] for k in (0, 1)))
-    planes = b.planes(0.0, (size[0], size[1]))
-    common = scipy.fft.irfft2(a.outline((size[0], size[1])).conj() * b.outline((size[0], size[1])), size)[chosen]
+    planes = b.planes(0.0, size)
+    common = scipy.fft.irfft2(a.outline(size).conj() * b.outline(size), size)[chosen]
     common = np.maximum(np.rint(common), 1.0)
     enough = common * pitch**2 >= least_mm2
     if not bool(enough.any()):
         return []
     found: list[tuple[float, float, int, int]] = []
     for turn in settings.turns_deg():
-        equal = scipy.fft.irfft2((a.planes(turn, (size[0], size[1])).conj() * planes).sum(axis=0), size)[chosen]
+        equal = scipy.fft.irfft2((a.planes(turn, size).conj() * planes).sum(axis=0), size)[chosen]
         alike = equal / common
         # how far above what is usual, in units of what chance gives at this overlap
         worth = np.where(enough, (alike - np.median(alike[enough])) * np.sqrt(common), -np.inf)

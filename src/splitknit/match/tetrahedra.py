@@ -100,13 +100,13 @@ class PreparedTetrahedra(Framed):
         return np.asarray(angle)
 
     @cached_property
-    def ordered(self) -> tuple[Array, Array]:
+    def ordered(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(T, 6, 6) edges and (T, 6, 12) angles with the corners in each of the six orders."""
         first, second = np.array(_EDGES).T
         edges = np.stack([self.edges[:, order[first], order[second]] for order in _ORDERS], axis=1)
         start, end = np.array([(i, j) for i in range(4) for j in range(4) if i != j]).T
         angles = np.stack([self.angles[:, order[start], order[end]] for order in _ORDERS], axis=1)
-        return edges, angles
+        return edges.astype(np.float32), angles.astype(np.float32)
 
     @cached_property
     def looks(self) -> Array:

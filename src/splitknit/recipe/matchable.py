@@ -20,6 +20,10 @@ from splitknit.match import (
     make_template,
     ridge_band,
 )
+from splitknit.match.minutiae3d import Minutiae3DSettings
+from splitknit.match.surface_code import SurfaceCodeSettings
+from splitknit.match.surface_code_match import SurfaceMatchSettings
+from splitknit.match.tetrahedra import TetrahedraSettings
 from splitknit.match.voted_minutiae import VoteSettings
 from splitknit.recipe.leave_one_out import LeaveOneOutSettings
 from splitknit.types import Reconstruction
@@ -35,6 +39,10 @@ class MatchingSettings:
     thesis: ThesisSettings = field(default_factory=ThesisSettings)
     leave_one_out: LeaveOneOutSettings = field(default_factory=LeaveOneOutSettings)
     voted: VoteSettings = field(default_factory=VoteSettings)
+    minutiae3d: Minutiae3DSettings = field(default_factory=Minutiae3DSettings)
+    tetrahedra: TetrahedraSettings = field(default_factory=TetrahedraSettings)
+    surface_code: SurfaceCodeSettings = field(default_factory=SurfaceCodeSettings)
+    surface_match: SurfaceMatchSettings = field(default_factory=SurfaceMatchSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,97 @@
+"""Features in space of a chunk's captures, beside the features: minutiae in space, and surface codes.
+
+They are made with the reconstruction where a matcher asks for them, and else from the surfaces in the store; both give
+the same bytes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk
+from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.packages import load
+from splitknit.batch.prints import MinutiaeDone
+from splitknit.batch.surfaces import unpack_surface
+from splitknit.check import BadInput, require
+from splitknit.io import atomic_file, canonical_json
+from splitknit.match.minutiae3d_record import pack_space_minutiae
+from splitknit.match.surface_code import pack_surface_code
+from splitknit.recipe.matchable import MatchingSettings, Surface
+from splitknit.recipe.space_minutiae import space_minutiae
+from splitknit.recipe.surface_codes import surface_code
+
+VERSION = 1
+SOLIDS: Mapping[str, str] = MappingProxyType({"minutiae3d": "minutiae3d", "surface_codes": "surface_code"})
+"""From the folder of the store to the column with the payload."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolidTask:
+    """A chunk of features from whose surfaces one kind of features in space is wanted."""
+
+    store: Path
+    case: str
+    name: str
+    kind: str
+    """Of :data:`SOLIDS`."""
+    matching: MatchingSettings
+
+
+def solid_payload(kind: str, surface: Surface, matching: MatchingSettings) -> bytes:
+    """Bytes of one kind of features of a surface; none where it has too few."""
+    if kind == "minutiae3d":
+        found = space_minutiae(surface)
+        return pack_space_minutiae(found) if found.acquired else b""
+    return pack_surface_code(surface_code(surface, matching.surface_code))
+
+
+def write_solids(
+    file: Path, kind: str, captures: Sequence[str], payloads: Sequence[bytes], origin: Mapping[str, Any]
+) -> None:
+    """Write a chunk of one kind; `origin` is that of the features."""
+    pa = load("pyarrow", "batch")
+    column = SOLIDS[kind]
+    schema = pa.schema([("capture", pa.string()), ("acquired", pa.bool_()), (column, pa.binary())])
+    columns = {"capture": captures, "acquired": [bool(payload) for payload in payloads], column: payloads}
+    write_chunk(file, columns, schema, {**origin, "kind": kind, "kind_version": VERSION})
+
+
+def extract_solids(task: SolidTask) -> MinutiaeDone:
+    """Make one kind of features from all surfaces of a chunk and write them under the same name.
+
+    Raises
+    ------
+    BadInput
+        If the store holds no surfaces, or they are damaged.
+    """
+    file = task.store / "features" / task.case / f"{task.name}{SUFFIX}"
+    table = read_chunk(file, ["capture", "area_mm2", "images"])
+    seconds, payloads = {}, []
+    captures = table.column("capture").to_pylist()
+    for row, capture in enumerate(captures):
+        started = time.perf_counter()
+        payload = table.column("images")[row].as_py()
+        if payload is None:
+            require(
+                table.column("area_mm2")[row].as_py() == 0.0,
+                f"'{file}' holds no surfaces: it was made without them; delete it and run the same again.",
+            )
+            payloads.append(b"")
+            continue
+        try:
+            surface = unpack_surface(payload)
+        except BadInput as error:
+            raise BadInput(f"'{file}': {error}") from error
+        payloads.append(solid_payload(task.kind, surface, task.matching))
+        seconds[capture] = round(time.perf_counter() - started, 3)
+    with atomic_file(task.store / "timings" / task.case / task.kind / f"{task.name}.json") as stream:
+        stream.write((canonical_json(seconds) + "\n").encode("ascii"))
+    target = task.store / task.kind / task.case / f"{task.name}{SUFFIX}"
+    write_solids(target, task.kind, captures, payloads, read_origin(file))
+    return MinutiaeDone(len(captures), peak_memory_mb())
