@@ -82,7 +82,7 @@ class MirrorViews:
     nir: bool = True
     """Whether the rig has its NIR LEDs: mirrors can do without."""
     ridges_to_deg: float = 112.0
-    """Around the finger, from the pad's top: there the ridged skin ends."""
+    """Around the finger, from the pad's top: there the ridged skin ends; 180: it goes all around."""
     dust_per_cm2: float = 0.0
     """Bright specks on the mirrors."""
     plastic_albedo: float = 0.04

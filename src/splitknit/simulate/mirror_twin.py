@@ -28,7 +28,7 @@ from splitknit.types import Camera, Capture, Mirror, Rig
 if TYPE_CHECKING:
     from splitknit.simulate.twin import TwinSettings
 
-_FADE_MM = 4.0
+_FADE_MM = 3.0
 """Width over which the ridges fade."""
 _AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
 """How much further than the master print the skin's map reaches, to either side and beyond the tip."""
@@ -132,10 +132,14 @@ def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMa
 
     The map grows, as it would be continued, so that it reaches all around the finger.
     """
+    if ridges_to_deg >= 180.0:
+        return skin
     shape = body.shape
     y = np.array([0.5 * shape.length_mm])
     edge = section_points(body, y, np.array([np.deg2rad(ridges_to_deg)]))
-    u, reach = float(body.distance_and_chart(*edge)[1][0]), shape.length_mm - shape.tip_length_mm
+    # where the master print ends, its continuation has ridges that meet at angles: they are to be faint there
+    limit = min(float(body.distance_and_chart(*edge)[1][0]), -skin.u0_mm - 0.5)
+    reach = shape.length_mm - shape.tip_length_mm
     around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (_AROUND_MM, _OVER_TIP_MM))
     grown = ((over_tip, 0), (around, around))
     coefficients, pigment = (np.pad(one, grown, mode="reflect") for one in (skin.coefficients, skin.pigment))
@@ -143,8 +147,8 @@ def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMa
     rows, columns = coefficients.shape
     across = u0 + skin.pitch_mm * np.arange(columns)
     beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
-    arc = np.hypot(across[None, :], beyond[:, None])
-    share = np.clip((abs(u) + 0.5 * _FADE_MM - arc) / _FADE_MM, 0.0, 1.0)
+    arc: NDArray[np.float64] = np.hypot(across[None, :], beyond[:, None])
+    share = np.clip(0.5 - (arc - limit) / _FADE_MM, 0.0, 1.0)
     share = share * share * (3.0 - 2.0 * share)
     pigment = (1.0 - share * (1.0 - pigment)).astype(np.float32)
     return replace(skin, coefficients=coefficients * share, pigment=pigment, u0_mm=u0, v0_mm=v0)
