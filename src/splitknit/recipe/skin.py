@@ -11,6 +11,7 @@ from splitknit.metric import Networks, can_learn, reconstruct_skin
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.radiance import Window, has_colour, linear_channels
+from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
@@ -20,8 +21,8 @@ from splitknit.types import Band, BoolArray, Capture, FloatArray
 from splitknit.view import view_of
 
 NO_NETWORK = (
-    "the network of the relief needs six white lights all around the finger and 25 to 60 pixels a millimetre (or a "
-    "multiple); relief and glare are told apart by their colours alone."
+    "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
+    "relief and glare are told apart by their colours alone."
 )
 HOW = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
@@ -35,6 +36,9 @@ def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, wa
     with watch("light"):
         grid, bands, binning = skin_images(capture, finger, settings)
     able = can_learn(bands[0], grid.pitch_mm)
+    finer = not able and settings.metric.relief == "network" and can_learn(bands[0], grid.pitch_mm / FACTOR)
+    if finer:
+        grid, bands, able = finer_grid(grid), tuple(finer_images(band) for band in bands), True
     networks = shipped_networks(settings) if able else None
     with watch("surface"):
         skin = reconstruct_skin(
@@ -46,7 +50,7 @@ def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, wa
         warnings = (*warnings, NO_NETWORK)
     size = finger.wider[finger.window].shape
     shape, ridge, albedo, deviation = (
-        _enlarged(part, (size[0], size[1]), binning)
+        _enlarged(coarser(part) if finer else part, (size[0], size[1]), binning)
         for part in (skin.shape_mm, skin.relief_mm, skin.albedo, skin.deviation_mm)
     )
     facts = {
