@@ -39,7 +39,9 @@ class Features:
     """(C, h, w) local diffuse brightness of each channel, glare included."""
 
 
-def features(band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLight) -> Features:
+def features(
+    band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLight, found: FloatArray | None = None
+) -> Features:
     """Rig-independent description of the white band's light on a smooth surface.
 
     Parameters
@@ -48,10 +50,12 @@ def features(band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLi
     grid : fine grid
     surface_mm : (h, w) the smooth shape, finite
     light : of `band.rig` on that surface
+    found : (C, h, w, 3) brightness times normal of ``band.stack / light.entering``, optional
+        Least squares over the lights where it is not given.
     """
     weights = light.trust * light.entering * light.entering
     stack = band.stack / light.entering
-    g = pseudo_normals(stack, band.rig, surface_mm, grid.mask, weights, view=grid.view)
+    g = pseudo_normals(stack, band.rig, surface_mm, grid.mask, weights, view=grid.view) if found is None else found
     slope_x, slope_y = (grid.smooth(s, grid.mask, RIDGE_BAND_MM) for s in height_gradients(surface_mm, grid.pitch_mm))
     normals = normals_from_gradients(slope_x, slope_y)
     nz = normals[..., 2]

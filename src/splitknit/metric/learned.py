@@ -51,8 +51,13 @@ def can_learn(band: BandImages, pitch_mm: float) -> bool:
     return bool(around) and PITCH_MM[0] <= pitch_mm <= PITCH_MM[1]
 
 
-def relief_by_network(
-    white: BandImages, grid: Grid, smooth_mm: FloatArray, light: FineLight, network: Network
+def relief_by_network(  # noqa: PLR0917
+    white: BandImages,
+    grid: Grid,
+    smooth_mm: FloatArray,
+    light: FineLight,
+    network: Network,
+    found: FloatArray | None = None,
 ) -> ReliefEstimate:
     """Relief and glare as the network draws them.
 
@@ -63,8 +68,9 @@ def relief_by_network(
     smooth_mm : (h, w) the shape without the relief
     light : lights on that shape
     network : see :data:`Network`
+    found : see :func:`splitknit.metric.features.features`
     """
-    seen = features(white, grid, smooth_mm, light)
+    seen = features(white, grid, smooth_mm, light, found)
     drawn = network(seen.fields)
     trust = trust_of(slant_of(smooth_mm, grid.pitch_mm), grid)
     relief = drawn[0] * RELIEF_MM

@@ -1,0 +1,135 @@
+"""The sheet on which views of a finger are fused: angle around the finger, and length along it.
+
+Rays leave the finger's axis at right angles, in a fan at the tip: each meets the skin once. A surface is the distance
+along them. So the sheet reaches around the finger and over its tip, where a height above one plane cannot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import FloatArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chart:
+    """Rays around a finger."""
+
+    centre_mm: Array
+    """(3,) on the axis, where the fan of the tip starts; rig's frame."""
+    axes: Array
+    """(3, 3) rows: to the right, towards the tip, to the camera; unit length, right-handed."""
+    angle_rad: Array
+    """(m,) ascending; 0 faces the camera, positive to the right."""
+    length_mm: Array
+    """(n,) descending, from the tip: negative below the centre, above it the fan's angle times `cap_mm`."""
+    cap_mm: float
+    """Typical distance of the skin from the centre at the tip."""
+
+    def __post_init__(self) -> None:
+        require(
+            self.axes.shape == (3, 3) and self.centre_mm.shape == (3,), "a chart's axes are 3 x 3, its centre (3,)."
+        )
+        require(bool(np.allclose(self.axes @ self.axes.T, np.eye(3), atol=1e-6)), "a chart's axes are at right angles.")
+        require(float(np.linalg.det(self.axes)) > 0, "a chart's axes must be right-handed.")
+        require(self.angle_rad.ndim == 1 and self.angle_rad.size >= 2, "a chart needs two angles at least.")
+        require(self.length_mm.ndim == 1 and self.length_mm.size >= 2, "a chart needs two lengths at least.")
+        require(bool((np.diff(self.angle_rad) > 0).all()), "a chart's angles ascend.")
+        require(bool((np.diff(self.length_mm) < 0).all()), "a chart's lengths descend, from the tip.")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows (lengths), columns (angles)."""
+        return self.length_mm.size, self.angle_rad.size
+
+    @property
+    def pitch_mm(self) -> float:
+        """Along the finger."""
+        return float(self.length_mm[0] - self.length_mm[-1]) / (self.length_mm.size - 1)
+
+    def rays(self) -> tuple[Array, Array]:
+        """Starts (n, 3) and directions (n, m, 3) of the rays, rig's frame."""
+        start = self.centre_mm + np.minimum(self.length_mm, 0.0)[:, None] * self.axes[1]
+        fan = np.maximum(self.length_mm, 0.0) / self.cap_mm
+        right, front = np.sin(self.angle_rad), np.cos(self.angle_rad)
+        local = np.stack(
+            [
+                np.cos(fan)[:, None] * right,
+                np.broadcast_to(np.sin(fan)[:, None], self.shape),
+                np.cos(fan)[:, None] * front,
+            ],
+            axis=-1,
+        )
+        return start, local @ self.axes
+
+    def points(self, radius_mm: Any) -> Array:
+        """(n, m, 3) points at distances (n, m) along the rays."""
+        start, directions = self.rays()
+        return np.asarray(start[:, None] + np.asarray(radius_mm, dtype=np.float64)[..., None] * directions)
+
+    def locate(self, points_mm: Array) -> tuple[Array, Array, Array]:
+        """Angle, length and distance (...) of points (..., 3)."""
+        right, along, front = np.moveaxis((points_mm - self.centre_mm) @ self.axes.T, -1, 0)
+        beside = np.hypot(right, front)
+        over = np.maximum(along, 0.0)
+        length = np.where(along > 0, self.cap_mm * np.arctan2(over, beside), along)
+        return np.arctan2(right, front), length, np.hypot(beside, over)
+
+    def places(self, angle_rad: Array, length_mm: Array) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows (...) of angles and lengths (...)."""
+        columns = (angle_rad - self.angle_rad[0]) / (self.angle_rad[-1] - self.angle_rad[0]) * (self.shape[1] - 1)
+        rows = (self.length_mm[0] - length_mm) / self.pitch_mm
+        return columns.astype(np.float32), rows.astype(np.float32)
+
+    def coarser(self, factor: int) -> Chart:
+        """Every so many rays: the same corner, a larger pitch."""
+        return Chart(self.centre_mm, self.axes, self.angle_rad[::factor], self.length_mm[::factor], self.cap_mm)
+
+
+def chart_over(  # noqa: PLR0917
+    centre_mm: Array, axes: Array, angles_deg: tuple[float, float], lengths_mm: tuple[float, float], cap_mm: float,
+    pitch_mm: float, radius_mm: float,
+) -> Chart:  # fmt: skip
+    """A chart over ranges of angle and length (base, tip); `pitch_mm` along it, and around it at `radius_mm`."""
+    low, high = np.deg2rad(angles_deg[0]), np.deg2rad(angles_deg[1])
+    columns = max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1)
+    rows = max(2, int(np.ceil((lengths_mm[1] - lengths_mm[0]) / pitch_mm)) + 1)
+    length = _even(lengths_mm[1], lengths_mm[1] - pitch_mm * (rows - 1), rows)
+    return Chart(centre_mm, axes, _even(low, high, columns), length, cap_mm)
+
+
+def _even(low: float, high: float, count: int) -> Array:
+    return np.asarray(np.linspace(low, high, count), dtype=np.float64)
+
+
+def surface_normals(points_mm: Array) -> Array:
+    """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
+    down, right = np.gradient(points_mm, axis=(0, 1))
+    normal = np.cross(right, -down)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.asarray(np.nan_to_num(normal / np.maximum(length, 1e-12)))
+
+
+def read(
+    field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, held: bool = False
+) -> FloatArray:
+    """Values of a field (H, W) at places of any shape; beside NaN they are NaN.
+
+    Outside the field they are NaN, or those of its border where it is `held`.
+    """
+    border, empty = (cv2.BORDER_REPLICATE, 0.0) if held else (cv2.BORDER_CONSTANT, float("nan"))
+    how = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
+    x, y = (np.ascontiguousarray(part, dtype=np.float32).reshape(-1, 1) for part in (columns, rows))
+    flat = np.empty(columns.size, dtype=np.float32)
+    for start in range(0, flat.size, 30_000):
+        part = slice(start, start + 30_000)
+        flat[part] = cv2.remap(field, x[part], y[part], how, borderMode=border, borderValue=empty)[:, 0]
+    return flat.reshape(columns.shape)

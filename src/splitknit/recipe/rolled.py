@@ -1,0 +1,282 @@
+"""The rolled-equivalent finger: photometric stereo from the front and in every mirror, fused around the finger."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.fuse import (
+    Blended,
+    Chart,
+    Correction,
+    Disparity,
+    Sight,
+    blend,
+    chart_over,
+    correct,
+    disparity,
+    read,
+    ridge_band,
+    surface_normals,
+    view_weight,
+    warp_field,
+)
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.rolled_light import Glass
+from splitknit.recipe.rolled_relief import ViewRelief, view_relief
+from splitknit.recipe.rolled_settings import RolledSettings
+from splitknit.recipe.rolled_shape import Shape, first_shape
+from splitknit.types import BoolArray, Capture, FloatArray
+
+Array = NDArray[np.float64]
+COARSE_PITCH_MM = 0.07
+"""Of the chart on which ridges are compared."""
+LEAST_COSINE = 0.25
+"""Views are compared where both see the skin less steeply than this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorView:
+    """What a capture with mirrors shows once."""
+
+    name: str
+    """``front``, ``left``, ``right`` or ``tip``."""
+    mask: BoolArray
+    """(H, W) where the view shows the finger."""
+    glass: Glass | None = None
+    """The mirror; None for the front."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rolled:
+    """A finger around its front, on its chart."""
+
+    chart: Chart
+    points_mm: FloatArray
+    """(n, m, 3) of the skin without its ridges, rig's frame."""
+    normals: FloatArray
+    """(n, m, 3)."""
+    blended: Blended
+    names: tuple[str, ...]
+    """Of the views, in the order of ``blended.shares``."""
+    view_reliefs: FloatArray
+    """(V, n, m) relief of each view after registration, along the skin's normal; zero where it shows nothing."""
+    glasses: tuple[Glass, ...]
+    """Mirrors where the ridges have them."""
+    facts: Mapping[str, object]
+
+
+class _Work:
+    """A finger between its mirrors while it is put together."""
+
+    def __init__(
+        self, capture: Capture, views: Sequence[MirrorView], settings: PipelineSettings, rolled: RolledSettings
+    ) -> None:
+        self.capture, self.settings, self.rolled = capture, settings, rolled
+        self.masks = {view.name: view.mask for view in views}
+        self.glasses = {view.name: view.glass for view in views if view.glass is not None}
+        self.shape: Shape = first_shape(
+            {name: (sight, self.masks[name]) for name, sight in self.sights().items()},
+            {name: glass.corners_mm for name, glass in self.glasses.items()},
+            capture.tip_direction_deg,
+            rolled.exponent,
+        )
+        self.reliefs: dict[str, ViewRelief] = {}
+        self.corrected: Array | None = None
+        self.left_mm: list[float] = []
+        self.matched: dict[str, int] = {}
+
+    def sights(self) -> dict[str, Sight]:
+        camera = self.capture.rig.camera
+        found = {"front": Sight("front", camera)}
+        for name, glass in self.glasses.items():
+            found[name] = Sight(name, camera, glass.plane)
+        return found
+
+    def find_ridges(self) -> None:
+        glasses = tuple(self.glasses.values())
+        for name, sight in self.sights().items():
+            self.reliefs[name] = view_relief(
+                self.capture,
+                sight,
+                self.masks[name],
+                glasses,
+                self.shape.chart,
+                self.shape.radius_mm,
+                self.settings,
+                self.rolled.slope_prior,
+            )
+
+    def chart(self, pitch_mm: float) -> Chart:
+        whole = self.shape.chart
+        half = float(np.median(self.shape.body.half_mm))
+        around = (-self.rolled.around_deg, self.rolled.around_deg)
+        lengths = (float(whole.length_mm[-1]), float(whole.length_mm[0]))
+        return chart_over(whole.centre_mm, whole.axes, around, lengths, whole.cap_mm, pitch_mm, half)
+
+    def radius_on(self, chart: Chart) -> Array:
+        angle, length = np.broadcast_arrays(chart.angle_rad[None, :], chart.length_mm[:, None])
+        column, row = self.shape.chart.places(angle, length)
+        field = read(self.shape.radius_mm.astype(np.float32), column, row, cubic=True, held=True)
+        return np.asarray(field, dtype=np.float64)
+
+    def seen(self, name: str, points: Array, normals: Array) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Relief, deviation and weight-giving cosine of a view at points; and where it shows them."""
+        view = replace(self.reliefs[name], sight=self.sights()[name])
+        relief, deviation, trust = view.sampled(points)
+        cosine = view.sight.cosine(normals)
+        known = np.isfinite(relief) & np.isfinite(deviation) & np.isfinite(trust) & (cosine > LEAST_COSINE)
+        return np.where(known, relief, 0), np.where(known, deviation, 0), np.where(known, trust, 0), known
+
+    def register(self, window_mm: float, reach_mm: float) -> None:
+        chart = self.chart(COARSE_PITCH_MM)
+        radius = self.radius_on(chart)
+        found = self.compare(chart, radius, window_mm, reach_mm)
+        sights = self.sights()
+        front = sights.pop("front")
+        step = correct(chart, radius, found, front, sights, self.rolled.poses_free, self.corrected)
+        self.corrected = step.total
+        self.apply(step, chart)
+        self.left_mm.append(step.left_mm)
+
+    def compare(self, chart: Chart, radius: Array, window_mm: float, reach_mm: float) -> dict[str, Disparity]:
+        points = chart.points(radius)
+        normals = surface_normals(points)
+        pitch = chart.pitch_mm
+        first, _, _, there = self.seen("front", points, normals)
+        first = ridge_band(first, there, pitch)
+        found = {}
+        for name in self.glasses:
+            second, _, _, known = self.seen(name, points, normals)
+            both = there & known
+            second = ridge_band(second, known, pitch)
+            chosen = replace(self.rolled.disparity, window_mm=window_mm)
+            found[name] = disparity(first, second, both, pitch, reach_mm, chosen)
+            self.matched[name] = int(found[name].peak.size)
+        return found
+
+    def apply(self, step: Correction, chart: Chart) -> None:
+        whole = self.shape.chart
+        angle, length = np.broadcast_arrays(whole.angle_rad[None, :], whole.length_mm[:, None])
+        column, row = chart.places(angle, length)
+        columns = chart.shape[1] - 1
+        added = read(step.radius_mm.astype(np.float32), column, row, held=True)
+        beyond = np.maximum(np.maximum(-column, column - columns), 0) / (30.0 / 360.0 * columns)
+        self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + added * np.exp(-0.5 * beyond**2))
+        for name, (first, second, shift) in step.poses.items():
+            glass = self.glasses[name]
+            self.glasses[name] = replace(glass, plane=glass.plane.moved((first, second), shift))
+
+
+def rolled_finger(
+    capture: Capture,
+    views: Sequence[MirrorView],
+    settings: PipelineSettings,
+    rolled: RolledSettings | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Rolled:
+    """One finger from its front and its mirrors.
+
+    Parameters
+    ----------
+    capture : with the white band; the camera's rays are parallel
+    views : the front and one mirror beside the finger at least, where each shows the finger and how the mirrors lie
+    settings : of the pipeline
+    rolled : RolledSettings
+
+    Raises
+    ------
+    BadInput
+        If the front or every mirror beside the finger is missing, or they do not show the same part of the finger.
+    """
+    chosen = rolled or RolledSettings()
+    tell = progress or (lambda stage, share: None)
+    names = [view.name for view in views]
+    require("front" in names, "the front view of the finger is missing.")
+    require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
+    work = _Work(capture, views, settings, chosen)
+    for turn in range(chosen.turns):
+        tell("views", turn / (chosen.turns + 1))
+        work.find_ridges()
+        tell("registration", (turn + 0.7) / (chosen.turns + 1))
+        stages = list(zip(chosen.windows_mm, chosen.reaches_mm, strict=True))
+        for window, reach in stages if turn == 0 else stages[-1:]:
+            work.register(window, reach)
+    tell("fusion", chosen.turns / (chosen.turns + 1))
+    return _fused(work)
+
+
+def _fused(work: _Work) -> Rolled:
+    chosen = work.rolled
+    chart = work.chart(chosen.pitch_mm)
+    radius = work.radius_on(chart)
+    points = chart.points(radius)
+    normals = surface_normals(points)
+    names = ("front", *work.glasses)
+    warps = _warps(work, chart) if chosen.elastic else {}
+    pitch = chart.pitch_mm
+    sights = work.sights()
+    weights = {}
+    for name in names:
+        _, deviation, trust, known = work.seen(name, points, normals)
+        cosine = sights[name].cosine(normals)
+        weights[name] = view_weight(cosine, known, deviation, pitch, chosen.blend) * trust
+    reliefs, deviations, finals = [], [], []
+    column, row = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in chart.shape[::-1]))
+    for name in names:
+        at = points
+        if warps:
+            at = _moved(points, column, row, _own_share(name, names, weights, warps))
+        relief, deviation, trust, known = work.seen(name, at, normals)
+        cosine = sights[name].cosine(normals)
+        reliefs.append(relief)
+        deviations.append(deviation)
+        finals.append(view_weight(cosine, known, deviation, pitch, chosen.blend) * trust)
+    stacked = np.stack(reliefs).astype(np.float32)
+    blended = blend(stacked, np.stack(deviations).astype(np.float32), np.stack(finals).astype(np.float32))
+    facts = {
+        "views": list(names),
+        "relief_by": {name: work.reliefs[name].how for name in names},
+        "squares_matched": dict(work.matched),
+        "left_after_registration_mm": [round(value, 4) for value in work.left_mm],
+    }
+    return Rolled(
+        chart, points.astype(np.float32), normals.astype(np.float32), blended, names, stacked,
+        tuple(work.glasses.values()), facts,
+    )  # fmt: skip
+
+
+def _warps(work: _Work, chart: Chart) -> dict[str, FloatArray]:
+    """(n, m, 2) of each mirror: columns and rows by which its ridges still lie further than the front's."""
+    coarse = work.chart(COARSE_PITCH_MM)
+    found = work.compare(coarse, work.radius_on(coarse), work.rolled.last_window_mm, work.rolled.last_reach_mm)
+    warps = {}
+    scale = (chart.shape[1] - 1) / (coarse.shape[1] - 1), (chart.shape[0] - 1) / (coarse.shape[0] - 1)
+    for name, one in found.items():
+        field = warp_field(one, coarse.shape, coarse.pitch_mm)
+        large = cv2.resize(field, chart.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        warps[name] = np.asarray(large * np.array(scale, dtype=np.float32), dtype=np.float32)
+    return warps
+
+
+def _own_share(
+    name: str, names: Sequence[str], weights: Mapping[str, FloatArray], warps: Mapping[str, FloatArray]
+) -> FloatArray:
+    """(n, m, 2) where a view is read beside a point: views meet between them, nearer to the one that counts more."""
+    total = np.maximum(sum(weights[other] for other in names), np.float32(1e-6))
+    # what the blend shows lies at the mean of the views' own places
+    mean = sum((weights[other] / total)[..., None] * warps[other] for other in names if other in warps)
+    own = warps[name] if name in warps else np.zeros_like(mean)
+    return np.asarray(own - mean, dtype=np.float32)
+
+
+def _moved(points: Array, column: FloatArray, row: FloatArray, shift: FloatArray) -> Array:
+    """Points (n, m, 3) of the surface, read `shift` (n, m, 2) columns and rows further."""
+    x, y = column + shift[..., 0], row + shift[..., 1]
+    places = [read(np.ascontiguousarray(points[..., axis], dtype=np.float32), x, y, held=True) for axis in range(3)]
+    return np.stack(places, axis=-1).astype(np.float64)

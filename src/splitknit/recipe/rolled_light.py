@@ -1,0 +1,143 @@
+"""The lights of one view of a finger between mirrors: LEDs and their images, each where it reaches the skin.
+
+In a mirror's view everything is reflected: the LEDs light the finger by way of their images, and the light that came by
+way of the mirror seems to come from the LEDs themselves. So a ring of lights stands around every line of sight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.fuse import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
+from splitknit.types import Led, Rig, Shade
+
+Array = NDArray[np.float64]
+EDGE_BAND_MM = 0.3
+"""Beside a light's edge it counts for nothing; as far again until it counts in full."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Glass:
+    """A mirror as it is taken to be."""
+
+    name: str
+    plane: Plane
+    corners_mm: Array
+    """(K, 3) outline of its face."""
+    reflectance: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """Points of the finger on a grid of one view's pixels."""
+
+    points_mm: Array
+    """(h, w, 3) in the rig's frame."""
+    normals: Array
+    """(h, w, 3) in the rig's frame."""
+    x_mm: tuple[float, float]
+    """x of the first and last column in the view's own frame."""
+    y_mm: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewLight:
+    """The lights of one view."""
+
+    rig: Rig
+    """In the view's frame, its origin moved."""
+    inner: NDArray[np.float32]
+    """(L, h, w) zero where one of an exposure's lights begins or ends at a mirror's edge, one elsewhere.
+
+    A line of light that is not known to a tenth of a millimetre would look like a ridge."""
+
+
+def view_light(  # noqa: PLR0917
+    rig: Rig, sight: Sight, glasses: Sequence[Glass], skin: Skin, origin_mm: Array, pitch_mm: float
+) -> ViewLight:  # fmt: skip
+    """The lights as one view has them: in the view's frame, its origin moved to `origin_mm` (of that frame).
+
+    Light that meets two mirrors one after the other is left out.
+
+    Parameters
+    ----------
+    rig : `rig.leds[k]` lights image k
+    sight, glasses : the view, and all mirrors
+    skin : on a grid of the view's pixels, `pitch_mm` apart
+    """
+    leds, inner = [], []
+    for exposure in rig.leds:
+        members = [replace(exposure, also=()), *exposure.also]
+        lights = [light for led in members for light in _lights(led, glasses, skin)]
+        inner.append(np.min([_inner(light, pitch_mm) for light in lights], axis=0))
+        # the ring around the line of sight comes first: it stands for the exposure
+        ring = "" if sight.plane is None else sight.name
+        first = [_in_view(light, sight, origin_mm, skin) for light in lights if light.path == ring]
+        others = [_in_view(light, sight, origin_mm, skin) for light in lights if light.path != ring]
+        ring_led = replace(first[0], reflected=False)
+        leds.append(replace(ring_led, also=(*(replace(led, reflected=False) for led in first[1:]), *others)))
+    return ViewLight(replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Light:
+    """An LED or its image, in the rig's frame."""
+
+    led: Led
+    path: str
+    """The mirror's name; empty for the LED itself."""
+    facing: NDArray[np.float32]
+    """(h, w) share that the skin is not turned away from."""
+    through: NDArray[np.float32] | None = None
+    """(h, w) share that comes within the mirror's outline."""
+
+
+def _lights(led: Led, glasses: Sequence[Glass], skin: Skin) -> list[_Light]:
+    found = [_Light(led, "", facing_share(skin.points_mm, skin.normals, led))]
+    for glass in glasses:
+        image = led_image(led, glass.plane, glass.reflectance)
+        facing = facing_share(skin.points_mm, skin.normals, image)
+        through = mirrored_share(skin.points_mm, image, glass.plane, glass.corners_mm)
+        found.append(_Light(image, glass.name, facing, through))
+    return found
+
+
+def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
+    """(h, w) zero beside the line where the light by way of a mirror ends."""
+    if light.through is None or float(np.ptp(light.through)) < 0.5:
+        return np.ones(light.facing.shape, dtype=np.float32)
+    lit = (light.through > 0.5).astype(np.uint8)
+    edge = cv2.morphologyEx(lit, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) * (light.facing > 0.5)
+    away = cv2.distanceTransform(1 - edge.astype(np.uint8), cv2.DIST_L2, 5) * pitch_mm
+    t = np.clip((away - EDGE_BAND_MM) / EDGE_BAND_MM, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t), dtype=np.float32)
+
+
+def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: Skin) -> Led:
+    """A light of the rig's frame in the view's moved frame, with its shade."""
+    seen = light.led if sight.plane is None else led_image(light.led, sight.plane)
+    if seen.position_mm is not None:
+        x, y, z = (float(v) for v in np.asarray(seen.position_mm) - origin_mm)
+        ax, ay, az = (float(v) for v in seen.axis)
+        seen = replace(seen, position_mm=(x, y, z), aim=(ax, ay, az), reflected=True)
+    share = light.facing if light.through is None else light.facing * light.through
+    return replace(seen, shade=Shade(skin.x_mm, skin.y_mm, np.ascontiguousarray(share)), reflected=True, also=())
+
+
+def skin_points(  # noqa: PLR0917
+    heights_mm: Array, x_mm: Array, y_mm: Array, normals: Array, sight: Sight, origin_mm: Array
+) -> Skin:
+    """Points and normals of a surface in a view's moved frame (heights (h, w) over x (w,), y (h,)), in the rig's."""
+    place = np.stack([*np.broadcast_arrays(x_mm[None, :], y_mm[:, None]), heights_mm], axis=-1).astype(np.float64)
+    points = place + origin_mm
+    if sight.plane is not None:
+        points = reflect_points(points, sight.plane)
+    return Skin(
+        points, sight.turned(np.asarray(normals, dtype=np.float64)), (float(x_mm[0]), float(x_mm[-1])),
+        (float(y_mm[0]), float(y_mm[-1])),
+    )  # fmt: skip

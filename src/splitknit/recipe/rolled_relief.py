@@ -1,0 +1,197 @@
+"""Photometric stereo of one view of a finger between mirrors, on a surface that is known but for its ridges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from splitknit.fuse import Chart, Sight, heights, read
+from splitknit.geometry import gradients_from_normals, height_gradients, normals_from_gradients
+from splitknit.integrate import shapelets
+from splitknit.metric import can_learn
+from splitknit.metric.coarse import BandImages
+from splitknit.metric.grid import Grid, coarsen, refine
+from splitknit.metric.learned import relief_by_network
+from splitknit.metric.light import fine_lighting, slant_of, trust_of
+from splitknit.normals import pseudo_normals
+from splitknit.radiance import Window, has_colour, linear_channels
+from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
+from splitknit.recipe.rolled_light import Glass, skin_points, view_light
+from splitknit.recipe.rolled_normals import held_normals
+from splitknit.recipe.skin import shipped_networks
+from splitknit.types import BoolArray, Capture, FloatArray
+from splitknit.view import view_of
+
+Array = NDArray[np.float64]
+
+UNKNOWN_MM = 0.02
+"""Standard deviation of a relief that no network vouches for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewRelief:
+    """Ridges in one view, on a window of the image's pixels (or blocks of them)."""
+
+    sight: Sight
+    window: Window
+    binning: int
+    relief_mm: FloatArray
+    """(h, w) along the skin's normal, NaN outside the finger."""
+    deviation_mm: FloatArray
+    """(h, w) its standard deviation, NaN outside."""
+    trust: FloatArray
+    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside."""
+    how: str
+
+    def places(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows of the window's blocks at which points (..., 3) of the rig's frame are seen."""
+        column, row = self.sight.pixels(points_mm)
+        size = np.float32(self.binning)
+        half = np.float32(0.5)
+        return (
+            ((column - np.float32(self.window[1].start) + half) / size - half).astype(np.float32),
+            ((row - np.float32(self.window[0].start) + half) / size - half).astype(np.float32),
+        )
+
+    def sampled(self, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where it does not see them."""
+        column, row = self.places(points_mm)
+        relief = read(self.relief_mm, column, row, cubic=True)
+        relief = np.where(np.isfinite(relief), relief, read(self.relief_mm, column, row))
+        return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
+
+
+def view_relief(  # noqa: PLR0917
+    capture: Capture,
+    sight: Sight,
+    mask: BoolArray,
+    glasses: Sequence[Glass],
+    chart: Chart,
+    radius_mm: Array,
+    settings: PipelineSettings,
+    prior: float = 0.0,
+) -> ViewRelief:
+    """Ridges of the finger as one view shows them.
+
+    Parameters
+    ----------
+    capture : its white band is used
+    sight, mask : the view, and where (H, W) it shows the finger
+    glasses : all mirrors of the rig
+    chart, radius_mm : the finger without its ridges
+    settings : of the pipeline
+    prior : see :func:`splitknit.recipe.rolled_normals.held_normals`
+    """
+    white = capture.bands["white"]
+    camera = capture.rig.camera
+    binning = max(1, round(settings.metric.working_pitch_mm / camera.pitch_mm))
+    window = _window(mask, camera.px_per_mm)
+    rows, columns = window
+    view = view_of(camera, rows, columns, binning=binning)
+    blocks = _blocks(mask[window], binning)
+    seen = heights(sight, chart, radius_mm, view.x_mm[::4], view.y_mm[::4])
+    origin = np.array([view.x_mm.mean(), view.y_mm.mean(), float(np.nanmean(seen)) if np.isfinite(seen).any() else 0.0])
+    cut = tuple(bool(side.any()) for side in (blocks[0], blocks[-1], blocks[:, 0], blocks[:, -1]))
+    grid = Grid(
+        blocks,
+        view.x_mm - origin[0],
+        view.y_mm - origin[1],
+        camera.pitch_mm * binning,
+        (cut[0], cut[1], cut[2], cut[3]),
+    )
+    factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
+    low = coarsen(grid, factor)
+    height = heights(sight, chart, radius_mm, low.x_mm + origin[0], low.y_mm + origin[1]) - np.float32(origin[2])
+    known = low.mask & np.isfinite(height)
+    low = replace(low, mask=known)
+    filled = refine(np.where(known, height, 0).astype(np.float32), known, 1, low.shape)
+    normals = normals_from_gradients(*height_gradients(filled, low.pitch_mm))
+    skin = skin_points(filled, low.x_mm, low.y_mm, normals, sight, origin)
+    light = view_light(capture.rig.select(white.leds), sight, glasses, skin, origin, low.pitch_mm)
+    smooth = refine(np.where(known, height, 0).astype(np.float32), known, factor, grid.shape)
+    reach = np.kron(known, np.ones((factor, factor), dtype=np.bool_))
+    reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
+    grid = replace(grid, mask=grid.mask & reach)
+    names = ("red", "green", "blue") if has_colour(white) else ("grey",)
+    images = BandImages(names, linear_channels(white, capture.encoding, names, window, binning), light.rig)
+    relief, deviation, trust, how = _ridges(
+        images, grid, low, filled, smooth, factor, light.inner, prior, capture, settings
+    )
+    facing = np.cos(np.deg2rad(slant_of(smooth, grid.pitch_mm)))
+    inside = grid.mask
+
+    def placed(field: FloatArray) -> FloatArray:
+        return np.where(inside, field, np.float32(np.nan)).astype(np.float32)
+
+    return ViewRelief(sight, window, binning, placed(relief * facing), placed(deviation * facing), placed(trust), how)
+
+
+def _ridges(  # noqa: PLR0917
+    images: BandImages,
+    grid: Grid,
+    low: Grid,
+    low_height: FloatArray,
+    smooth: FloatArray,
+    factor: int,
+    inner: FloatArray,
+    prior: float,
+    capture: Capture,
+    settings: PipelineSettings,
+) -> tuple[FloatArray, FloatArray, FloatArray, str]:
+    """Relief along the line of sight, its standard deviation, trust, and how they were found."""
+    light = fine_lighting(images.rig, low, low_height, factor, grid)
+    light = replace(light, trust=np.maximum(light.trust * _enlarged(inner, factor, grid.shape), np.float32(1e-3)))
+    networks = shipped_networks(settings) if can_learn(images, grid.pitch_mm) else None
+    if capture.material == "skin" and networks is not None:
+        g = held_normals(images.stack / light.entering, light, smooth, grid, prior)
+        found = relief_by_network(images, grid, smooth, light, networks.relief, g)
+        return found.relief_mm, found.deviation_mm, found.trust, "network"
+    trust = trust_of(slant_of(smooth, grid.pitch_mm), grid)
+    stack = images.stack.mean(axis=0)
+    entering = light.entering if capture.material == "skin" else np.ones_like(light.entering)
+    weights = light.trust * entering * entering
+    g = pseudo_normals(stack / entering, images.rig, smooth, grid.mask, weights, view=grid.view)
+    normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), np.float32(1e-9))
+    slopes = gradients_from_normals(normals, grid.mask, settings.normals.max_slope)
+    shape = height_gradients(smooth, grid.pitch_mm)
+    beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
+    evened = [b - grid.smooth(b, grid.mask, 0.3) for b in beyond]
+    bank = replace(settings.shapelets, sigma_px=settings.shapelets.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
+    relief = shapelets(evened[0].astype(np.float32), evened[1].astype(np.float32), grid.mask, bank)
+    relief = np.nan_to_num(relief, nan=0.0) * np.float32(grid.pitch_mm) * trust
+    return relief, np.full(grid.shape, np.float32(UNKNOWN_MM)), trust, "shapelets"
+
+
+def _enlarged(fields: FloatArray, factor: int, shape: tuple[int, int]) -> FloatArray:
+    """Fields (L, h, w) of the coarse grid on the fine one."""
+    result = np.empty((len(fields), *shape), dtype=np.float32)
+    for room, field in zip(result, fields, strict=True):
+        large = cv2.resize(field, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+        missing = [(0, n - m) for n, m in zip(shape, large.shape, strict=True)]
+        room[...] = np.pad(np.asarray(large), missing, mode="edge")
+    return result
+
+
+def _blocks(mask: BoolArray, binning: int) -> BoolArray:
+    height, width = (n // binning for n in mask.shape)
+    cut = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    blocks = np.asarray(cut.all(axis=(1, 3)))
+    labels, count = ndimage.label(blocks)
+    if count > 1:
+        blocks = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
+    return np.asarray(blocks, dtype=np.bool_)
+
+
+def _window(mask: BoolArray, px_per_mm: float) -> Window:
+    """Rows and columns of the mask with a margin of half a millimetre."""
+    margin = round(0.5 * px_per_mm)
+    limits = []
+    for axis in (1, 0):
+        places = np.flatnonzero(mask.any(axis=axis))
+        limits.append(slice(max(0, int(places[0]) - margin), min(mask.shape[1 - axis], int(places[-1]) + 1 + margin)))
+    return limits[0], limits[1]
