@@ -299,3 +299,29 @@ def test_bad_input_is_refused(change, words):
 def test_settings_that_make_no_sense_are_refused(change):
     with pytest.raises(BadInput, match=f"hanrahan_krueger.{next(iter(change))}"):
         HanrahanKruegerSettings(**change)
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_some_pixels_are_the_same_problem_as_all(near):
+    pixels, g = some_pixels(12)
+    if near:
+        turned = np.random.default_rng(1).normal(0, 0.05, (7, 3, 12)) + pixels.lights
+        strength = np.random.default_rng(2).uniform(0.8, 1.2, (7, 12))
+        pixels = replace(pixels, lights=turned / np.linalg.norm(turned, axis=1, keepdims=True), strengths=strength)
+    theta = pixels.start(g / np.linalg.norm(g, axis=0))
+    kept = np.array([1, 4, 5, 11])
+    all_of_them, some = pixels.equations(theta), pixels.take(kept).equations(theta[:, kept])
+    assert np.array_equal(some.cost, all_of_them.cost[kept])
+    assert np.array_equal(some.gradient, all_of_them.gradient[:, kept])
+    assert np.array_equal(some.moments, all_of_them.moments[:, kept])
+
+
+def test_steps_stay_where_the_model_is_defined():
+    pixels, _ = some_pixels(4)
+    theta = np.tile(np.array([0.9, 0.0, 0.0, 2.0, 1.0])[:, None], (1, 4))
+    step = np.array([[0.2, 50.0, 0.0, 0.1], [0.3, 0.0, 0.0, 0.0], [0, 0, 9, 0], [0, 0, -90, 0], [0, 0, 60, 0]])
+    for _ in range(40):
+        theta = pixels.moved(theta, step)
+        assert directions(theta)[0][2].min() > 0.01
+        assert np.abs(theta[2]).max() <= 4 and np.abs(theta[3]).max() <= 9 and theta[4].max() <= 5
+    assert np.array_equal(pixels.moved(theta[:, 3:], 0 * step[:, 3:]), theta[:, 3:])

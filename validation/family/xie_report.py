@@ -77,6 +77,20 @@ def causes_table(results: Tree) -> str:
     return "\n".join(lines)
 
 
+def slopes_table(results: Tree) -> str:
+    """Slopes of the finger's shape, found over true, in grey."""
+    names = ("lambertian", "layers", "lambertian near", "layers near")
+    lines = _head("slopes found over true, in grey", *names)
+    for glare in ("glare", "no glare"):
+        for low, high in ((0, 30), (30, 60)):
+            cells = [
+                f"{np.mean([f[f'{glare}, grey'][name][f'slopes_{low}_{high}'] for f in results['fingers']]):.2f}"
+                for name in names
+            ]
+            lines.append(_row(f"{glare}, skin at {low} to {high} deg", *cells))
+    return "\n".join(lines)
+
+
 def itself_table(results: Tree) -> str:
     """Fingers that the model has painted."""
     lines = _head(
@@ -122,6 +136,7 @@ def trials_table(results: Tree) -> str:
 TABLES = {
     "xie pairs": pairs_table,
     "xie causes": causes_table,
+    "xie slopes": slopes_table,
     "xie itself": itself_table,
     "xie photographs": photographs_table,
     "xie trials": trials_table,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.compare import compare
-from splitknit.geometry import gradients_from_normals
+from splitknit.geometry import gradients_from_normals, height_gradients
 from splitknit.integrate import ShapeletSettings, poisson, shapelets
 from splitknit.normals import (
     HanrahanKruegerSettings,
@@ -113,11 +113,15 @@ def figures(scene: Scene, normals: FloatArray) -> dict[str, float]:
         "shape_rms_mm": "shape_rms_mm", "surface_rms_mm": "surface_rms_mm",
     }  # fmt: skip
     found = {name: compared.figures[key] for name, key in named.items()}
-    slant = np.rad2deg(np.arccos(np.clip(scene.truth["normals"][..., 2], -1, 1)))
+    shape = height_gradients(np.where(scene.mask, scene.truth["shape_mm"], np.nan).astype(np.float32), float(pitch))
+    slant = np.rad2deg(np.arctan(np.hypot(*shape)))
     error = error_deg(normals, scene.truth["normals"])
     for low, high in ((0, 30), (30, 60)):
         where = compared.surface & (slant >= low) & (slant < high)
         found[f"normals_{low}_{high}_deg"] = float(error[where].mean())
+        power = sum(float(np.sum(true[where] ** 2)) for true in shape)
+        along = sum(float(np.sum(got[where] * true[where])) for got, true in zip(gradients, shape, strict=True))
+        found[f"slopes_{low}_{high}"] = along / power
     return found
 
 
