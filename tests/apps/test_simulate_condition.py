@@ -1,0 +1,47 @@
+"""``splitknit simulate --condition``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.apps.cli import main
+from splitknit.io import read_npz
+
+Captured = pytest.CaptureFixture[str]
+
+
+def test_a_scarred_finger_is_written_with_its_truth(tmp_path: Path) -> None:
+    out = tmp_path / "scarred"
+    command = ["simulate", "--out", str(out), "--seed", "3", "--scale", "0.06", "--condition", "scarred"]
+    assert main([*command, "--severity", "0.6"]) == 0
+    truth = read_npz(out / "truth.npz")
+    assert str(truth["condition_kind"]) == "scarred"
+    assert float(truth["condition_severity"]) == 0.6
+    share = truth["condition_share"].astype(np.float32)
+    assert 0.001 < share[truth["mask"]].mean() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--severity", "0.5"], "--severity says how bad a --condition is"),
+        (["--condition", "wet", "--severity", "1.5"], "condition.severity must lie in [0, 1]"),
+        (["--condition", "wet", "--bench"], "--bench and --condition do not go together"),
+        (["--condition", "wet", "--motion", "0.3"], "lies still and without mirrors"),
+        (["population", "--condition", "wet"], "--condition does not go with a population"),
+        (["--set", 'condition.kind="mud"'], "condition.kind must be one of none, wet, dry"),
+    ],
+)
+def test_what_does_not_go_is_said_in_one_sentence(
+    tmp_path: Path, capsys: Captured, options: list[str], words: str
+) -> None:
+    out = tmp_path / "none"
+    first = options[:1] if options[0] == "population" else []
+    assert main(["simulate", *first, "--out", str(out), "--scale", "0.1", *options[len(first) :]]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not out.exists()

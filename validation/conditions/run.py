@@ -1,0 +1,146 @@
+"""Fingers in every condition, photographed and reconstructed: ``python validation/conditions/run.py SCRATCH``.
+
+Six simulated fingers (or ``--seeds``) x five conditions x severities 0.25 to 1, clean ones beside them; presets metric,
+snk and ea. A row of SCRATCH/rows.jsonl holds what one preset made of one capture: error against the truth, quality of
+the unrolled print, similarity with another, clean capture of the same finger, and all that the software said. Running
+it again goes on. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and ``conditions.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import splitknit.simulate.finger as drawing
+from splitknit.apps.compare import compare
+from splitknit.apps.matching import false_match_rate
+from splitknit.apps.printing import enhance, make_print, measured
+from splitknit.apps.printing_quality import advice
+from splitknit.apps.printing_sources import source_of
+from splitknit.check import BadInput
+from splitknit.match import Template, pack, ridge_match, unpack
+from splitknit.match.minutiae import nfiq2
+from splitknit.pipeline import reconstruct
+from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
+from splitknit.recipe.memory import Memory
+from splitknit.simulate.conditions import Condition
+from splitknit.simulate.renderer import RenderSettings
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.types import Reconstruction
+
+SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
+KINDS = ("wet", "dry", "dusty", "scarred", "glossy")
+SEVERITIES = (1.0, 0.5, 0.25, 0.75)
+PRESETS = ("metric", "snk", "ea")
+SCALE = 0.35
+"""The least at which metric uses its network for the relief, 26 px/mm."""
+COMPARED = (
+    "ridge_correlation", "ridge_gain", "normals_mean_deg", "shape_rms_mm", "surface_rms_mm", "ridge_good_area",
+    "mask_overlap",
+)  # fmt: skip
+
+
+def tasks(seeds: tuple[int, ...]) -> Iterator[tuple[int, int, str, float]]:
+    """Seed, impression, condition and severity; the clean ones first, then the worst."""
+    yield from ((seed, 1, "none", 0.0) for seed in seeds)
+    yield from ((seed, 0, "none", 0.0) for seed in seeds)
+    for severity in SEVERITIES:
+        yield from ((seed, 0, kind, severity) for kind in KINDS for seed in seeds)
+
+
+def said(result: Reconstruction) -> dict[str, Any]:
+    """Every sentence and the figures behind them."""
+    white = result.quality["white"]
+    return {
+        "warnings": list(result.warnings),
+        "saturated": max(white["saturated_per_image"]),
+        "ridge_contrast": white["ridge_contrast"],
+    }
+
+
+def print_facts(result: Reconstruction) -> dict[str, Any]:
+    """Our quality of the unrolled print, NFIQ 2, and the advice."""
+    made = make_print(source_of(result), "unroll")
+    found = measured(made, enhance(made, 500.0), 500.0)
+    return {
+        "print_quality": found.score,
+        "print_figures": asdict(found.figures),
+        "nfiq2": nfiq2(made.image),
+        "advice": list(advice(found)),
+    }
+
+
+def row_of(
+    capture: Any, truth: Any, preset: str, memory: Memory, other: Template | None
+) -> tuple[dict, Template | None]:
+    """What one preset makes of a capture, and its template."""
+    try:
+        result = reconstruct(capture, preset, memory=memory)
+    except BadInput as refusal:
+        return {"exit": 2, "refused": str(refusal)}, None
+    figures = compare(result, truth).figures
+    row = {"exit": 0, **{name: figures[name] for name in COMPARED}, **said(result), **print_facts(result)}
+    template = surface_template(surface_of(result), MatchingSettings())
+    if other is not None:
+        found = ridge_match(template, other)
+        row |= {"similarity": found.similarity, "fmr": false_match_rate(found.similarity) if found.compared else 1.0}
+    return row, template
+
+
+def main() -> None:
+    """Simulate, reconstruct, measure, append."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scratch", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--presets", nargs="+", default=PRESETS, choices=PRESETS)
+    parser.add_argument("--scale", type=float, default=SCALE)
+    parser.add_argument("--most", type=int, default=10**6, help="captures in this run")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    drawing.master_print = lru_cache(maxsize=8)(drawing.master_print)  # type: ignore[assignment]
+    options.scratch.mkdir(parents=True, exist_ok=True)
+    kept = options.scratch / "rows.jsonl"
+    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
+    done = {(row["seed"], row["impression"], row["kind"], row["severity"], row["preset"]) for row in rows}
+    gallery = options.scratch / "gallery"
+    left = options.most
+    for seed, impression, kind, severity in tasks(tuple(options.seeds)):
+        missing = [p for p in options.presets if (seed, impression, kind, severity, p) not in done]
+        if not missing or left == 0:
+            continue
+        left -= 1
+        settings = TwinSettings(scale=options.scale, render=RenderSettings(workers=1))
+        if kind != "none":
+            settings = replace(settings, condition=Condition(kind, severity))
+        capture, truth = simulate_capture(seed, settings=settings, impression=impression)
+        memory = Memory(capture)
+        for preset in missing:
+            other = None if impression == 1 else _template(gallery / f"{seed}_{preset}.npz")
+            row, template = row_of(capture, truth, preset, memory, other)
+            if impression == 1 and template is not None:
+                _keep(gallery / f"{seed}_{preset}.npz", template)
+            row = {"seed": seed, "impression": impression, "kind": kind, "severity": severity, "preset": preset, **row}
+            with kept.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            print(seed, impression, kind, severity, preset, flush=True)
+
+
+def _template(path: Path) -> Template | None:
+    return unpack(bytes(np.load(path)["payload"])) if path.is_file() else None
+
+
+def _keep(path: Path, template: Template) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(path, payload=np.frombuffer(pack(template), dtype=np.uint8))
+
+
+if __name__ == "__main__":
+    main()
