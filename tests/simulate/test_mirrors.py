@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from splitknit.check import BadInput
 from splitknit.rig.dimensions import dimensions_of
@@ -278,10 +279,10 @@ def test_mirrors_that_reflect_nothing_leave_the_front_as_it_is(captures):
     assert np.array_equal(mask, plain_truth["mask"])
     np.testing.assert_array_equal(truth["height_mm"], plain_truth["height_mm"])
     ours, theirs = (c.bands["white"].pixels[:, mask].astype(float) for c in (capture, plain))
-    assert np.abs(ours - theirs).max() <= 2.0  # of 65535
+    assert np.abs(ours - theirs).max() <= 4.0  # of 65535
     for name in ALL:
-        shown = capture.bands["white"].pixels[:, truth[f"view_{name}_mask"]]
-        assert shown.max() < 10
+        inner = ndimage.binary_erosion(truth[f"view_{name}_mask"], iterations=2)
+        assert capture.bands["white"].pixels[:, inner].max() < 10
 
 
 def test_images_of_leds_light_the_sides(captures):
@@ -371,7 +372,7 @@ def test_scenes_that_cannot_be_are_refused():
     close = settings(parts=MirrorParts(widest_mm=2.0, pad_height_mm=4.0))
     with pytest.raises(BadInput, match="touches the left mirror"):
         simulate_capture(4, settings=close, finger=FINGER)
-    far = settings(px_per_mm=130.0)
+    far = settings(names=("right",), px_per_mm=130.0)
     with pytest.raises(BadInput, match="outside the picture"):
         simulate_capture(4, settings=replace(far, pose=Pose(insertion_mm=9.0)), finger=FINGER)
     rig = mirror_rig(MirrorViews(names=("right",)), 0.1)

@@ -123,6 +123,14 @@ def blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, fre
     some += share[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
 
 
+def visible(view: View, frame: Frame, free: BoolArray) -> BoolArray:
+    """(H, W) pixels that show the finger in a mirror: not the lip, not the lip in the mirror, not the finger itself."""
+    mask = view.mask & free
+    for plate in (*frame.reflected_lip, *frame.lip):
+        mask[plate.coverage.window] &= plate.coverage.share < 0.5
+    return mask
+
+
 def background_of(frame: Frame, camera: Camera, led: Led) -> FloatArray:
     """(H, W, 3) radiance of what a mirror shows behind the finger."""
     above = np.array([0.0, 0.0, 1.0])

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.check import require
 from splitknit.simulate.defocus import blur_sigma_px
 from splitknit.simulate.diffusion import WalkTable
 from splitknit.simulate.lens import px_per_mm_at
 from splitknit.simulate.lighting import finger_window, white_card
-from splitknit.simulate.mirror_frame import Frame, background_of, blend, mirror_frame
+from splitknit.simulate.mirror_frame import Frame, background_of, blend, mirror_frame, visible
 from splitknit.simulate.mirror_light import render_between_mirrors, render_room
 from splitknit.simulate.mirror_view import View
 from splitknit.simulate.mirrors import lights_of
@@ -50,6 +51,12 @@ class MirrorScene:
             mirror_frame(view, self.mirrors, rig.camera, settings.mirrors, rng)
             for view, rng in zip(self.views, rngs, strict=True)
         ]
+        self.masks = [visible(view, frame, self.free) for view, frame in zip(self.views, self.frames, strict=True)]
+        for view, mask in zip(self.views, self.masks, strict=True):
+            require(
+                bool(mask.any()),
+                f"the lip of the {view.mirror.name} mirror's holder hides the finger; lift it or lower the mirror.",
+            )
 
     def photograph(self, name: str, seed: np.random.SeedSequence) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
         """Images of one band, the glare (L, H, W) in the images' units, and the exposure, as :class:`Scene` does."""
@@ -123,9 +130,10 @@ class MirrorScene:
         """Of the front and of what the mirrors show, behind the lens."""
         fallen = self.front.fall_off
         values = [brightest(front.diffuse, None if fallen is None else fallen[front.window])]
-        for view, light in zip(self.views, sides, strict=True):
-            shown = light.diffuse * view.mask[light.window] * np.float32(view.mirror.reflectance)
-            values.append(brightest(shown, None if fallen is None else fallen[light.window]))
+        for view, mask, light in zip(self.views, self.masks, sides, strict=True):
+            if mask[light.window][::4, ::4].any():
+                shown = light.diffuse * mask[light.window] * np.float32(view.mirror.reflectance)
+                values.append(brightest(shown, None if fallen is None else fallen[light.window]))
         return max(values)
 
     def _ambient(self, name: str, leds: list[Led]) -> FloatArray:

@@ -12,16 +12,20 @@ from splitknit.simulate.finger_shape import FingerBody
 from splitknit.simulate.mirror_view import View
 from splitknit.simulate.raycast import Placement
 from splitknit.simulate.skin_map import SkinMap
+from splitknit.types import BoolArray
 
 Array = NDArray[np.float64]
 _PROXIMAL_MM = 6.0
 
 
-def view_truth(views: Sequence[View]) -> dict[str, NDArray[Any]]:
-    """Masks, heights, normals and chart of every view in the rig's frame behind the mirror, and the true mirrors."""
+def view_truth(views: Sequence[View], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
+    """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
+
+    `masks` (H, W) tell what of each is visible.
+    """
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
-    for view in views:
-        name, surface, mask = view.mirror.name, view.surface, view.mask
+    for view, mask in zip(views, masks, strict=True):
+        name, surface = view.mirror.name, view.surface
         prefix = f"view_{name}"
         truth[f"{prefix}_mask"] = mask
         truth[f"{prefix}_height_mm"] = _within(surface.height_mm, mask, np.nan)

@@ -113,7 +113,7 @@ def photograph_between_mirrors(
     truth = surface_truth(surface)
     if surface.chart is not None:
         truth["chart_mm"] = surface.chart
-    truth |= view_truth(seen)
+    truth |= view_truth(seen, scene.masks)
     bands = {}
     names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
     for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
@@ -142,16 +142,17 @@ def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMa
     reach = shape.length_mm - shape.tip_length_mm
     around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (_AROUND_MM, _OVER_TIP_MM))
     grown = ((over_tip, 0), (around, around))
-    coefficients, pigment = (np.pad(one, grown, mode="reflect") for one in (skin.coefficients, skin.pigment))
+    coefficients = np.asarray(np.pad(skin.coefficients, grown, mode="reflect"), dtype=np.float64)
+    pigment = np.asarray(np.pad(skin.pigment, grown, mode="reflect"), dtype=np.float32)
     u0, v0 = skin.u0_mm - around * skin.pitch_mm, skin.v0_mm + over_tip * skin.pitch_mm
     rows, columns = coefficients.shape
     across = u0 + skin.pitch_mm * np.arange(columns)
     beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
-    arc: NDArray[np.float64] = np.hypot(across[None, :], beyond[:, None])
+    arc = np.hypot(across[None, :], beyond[:, None])
     share = np.clip(0.5 - (arc - limit) / _FADE_MM, 0.0, 1.0)
     share = share * share * (3.0 - 2.0 * share)
-    pigment = (1.0 - share * (1.0 - pigment)).astype(np.float32)
-    return replace(skin, coefficients=coefficients * share, pigment=pigment, u0_mm=u0, v0_mm=v0)
+    shaded = np.asarray(1.0 - share * (1.0 - pigment), dtype=np.float32)
+    return replace(skin, coefficients=coefficients * share, pigment=shaded, u0_mm=u0, v0_mm=v0)
 
 
 def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None:

@@ -52,7 +52,7 @@ class View:
 
     @property
     def mask(self) -> BoolArray:
-        """(H, W) pixels that show the finger in the mirror."""
+        """(H, W) pixels of the mirror's face that show the finger, if nothing stands before the mirror."""
         mask = np.zeros_like(self.surface.mask)
         window = self.coverage.window
         mask[window] = self.surface.mask[window] & (self.coverage.share >= 0.5)
