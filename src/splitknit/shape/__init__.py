@@ -1,0 +1,19 @@
+"""The finger's shape from one image: its outlines in front view and in mirrors beside it."""
+
+from splitknit.shape.fit import Slopes
+from splitknit.shape.mirror import MirrorShape, mirror_shape
+from splitknit.shape.settings import MirrorShapeSettings, ViewSettings
+from splitknit.shape.views import Views, find_views, mirror_outline, view_binning, without_mirrors
+
+__all__ = [
+    "MirrorShape",
+    "MirrorShapeSettings",
+    "Slopes",
+    "ViewSettings",
+    "Views",
+    "find_views",
+    "mirror_outline",
+    "mirror_shape",
+    "view_binning",
+    "without_mirrors",
+]

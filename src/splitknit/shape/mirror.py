@@ -1,0 +1,313 @@
+"""From views to a shape: outlines, a first guess, the fit, and heights on the pixels of the front view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.shape.body import Body
+from splitknit.shape.dense import heights_on, nearest
+from splitknit.shape.fit import Fit, Pose, SeenIn, Slopes, fit_body, touched
+from splitknit.shape.outline import Rows, finger_axis, rows_of
+from splitknit.shape.planes import MirrorPlane, Touching, touching
+from splitknit.shape.settings import MirrorShapeSettings
+from splitknit.shape.thesis import Ellipses, ellipses
+from splitknit.shape.views import Views
+from splitknit.types import BoolArray, Camera, FloatArray, Mirror
+from splitknit.view import pixels_of
+
+Array = NDArray[np.float64]
+
+
+TURN_DEG = 0.2
+"""Standard deviation of a mirror's turn as the views' tips tell it."""
+
+
+MOST_DEG = 7.0
+"""A mirror that would be further off than this is not believed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorShape:
+    """A finger's shape from its outlines."""
+
+    camera: Camera
+    model: Body | Ellipses
+    facts: Mapping[str, Any]
+    """What was found: mirrors' poses, misfits, the sections' form."""
+    outlines: Mapping[str, tuple[Rows, ...]] = field(default_factory=dict)
+    """Measured outlines of ``front`` and every mirror."""
+    fit: Fit | None = None
+    touching: Mapping[str, Touching] = field(default_factory=dict)
+    """As the camera sees them: of ``front`` and every mirror beside the finger."""
+
+    def plane(self, mirror: Mirror) -> tuple[Array, float]:
+        """Normal (3,) of a mirror where it was found, and its distance from the origin along it."""
+        plane = MirrorPlane.nominal(mirror)
+        if self.fit is not None and mirror.name in self.fit.poses:
+            pose = self.fit.poses[mirror.name]
+            plane = plane.moved(pose.turn_rad, pose.lean_rad, pose.shift_mm, mirror.point_mm)
+        return plane.normal, plane.offset_mm
+
+    def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y and z (h, w), mm, of the surface that the pixels of a window of the front view see; NaN beside it.
+
+        With `binning`, of blocks of so many pixels a side.
+        """
+        if isinstance(self.model, Ellipses):
+            return self.model.heights(self.camera, rows, columns, binning)
+        x, y, z, inside, _ = heights_on(self.model, self.camera, rows, columns, binning)
+        return x, y, np.where(inside, z, np.float32(np.nan))
+
+    def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
+        """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and which are known."""
+        if isinstance(self.model, Ellipses):
+            _, _, z = self.model.heights(self.camera, rows, columns)
+            known = np.isfinite(z)
+            return nearest(z, known), known
+        _, _, z, _, known = heights_on(self.model, self.camera, rows, columns)
+        return z, known
+
+    def drawn(self, mirrors: Mapping[str, Mirror]) -> dict[str, Array]:
+        """Outline (n, 2), columns and rows of the camera's image, of the fitted body in every view beside it."""
+        if self.fit is None or not isinstance(self.model, Body):
+            return {}
+        found = {}
+        for name, planes in self.touching.items():
+            plane = None if name == "front" else MirrorPlane(*self.plane(mirrors[name]))
+            points = touched(self.model, planes if plane is None else plane.reflect(planes))
+            if plane is not None:
+                points = points - 2.0 * np.outer(points @ plane.normal - plane.offset_mm, plane.normal)
+            found[name] = pixels_of(self.camera, points)
+        return found
+
+
+def mirror_shape(
+    views: Views,
+    camera: Camera,
+    mirrors: Mapping[str, Mirror],
+    settings: MirrorShapeSettings | None = None,
+    *,
+    tip_direction_deg: float = 0.0,
+    slopes: Slopes | None = None,
+) -> MirrorShape:
+    """Find the finger's shape.
+
+    Parameters
+    ----------
+    views : masks of the front view and of the mirrors' views, see :func:`splitknit.shape.views.find_views`
+    camera : that sees them
+    mirrors : by name, where they nominally are
+    settings : MirrorShapeSettings, optional
+    tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
+    slopes : of the skin in the front view, optional: they tell the sections' form and roll
+
+    Raises
+    ------
+    BadInput
+        If the views do not fit one finger.
+
+    References
+    ----------
+    The thesis, section 3.3.2.3. Cipolla and Giblin 2000, Visual Motion of Curves and Surfaces (frontier points).
+    """
+    settings = settings or MirrorShapeSettings()
+    used = {name: mirrors[name] for name in sorted(views.mirrors)}
+    require(bool(used), "no mirror shows the finger; the shape needs one beside it at least.")
+    hint = np.array([-np.sin(np.deg2rad(tip_direction_deg)), np.cos(np.deg2rad(tip_direction_deg))])
+    axis, front = finger_axis(views.front, camera, views.binning, hint, settings.row_mm)
+    sides = {name: mirror for name, mirror in used.items() if not _from_tip(mirror, axis)}
+    require(bool(sides), "only the mirror beyond the tip shows the finger; the shape needs one beside it.")
+    if settings.method == "thesis":
+        return _by_thesis(views, camera, sides, settings, axis, front)
+    return _by_outlines(views, camera, used, settings, axis, front, slopes)
+
+
+def _from_tip(mirror: Mirror, axis: Array) -> bool:
+    """Whether a mirror looks along the finger rather than across it."""
+    level = mirror.normal[:2] / np.hypot(*mirror.normal[:2])
+    return bool(abs(float(level @ axis)) > np.sqrt(0.5))
+
+
+def _by_thesis(  # noqa: PLR0917
+    views: Views,
+    camera: Camera,
+    sides: Mapping[str, Mirror],
+    settings: MirrorShapeSettings,
+    axis: Array,
+    front: Rows,
+) -> MirrorShape:
+    """The thesis's method on the first lateral view."""
+    name, mirror = next(iter(sides.items()))
+    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, settings.row_mm)
+    outward = -1.0 if float(mirror.normal[:2] @ lateral.across) > 0 else 1.0
+    model = ellipses(front, lateral, outward)
+    facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}
+    return MirrorShape(camera, model, facts, {"front": (front,), name: (lateral,)})
+
+
+def _by_outlines(  # noqa: PLR0917
+    views: Views,
+    camera: Camera,
+    used: Mapping[str, Mirror],
+    settings: MirrorShapeSettings,
+    axis: Array,
+    front: Rows,
+    slopes: Slopes | None,
+) -> MirrorShape:
+    """Body and mirrors' poses together."""
+    outlines: dict[str, tuple[Rows, ...]] = {"front": (front,)}
+    seen: dict[str, SeenIn] = {}
+    lateral: dict[str, Rows] = {}
+    for name, mirror in used.items():
+        plane = MirrorPlane.nominal(mirror)
+        tip = _from_tip(mirror, axis)
+        mask = views.mirrors[name]
+        if tip:
+            rows = rows_of(mask, camera, views.binning, np.array([axis[1], -axis[0]]), settings.row_mm, trust_ends=True)
+            parts = _touching(camera, rows, ("left",))
+        else:
+            rows = rows_of(mask, camera, views.binning, plane.image_axis(axis), settings.row_mm)
+            lateral[name] = rows
+            parts = _touching(camera, rows, ("left", "right"))
+        outlines[name] = (rows,)
+        seen[name] = SeenIn(parts, plane, mirror.point_mm, tip)
+    poses = {name: Pose() for name in seen}
+    for name in lateral:
+        caps = [_cap(mask, camera, views.binning, axis, settings) for mask in (views.front, views.mirrors[name])]
+        turn = _turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
+        poses[name] = Pose(turn_rad=turn)
+        seen[name] = replace(seen[name], turn_rad=turn, turn_sd_rad=np.deg2rad(TURN_DEG))
+    body = _first_body(front, lateral, seen, poses, settings)
+    front = front.beyond(body.tip_mm - body.length_mm)
+    front_planes = _touching(camera, front, ("left", "right"))
+    fit = fit_body(body, front_planes, seen, poses, settings, slopes)
+    _refuse_misfit(fit, seen, settings)
+    beside = {"front": front_planes, **{name: seen[name].touching for name in lateral}}
+    return MirrorShape(camera, fit.body, _facts(fit, settings, slopes), outlines, fit, beside)
+
+
+def _touching(camera: Camera, rows: Rows, sides: tuple[str, ...]) -> Touching:
+    parts = [touching(camera, *rows.places(side)) for side in sides]
+    return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
+
+
+def _cap(mask: BoolArray, camera: Camera, binning: int, axis: Array, settings: MirrorShapeSettings) -> Array:
+    """(n, 2) points of the outline's tip, on the finger plane."""
+    sideways = rows_of(mask, camera, binning, np.array([axis[1], -axis[0]]), settings.row_mm, trust_ends=True)
+    places, _, _ = sideways.places("left")
+    return places
+
+
+def _turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, axis: Array) -> float:
+    """How far a mirror is turned about the camera's axis, from the tips of two views.
+
+    The line that joins a point with its mirror image touches both views' outlines at the tip (a frontier point).
+    """
+    about = np.array([0.0, 0.0, 0.0])
+
+    def apart(turn: float) -> float:
+        moved = plane.moved(turn, 0.0, 0.0, about)
+        joint = moved.normal[:2] / np.hypot(*moved.normal[:2])
+        upward = np.array([-joint[1], joint[0]])
+        upward = upward if float(upward @ axis) > 0 else -upward
+        epipole = moved.epipole(camera)
+        if epipole is None:
+            return float(np.max(side @ upward) - np.max(front @ upward))
+        far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
+        return float(far[0] - far[1]) * float(np.hypot(*epipole))
+
+    low, high = -0.12, 0.12
+    values = apart(low), apart(high)
+    if values[0] * values[1] > 0:
+        return 0.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if (apart(middle) > 0) == (values[0] > 0):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _slopes_about(points: Array, joint: Array, upward: Array) -> float:
+    return float(np.max((points @ upward) / np.abs(points @ joint)))
+
+
+def _first_body(
+    front: Rows,
+    lateral: Mapping[str, Rows],
+    seen: Mapping[str, SeenIn],
+    poses: Mapping[str, Pose],
+    settings: MirrorShapeSettings,
+) -> Body:
+    """Ellipses from the front view's rows, and heights from the first mirror's."""
+    known = np.isfinite(front.width_mm)
+    along = front.along_mm[known]
+    seen_mm = max(rows.tip_mm - float(rows.along_mm[np.isfinite(rows.width_mm)][0]) for rows in lateral.values())
+    length = min(front.tip_mm - float(along[0]), seen_mm) + 0.3
+    origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known]))
+    body = Body(origin * front.across, front.axis, front.tip_mm, length, np.zeros((4, settings.knots + 3)))
+    name = next(iter(lateral))
+    rays = poses[name].of(seen[name]).reflect(seen[name].touching)
+    point, direction = body.to_frame(rays.point, place=True), body.to_frame(rays.direction, place=False)
+    far = -point[:, 0] / direction[:, 0]
+    heights = point[:, 2] + far * direction[:, 2]  # where the rays cross the plane through the finger's axis
+    low, high = (float(v) for v in np.quantile(heights, (0.15, 0.85)))
+    z, rise = 0.5 * (low + high), 0.5 * (high - low)
+    width = 0.5 * float(np.nanquantile(front.width_mm, 0.8))
+    coefficients = np.zeros((4, settings.knots + 3))
+    coefficients[1], coefficients[2], coefficients[3] = z, width, rise
+    squareness = 0.0 if settings.section == "ellipse" else settings.squareness
+    return replace(body, coefficients=coefficients, squareness=squareness)
+
+
+def _refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn], settings: MirrorShapeSettings) -> None:
+    """Refuse views that no finger explains."""
+    for name, misfit in fit.misfit_mm.items():
+        if name in seen and seen[name].from_tip:
+            continue
+        size = float(np.median(np.abs(misfit)))
+        require(
+            size < settings.misfit_mm,
+            f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
+            "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
+        )
+    for name, pose in fit.poses.items():
+        worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
+        require(
+            worst < MOST_DEG,
+            f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
+            "file; check that one finger alone is in view, or correct the rig file.",
+        )
+
+
+def _facts(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:
+    rms = {}
+    for name, misfit in fit.misfit_mm.items():
+        weight = fit.weights[name]
+        rms[name] = float(np.sqrt(np.sum(weight * misfit**2) / max(float(weight.sum()), 1e-9)))
+    body = fit.body
+    return {
+        "method": "outlines",
+        "mirrors": sorted(fit.poses),
+        "section": settings.section,
+        "section_seen_by": "slopes" if slopes is not None else "expectation",
+        "squareness": body.squareness,
+        "shear": body.shear,
+        "poses": {
+            name: {
+                "turn_deg": float(np.rad2deg(pose.turn_rad)),
+                "lean_deg": float(np.rad2deg(pose.lean_rad)),
+                "shift_mm": pose.shift_mm,
+            }
+            for name, pose in fit.poses.items()
+        },
+        "outline_rms_mm": rms,
+        "outline_used": {name: float(np.mean(weight > 0)) for name, weight in fit.weights.items()},
+    }

@@ -1,0 +1,245 @@
+"""Outlines of a view's mask: where each row across the finger enters and leaves it, on the finger plane, in mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.types import BoolArray, Camera
+from splitknit.view import pixels_of, plane_points
+
+Array = NDArray[np.float64]
+
+BLUR_PX = 1.2
+"""A mask is smoothed by this much before its outline is measured between the pixels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A view's outline, row by row across an axis of the picture."""
+
+    axis: Array
+    """(2,) unit vector on the finger plane along which rows follow each other."""
+    along_mm: Array
+    """(n,) place of each row on the axis, growing."""
+    left_mm: Array
+    """(n,) where the row enters the finger, towards the right of the axis; NaN where it does not or is cut."""
+    right_mm: Array
+    """(n,) where it leaves."""
+
+    @property
+    def across(self) -> Array:
+        """(2,) unit vector to the right of the axis."""
+        return np.array([self.axis[1], -self.axis[0]])
+
+    @property
+    def width_mm(self) -> Array:
+        """(n,) NaN where an edge is missing."""
+        return np.asarray(self.right_mm - self.left_mm)
+
+    @property
+    def tip_mm(self) -> float:
+        """Where the finger ends on the axis: its width's square goes to zero there."""
+        known = np.flatnonzero(np.isfinite(self.width_mm))
+        last = known[-6:]
+        squared = self.width_mm[last] ** 2
+        slope, level = np.polyfit(self.along_mm[last] - self.along_mm[last[-1]], squared, 1)
+        step = self.along_mm[1] - self.along_mm[0]
+        ahead = -level / slope if slope < 0 else 0.5 * step
+        return float(self.along_mm[last[-1]] + np.clip(ahead, 0.0, 2.0 * step))
+
+    def beyond(self, start_mm: float) -> Rows:
+        """The rows from `start_mm` on."""
+        kept = self.along_mm >= start_mm
+        return Rows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
+
+    def places(self, side: str) -> tuple[Array, Array, Array]:
+        """Points of one side of the outline.
+
+        Returns
+        -------
+        places_mm : (m, 2) on the finger plane
+        along : (m, 2) direction of the outline
+        outward : (m, 2) away from the finger
+        """
+        edge = self.left_mm if side == "left" else self.right_mm
+        row = np.flatnonzero(np.isfinite(edge))
+        if row.size < 3:
+            nothing = np.zeros((0, 2))
+            return nothing, nothing, nothing
+        slope = np.gradient(_smooth(edge[row]), self.along_mm[row])
+        places = np.outer(self.along_mm[row], self.axis) + np.outer(edge[row], self.across)
+        along = self.axis + np.outer(slope, self.across)
+        outward = np.tile(self.across * (-1.0 if side == "left" else 1.0), (row.size, 1))
+        return places, along, outward
+
+
+def rows_of(
+    mask: BoolArray, camera: Camera, binning: int, axis: Array, row_mm: float, *, trust_ends: bool = False
+) -> Rows:
+    """Measure the outline of `mask`.
+
+    Parameters
+    ----------
+    mask : (h, w) one view, on blocks of `binning` pixels a side of the camera's image
+    camera : Camera
+    binning : int
+    axis : (2,) direction on the finger plane along which rows follow each other, towards the fingertip
+    row_mm : distance of the rows
+    trust_ends : keep what looks like the straight end of a cut finger
+
+    Raises
+    ------
+    BadInput
+        If the mask is empty.
+    """
+    require(bool(mask.any()), "a view of the finger is empty.")
+    axis = np.asarray(axis, dtype=np.float64) / float(np.hypot(*axis))
+    across = np.array([axis[1], -axis[0]])
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    low, high = np.array([columns[0], rows[0]]) - 2, np.array([columns[-1], rows[-1]]) + 3
+    corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]], dtype=np.float64)
+    on_plane = plane_points(camera, corners * binning + 0.5 * (binning - 1))
+    p, q = on_plane @ axis, on_plane @ across
+    pitch = binning / camera.px_per_mm
+    along = np.arange(p.min(), p.max() + row_mm, row_mm)
+    side = np.arange(q.min() - 2 * pitch, q.max() + 3 * pitch, pitch)
+    smooth = _smoothed(mask, low, high)
+    field = _resampled(smooth, low, camera, binning, (along, side, axis, across))
+    left, right = _edges(field, side)
+    found = Rows(axis, along, left, right)
+    return _without_cuts(found, mask.shape, camera, binning, trust_ends=trust_ends)
+
+
+def medial_line(rows: Rows, full_width: float = 0.8) -> tuple[float, float]:
+    """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles.
+
+    Robust (Tukey's biweight), over rows in which the finger has its full width, so that tip and base do not turn it.
+
+    References
+    ----------
+    The thesis, sections 3.3.1.1 and 3.3.2.3, step 3; reading notes 2.
+    """
+    width = rows.width_mm
+    known = np.isfinite(width)
+    require(int(known.sum()) >= 8, "a view of the finger is too small to tell how it lies.")
+    wide = known & (width > full_width * np.nanquantile(width, 0.9))
+    y, middle = rows.along_mm[wide], 0.5 * (rows.left_mm + rows.right_mm)[wide]
+    weight = np.ones_like(y)
+    slope, offset = 0.0, float(np.median(middle))
+    for _ in range(12):
+        root = np.sqrt(weight)
+        design = np.column_stack([y, np.ones_like(y)]) * root[:, None]
+        slope, offset = (float(v) for v in np.linalg.lstsq(design, middle * root, rcond=None)[0])
+        away = middle - slope * y - offset
+        scale = max(1.4826 * float(np.median(np.abs(away))), 1e-3)
+        weight = np.clip(1.0 - (away / (4.685 * scale)) ** 2, 0.0, None) ** 2
+    return slope, offset
+
+
+def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array, row_mm: float) -> tuple[Array, Rows]:
+    """Direction (2,) of the finger on the finger plane, towards its tip, and its outline across it.
+
+    Parameters
+    ----------
+    hint : (2,) direction towards the tip within about 75 deg
+    """
+    axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
+    rows = rows_of(mask, camera, binning, axis, row_mm)
+    for _ in range(4):
+        slope, _ = medial_line(rows)
+        axis = axis + slope * rows.across
+        axis = axis / np.hypot(*axis)
+        rows = rows_of(mask, camera, binning, axis, row_mm)
+        if abs(slope) < 2e-3:
+            break
+    return axis, rows
+
+
+def _smoothed(mask: BoolArray, low: Array, high: Array) -> NDArray[np.float32]:
+    """The mask between `low` and `high` (column, row), smoothed, zero beyond the image."""
+    height, width = mask.shape
+    top, left = max(int(low[1]), 0), max(int(low[0]), 0)
+    bottom, right = min(int(high[1]) + 1, height), min(int(high[0]) + 1, width)
+    part = mask[top:bottom, left:right].astype(np.float32)
+    missing = (
+        (top - int(low[1]), int(high[1]) + 1 - bottom),
+        (left - int(low[0]), int(high[0]) + 1 - right),
+    )
+    return np.asarray(cv2.GaussianBlur(np.pad(part, missing), (0, 0), BLUR_PX), dtype=np.float32)
+
+
+def _resampled(
+    smooth: NDArray[np.float32], low: Array, camera: Camera, binning: int, grid: tuple[Array, Array, Array, Array]
+) -> NDArray[np.float32]:
+    """(rows, places) of the smoothed mask on the rows across the axis."""
+    along, side, axis, across = grid
+
+    def pixels(p: Array, q: Array) -> Array:
+        places = np.outer(p, axis) + np.outer(q, across)
+        full = pixels_of(camera, np.column_stack([places, np.zeros(len(places))]))
+        return np.asarray((full - 0.5 * (binning - 1)) / binning - low)
+
+    if camera.model == "perspective" and camera.distortion and any(camera.distortion):
+        p, q = (part.ravel() for part in np.meshgrid(along, side, indexing="ij"))
+        where = pixels(p, q).reshape(along.size, side.size, 2).astype(np.float32)
+        return np.asarray(cv2.remap(smooth, where[..., 0], where[..., 1], cv2.INTER_LINEAR), dtype=np.float32)
+    three = pixels(along[[0, 0, -1]], side[[0, -1, 0]])
+    right = (three[1] - three[0]) / (side.size - 1)
+    down = (three[2] - three[0]) / (along.size - 1)
+    turn = np.column_stack([right, down, three[0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(smooth, turn, (side.size, along.size), flags=flags), dtype=np.float32)
+
+
+def _edges(field: NDArray[np.float32], side: Array) -> tuple[Array, Array]:
+    """Where each row first and last crosses one half."""
+    inside = field > 0.5
+    some = inside.any(axis=1)
+    some &= ~inside[:, 0] & ~inside[:, -1]
+    left, right = np.full(len(field), np.nan), np.full(len(field), np.nan)
+    row = np.flatnonzero(some)
+    first = np.argmax(inside[row], axis=1)
+    last = field.shape[1] - 1 - np.argmax(inside[row, ::-1], axis=1)
+    step = side[1] - side[0]
+    before, at = field[row, first - 1].astype(np.float64), field[row, first].astype(np.float64)
+    left[row] = side[first - 1] + step * (0.5 - before) / (at - before)
+    at, after = field[row, last].astype(np.float64), field[row, last + 1].astype(np.float64)
+    right[row] = side[last] + step * (at - 0.5) / (at - after)
+    return left, right
+
+
+def _without_cuts(rows: Rows, shape: tuple[int, ...], camera: Camera, binning: int, *, trust_ends: bool) -> Rows:
+    """The outline without its parts at the image's border, and without the straight end at the finger's base."""
+    edges = [rows.left_mm.copy(), rows.right_mm.copy()]
+    known = np.flatnonzero(np.isfinite(rows.width_mm))
+    if known.size == 0:
+        return rows
+    middle = 0.5 * (rows.along_mm[known[0]] + rows.along_mm[known[-1]])
+    for edge in edges:
+        row = np.flatnonzero(np.isfinite(edge))
+        places = np.outer(rows.along_mm[row], rows.axis) + np.outer(edge[row], rows.across)
+        pixel = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])) / binning
+        margin = 3.0
+        beyond = (pixel < margin) | (pixel > np.array([shape[1], shape[0]]) - 1 - margin)
+        near = np.asarray(beyond[:, 0] | beyond[:, 1], dtype=np.bool_)
+        if not trust_ends and row.size > 4:
+            steep = np.abs(np.gradient(edge[row], rows.along_mm[row])) > 1.2
+            low = rows.along_mm[row] < middle
+            worst = np.flatnonzero(steep & low)
+            if worst.size:
+                near[: min(int(worst[-1]) + 3, row.size)] |= low[: min(int(worst[-1]) + 3, row.size)]
+            near[:2] = True
+        edge[row[near]] = np.nan
+    return Rows(rows.axis, rows.along_mm, edges[0], edges[1])
+
+
+def _smooth(values: Array) -> Array:
+    """Values smoothed over a few neighbours, for their slopes."""
+    kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+    padded = np.concatenate([2 * values[0] - values[2:0:-1], values, 2 * values[-1] - values[-2:-4:-1]])
+    return np.convolve(padded, kernel, mode="valid")
