@@ -90,7 +90,7 @@ def extract_solids(task: SolidTask) -> MinutiaeDone:
             raise BadInput(f"'{file}': {error}") from error
         payloads.append(solid_payload(task.kind, surface, task.matching))
         seconds[capture] = round(time.perf_counter() - started, 3)
-    with atomic_file(task.store / "timings" / task.case / task.kind / f"{task.name}.json") as stream:
+    with atomic_file(task.store / "timings" / task.case / f"{task.kind}-making" / f"{task.name}.json") as stream:
         stream.write((canonical_json(seconds) + "\n").encode("ascii"))
     target = task.store / task.kind / task.case / f"{task.name}{SUFFIX}"
     write_solids(target, task.kind, captures, payloads, read_origin(file))

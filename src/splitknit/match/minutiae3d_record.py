@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.match.minutiae_record import LEAST_MINUTIAE
+from splitknit.match.minutiae_record import LEAST_MINUTIAE, MOST_MINUTIAE
 
 MINUTIAE3D_VERSION = 1
 """Of the packed bytes; a reader refuses others."""
-MOST_MINUTIAE3D = 1000
 _MAGIC = b"SKM3"
 _HEAD = struct.Struct("<4sHHI")
 _ROW = np.dtype([(name, "<f4") for name in ("x", "y", "z", "theta", "phi")] + [("type", "u1"), ("quality", "u1")])
@@ -51,7 +50,7 @@ class SpaceMinutiae:
             and all(one.shape == (count,) for one in (self.theta_rad, self.phi_rad, self.type, self.quality)),
             "minutiae in space must be (N, 3) places and lists of N angles, types and qualities; give them alike.",
         )
-        require(count <= MOST_MINUTIAE3D, f"a finger has no {count} minutiae (at most {MOST_MINUTIAE3D} are compared).")
+        require(count <= MOST_MINUTIAE, f"a finger has no {count} minutiae (at most {MOST_MINUTIAE} are compared).")
         finite = all(np.isfinite(one).all() for one in (self.position_mm, self.theta_rad, self.phi_rad))
         require(finite, "places and angles of minutiae in space must be finite; leave out those that are not known.")
 

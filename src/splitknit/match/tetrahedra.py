@@ -74,14 +74,16 @@ class PreparedTetrahedra(Framed):
 
     @cached_property
     def corners(self) -> Index:
-        """(T, 4) minutiae of each tetrahedron, its apex first."""
+        """(T, 4) minutiae of each tetrahedron, its apex first; none with an edge below what is told apart."""
         places = self.places[0]
         apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
         np.fill_diagonal(apart2, np.inf)
         near = np.argsort(apart2, axis=1, kind="stable")[:, : self.settings.neighbours]
         triples = np.array(list(combinations(range(near.shape[1]), 3)), dtype=np.intp)
         others = near[:, triples].reshape(-1, 3)
-        return np.column_stack([np.repeat(np.arange(len(places)), len(triples)), others])
+        corners = np.column_stack([np.repeat(np.arange(len(places)), len(triples)), others])
+        least = np.stack([apart2[corners[:, i], corners[:, j]] for i, j in _EDGES]).min(axis=0)
+        return corners[least >= self.settings.edge_mm**2]
 
     @cached_property
     def edges(self) -> Array:
