@@ -81,11 +81,12 @@ def _sentence(cause: str, name: str, found: PrintQuality) -> str:
     noise = "directions of ridges disagree" if name == "coherence" else "distances of ridges are not plausible"
     sentences = {
         "weak": f"Ridges are weak ({figures.ridge_height_um or 0:.0f} um), missing over {lost:.0f} % of the area: dry, "
-        "worn or out of focus; check the focus, moisten the finger, and capture again.",
+        "worn, wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture "
+        "again.",
         "lost": f"Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
         "and lens, and capture again.",
-        "gaps": f"{100 * figures.gap_share:.0f} % of the skin between ridges shows none: glare, a crease, a scar, dirt "
-        "or blur; wipe the finger and the lens, check the focus, and capture again.",
+        "gaps": f"{100 * figures.gap_share:.0f} % of the skin between ridges shows none: glare, a crease, a scar, "
+        "water, dirt or blur; wipe the finger and the lens, check the focus, and capture again.",
         "noise": f"The picture is noisy ({noise}); lengthen the exposure, keep the finger still, and capture again.",
         "soft": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
         "partial": f"Only {figures.ridge_length_mm:.0f} mm of ridges ({figures.ridge_area_mm2:.0f} mm2) are in view; "
