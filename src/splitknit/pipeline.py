@@ -15,6 +15,7 @@ from splitknit.check import BadInput, require
 from splitknit.recipe.coloured import as_lit
 from splitknit.recipe.finger import find_finger, finger_key
 from splitknit.recipe.memory import Memory
+from splitknit.recipe.mirrors import on_mirror_shape, seen_in_mirrors
 from splitknit.recipe.presets import PRESETS, PipelineSettings
 from splitknit.recipe.rays import as_modelled
 from splitknit.recipe.result import assemble
@@ -83,6 +84,10 @@ def reconstruct(
     capture, notes = as_lit(as_modelled(capture, chosen), chosen)
     watch = Stopwatch(progress)
     finger = memory(finger_key(chosen), partial(find_finger, capture, chosen, watch))
+    mirrors = None
+    if chosen.shape.source == "mirror":
+        with watch("finger"):
+            mirrors = seen_in_mirrors(capture, chosen)
     if chosen.method == "thesis":
         surface = thesis(capture, finger, chosen, watch, memory)
     elif undoes_blur(capture, chosen):
@@ -94,6 +99,8 @@ def reconstruct(
         surface = metric_skin(capture, finger, chosen, watch)
     else:
         surface = metric_opaque(capture, finger, chosen, watch)
+    if mirrors is not None:
+        finger, surface = on_mirror_shape(finger, surface, mirrors, chosen)
     with watch("result"):
         result = assemble(capture, finger, surface, chosen)
     return replace(

@@ -103,6 +103,13 @@ def add_reconstruct(verbs: Any) -> None:
     verb.add_argument(
         "--rig", type=Path, default=None, metavar="RIG", help="rig file instead of the capture's, such as a calibration"
     )
+    verb.add_argument(
+        "--shape",
+        choices=("nir", "white", "mirror"),
+        default=None,
+        help="where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in "
+        "mirrors beside it (mirror)",
+    )
     add_settings(verb)
 
 
@@ -220,6 +227,8 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.options import read_changes  # noqa: PLC0415
 
     changes = read_changes(options.settings, options.assignments)
+    if options.shape is not None:
+        changes = {**changes, "shape.source": options.shape}
     with Progress(options) as progress:
         facts = reconstruct_to_folder(
             options.capture,

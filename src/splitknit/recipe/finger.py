@@ -39,6 +39,7 @@ from splitknit.radiance import (
 from splitknit.recipe.coloured import colour_factors_of
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.shape import without_mirrors
 from splitknit.types import Band, BoolArray, Capture, FloatArray
 
 SURVEY_PX_PER_MM = 26.0
@@ -91,7 +92,11 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
         if given:
             outline = _reduced(capture.mask, grey.shape)
         else:
-            outline = finger_mask(mean if has_colour(white) else grey, small_px, settings.mask)
+            image = mean if has_colour(white) else grey
+            if capture.rig.mirrors:  # the finger itself, not its mirror images
+                mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
+                image = without_mirrors(image, capture.rig.camera, mirrors, binning)
+            outline = finger_mask(image, small_px, settings.mask)
             check_borders(outline)
         upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
         crease = find_crease(grey, outline, upright, small_px, settings.crease)

@@ -19,6 +19,7 @@ from splitknit.preprocess import (
     QualitySettings,
 )
 from splitknit.separate import SkinSettings
+from splitknit.shape import MirrorShapeSettings
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives its sizes in pixels."""
@@ -116,10 +117,13 @@ class ShapeSettings:
     """Where the finger's shape comes from."""
 
     source: str = "nir"
-    """``nir`` (the white band where there is none) or ``white``."""
+    """``nir`` (the white band where there is none), ``white``, or ``mirror``: outlines in mirrors beside the finger."""
+    mirror: MirrorShapeSettings = field(default_factory=MirrorShapeSettings)
+    """How the last is done."""
 
     def __post_init__(self) -> None:
-        require(self.source in ("nir", "white"), f"shape.source must be nir or white, not '{self.source}'.")
+        known = ("nir", "white", "mirror")
+        require(self.source in known, f"shape.source must be nir, white or mirror, not '{self.source}'.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from splitknit.recipe.presets import PipelineSettings
 
-LATER = ("smooth", "lights", "normals.hanrahan_krueger")
+LATER = ("smooth", "lights", "normals.hanrahan_krueger", "shape.mirror")
 """Settings of later cases: at their defaults they change nothing, so the documents, hashes and files of earlier cases
 stay what they were."""
 

@@ -122,7 +122,7 @@ def metric_opaque(capture: Capture, finger: Finger, settings: PipelineSettings, 
 def ridge_and_shape_bands(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
     """The band of the ridges and that of the shape."""
     white = capture.bands["white"]
-    if settings.shape.source == "white":
+    if settings.shape.source != "nir":
         return white, white, ()
     if settings.method == "thesis" and settings.knit.method == "none":
         return white, white, ()

@@ -2,6 +2,7 @@
 
 from splitknit.shape.fit import Slopes
 from splitknit.shape.mirror import MirrorShape, mirror_shape
+from splitknit.shape.outline import medial_line
 from splitknit.shape.settings import MirrorShapeSettings, ViewSettings
 from splitknit.shape.views import Views, find_views, mirror_outline, view_binning, without_mirrors
 
@@ -12,6 +13,7 @@ __all__ = [
     "ViewSettings",
     "Views",
     "find_views",
+    "medial_line",
     "mirror_outline",
     "mirror_shape",
     "view_binning",

@@ -22,8 +22,8 @@ class ViewSettings:
 
     def __post_init__(self) -> None:
         for name in ("px_per_mm", "reach_mm", "edge_mm"):
-            require(getattr(self, name) > 0, f"shape.views.{name} must be positive.")
-        require(0 < self.least_share < 1, "shape.views.least_share must lie between 0 and 1.")
+            require(getattr(self, name) > 0, f"shape.mirror.views.{name} must be positive.")
+        require(0 < self.least_share < 1, "shape.mirror.views.least_share must lie between 0 and 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +56,30 @@ class MirrorShapeSettings:
     """Views that agree no better than this (rms) are not of one finger."""
     slopes: bool = True
     """Let the skin's slopes in white light tell the form and the roll of the sections."""
+    detail_mm: float = 5.0
+    """What is finer than this is taken from white light, where the preset undoes the skin's blur."""
     views: ViewSettings = field(default_factory=ViewSettings)
     """How the views are told apart."""
 
     def __post_init__(self) -> None:
         require(
-            self.method in ("outlines", "thesis"), f"mirror.method must be outlines or thesis, not '{self.method}'."
+            self.method in ("outlines", "thesis"),
+            f"shape.mirror.method must be outlines or thesis, not '{self.method}'.",
         )
-        require(self.section in ("oval", "ellipse"), f"mirror.section must be oval or ellipse, not '{self.section}'.")
-        require(-0.2 <= self.squareness <= 0.45, "mirror.squareness must lie between -0.2 and 0.45.")
-        for name in ("squareness_spread", "angle_deg", "offset_mm", "outline_mm", "slope_error", "row_mm", "misfit_mm"):
-            require(getattr(self, name) > 0, f"mirror.{name} must be positive.")
-        require(4 <= self.knots <= 40, "mirror.knots must lie between 4 and 40.")
-        require(1 <= self.rounds <= 50, "mirror.rounds must lie between 1 and 50.")
+        require(
+            self.section in ("oval", "ellipse"), f"shape.mirror.section must be oval or ellipse, not '{self.section}'."
+        )
+        require(-0.2 <= self.squareness <= 0.45, "shape.mirror.squareness must lie between -0.2 and 0.45.")
+        for name in (
+            "squareness_spread",
+            "angle_deg",
+            "offset_mm",
+            "outline_mm",
+            "slope_error",
+            "row_mm",
+            "misfit_mm",
+            "detail_mm",
+        ):
+            require(getattr(self, name) > 0, f"shape.mirror.{name} must be positive.")
+        require(4 <= self.knots <= 40, "shape.mirror.knots must lie between 4 and 40.")
+        require(1 <= self.rounds <= 50, "shape.mirror.rounds must lie between 1 and 50.")

@@ -1,0 +1,268 @@
+"""The shape from mirrors: views, slopes of the skin in white light, the fit, and the shape on the finger's window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.fuse import Plane, facing_share, led_image, mirrored_share
+from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.knit import crossover
+from splitknit.normals import pseudo_normals
+from splitknit.preprocess import finger_mask
+from splitknit.radiance import Window, linear_survey
+from splitknit.recipe.finger import Finger
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.rays import unevenness
+from splitknit.recipe.surfaces import SurfaceParts
+from splitknit.shape import (
+    MirrorShape,
+    Slopes,
+    Views,
+    find_views,
+    medial_line,
+    mirror_outline,
+    mirror_shape,
+    view_binning,
+)
+from splitknit.types import BoolArray, Camera, Capture, FloatArray, Led, Rig, Shade
+from splitknit.view import pixels_of, view_of
+
+SLOPES_MM = 0.25
+"""Pitch of the images from which slopes are measured."""
+OUTLINE_PX_PER_MM = 10.0
+"""Scale at which outlines are found; between its pixels they are interpolated."""
+APART_MM = 1.0
+"""Distance of the places whose slopes are used."""
+RIM_MM = 1.2
+"""Skin nearer to the outline than this says nothing: light is lost there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenInMirrors:
+    """What the mirrors gave."""
+
+    views: Views
+    shape: MirrorShape
+    capture: Capture
+
+
+def on_mirror_shape(
+    finger: Finger, surface: SurfaceParts, seen: SeenInMirrors, settings: PipelineSettings
+) -> tuple[Finger, SurfaceParts]:
+    """The surface on the shape from mirrors, and the finger as far as the mirrors show it.
+
+    Every pixel of the front view has its own z of the shape, so that relief and shape need no other mapping. The
+    thesis's knitting adds the two; ours takes what is finer than ``shape.mirror.detail_mm`` from white light: creases,
+    and what no smooth section has.
+    """
+    camera = seen.capture.rig.camera
+    window = finger.window
+    inside = finger.wider[window]
+    z, known = seen.shape.continued(*window)
+    shape = _along_rays(z, inside, camera, window)
+    if settings.method != "thesis":
+        cut = 2.0 * np.pi * camera.pitch_mm / settings.shape.mirror.detail_mm
+        finer = crossover(
+            np.where(inside, surface.shape_mm, np.float32(0)),
+            shape,
+            lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2),
+            inside,
+        )
+        shape = np.where(inside, finer, shape)
+    facts = {**surface.facts, "shape_source": "mirror", "mirror_shape": seen.shape.facts}
+    kept = finger.mask.copy()
+    kept[window] &= known
+    require(bool(kept.any()), "the mirrors show another part of the finger than the front view; check the rig file.")
+    facts["mirror_drawing"] = drawing(seen)
+    return replace(finger, mask=kept), replace(surface, height_mm=shape + surface.ridge_mm, shape_mm=shape, facts=facts)
+
+
+def _along_rays(z: FloatArray, inside: BoolArray, camera: Camera, window: Window) -> FloatArray:
+    """Heights z (h, w) over a window's pixels, as heights along the rays that the result is made from."""
+    if camera.model == "orthographic":
+        return z
+    view = view_of(camera, *window, along_rays=True)
+    x, y = view.on_plane()
+    apex = np.float32(camera.height_mm)
+    far = np.sqrt(x * x + y * y + apex * apex) * (np.float32(1.0) - z / apex)
+    heights = apex * np.log(apex / far)
+    return np.asarray(heights - unevenness(heights, inside, camera, window), dtype=np.float32)
+
+
+def drawing(seen: SeenInMirrors) -> dict[str, Any]:
+    """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows of the image."""
+    rig = seen.capture.rig
+    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
+    scale, masks = seen.views.binning, {"front": seen.views.front, **seen.views.mirrors}
+    drawn: dict[str, Any] = {"masks": {}, "medial_lines": {}, "mirrors": {}}
+    for name, mask in masks.items():
+        found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        outline = cv2.approxPolyDP(max(found, key=cv2.contourArea), 0.7, True)[:, 0]
+        drawn["masks"][name] = np.round((outline + 0.5) * scale - 0.5, 1).tolist()
+    for name, outlines in seen.shape.outlines.items():
+        rows = outlines[0]
+        slope, offset = medial_line(rows)
+        ends = rows.along_mm[np.isfinite(rows.width_mm)][[0, -1]]
+        places = np.outer(ends, rows.axis) + np.outer(slope * ends + offset, rows.across)
+        drawn["medial_lines"][name] = np.round(pixels_of(rig.camera, np.column_stack([places, [0, 0]])), 1).tolist()
+    for mirror in rig.mirrors:
+        drawn["mirrors"][mirror.name] = np.round(mirror_outline(mirror, rig.camera), 1).tolist()
+    drawn["fitted"] = {name: np.round(line[::4], 1).tolist() for name, line in seen.shape.drawn(mirrors).items()}
+    return drawn
+
+
+def seen_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
+    """Views and shape of a capture.
+
+    Raises
+    ------
+    BadInput
+        If the rig has no mirrors, or they do not show one finger.
+    """
+    rig = capture.rig
+    require(
+        bool(rig.mirrors),
+        "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take --shape nir or "
+        "white.",
+    )
+    require(
+        settings.method != "thesis" or settings.knit.method != "none",
+        "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
+        "metric or snk.",
+    )
+    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
+    binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
+    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
+    mask = replace(
+        settings.mask,
+        fine_px_per_mm=min(settings.mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
+        coarse_px_per_mm=min(settings.mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
+    )
+    views = find_views(
+        mean,
+        rig.camera,
+        mirrors,
+        lambda image, px_per_mm: finger_mask(image, px_per_mm, mask),
+        binning,
+        settings.shape.mirror.views,
+    )
+    tip = capture.tip_direction_deg or 0.0
+    shape = mirror_shape(views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip)
+    if settings.shape.mirror.slopes and settings.shape.mirror.method == "outlines":
+        slopes = skin_slopes(capture, grey, views, shape)
+        if slopes is not None:
+            shape = mirror_shape(
+                views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip, slopes=slopes
+            )
+    return SeenInMirrors(views, shape, capture)
+
+
+def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
+    """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in the mirrors.
+
+    Parameters
+    ----------
+    capture : Capture
+    grey : (L, h, w) white images on the views' grid
+    views : Views
+    shape : a first one: it says where each light reaches the skin
+    """
+    camera = capture.rig.camera
+    pitch = camera.pitch_mm * views.binning
+    factor = max(1, round(SLOPES_MM / pitch))
+    height, width = (n // factor for n in views.front.shape)
+
+    def small(image: FloatArray) -> FloatArray:
+        cut = np.ascontiguousarray(image[: height * factor, : width * factor], dtype=np.float32)
+        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+    inside: BoolArray = np.asarray(small(views.front.astype(np.float32)) > 0.999)
+    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
+    if len(grey) < 3 or not bool((depth > RIM_MM).any()):
+        return None
+    stack = np.stack([small(image) for image in grey])
+    view = view_of(camera, binning=views.binning * factor)
+    block = factor * views.binning
+    x, y, z = shape.points(slice(0, height * block), slice(0, width * block), block)
+    inside &= np.isfinite(z)
+    surface = np.where(inside, z, np.float32(np.nanmin(z)))
+    points = np.stack([x, y, surface], axis=-1).astype(np.float64)
+    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
+    rig = with_images(
+        capture.rig.select(capture.bands["white"].leds),
+        glasses_of(shape, capture.rig),
+        points,
+        turned.astype(np.float64),
+    )
+    normals = pseudo_normals(stack, rig, surface, inside, view=view)
+    length = np.linalg.norm(normals, axis=2)
+    level = np.float32(1e-3) * np.float32(np.median(length[inside]))
+    upward = np.maximum(normals[..., 2], level)
+    known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
+    sigma = 0.5 / (pitch * factor)
+    share = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), np.float32(1e-3))
+    smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / share for k in range(2)]
+    step = max(1, round(APART_MM / (pitch * factor)))
+    chosen = np.zeros_like(inside)
+    chosen[step // 2 :: step, step // 2 :: step] = True
+    chosen &= (depth > RIM_MM) & (known > 0)
+    places = np.column_stack([x[chosen], y[chosen]]).astype(np.float64)
+    return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Glass:
+    """A mirror where it was found."""
+
+    plane: Plane
+    corners_mm: NDArray[np.float64]
+    """(K, 3) outline of its face."""
+    reflectance: float
+
+
+def glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
+    """The rig's mirrors, in the poses that the outlines gave."""
+    found = []
+    for mirror in rig.mirrors:
+        normal, offset = shape.plane(mirror)
+        corners = np.asarray(mirror.corners_mm, dtype=np.float64)
+        corners = corners - np.outer(corners @ normal - offset, normal)
+        found.append(Glass(Plane(corners.mean(axis=0), normal), corners, mirror.reflectance))
+    return tuple(found)
+
+
+def with_images(
+    rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64]
+) -> Rig:
+    """The rig whose exposures are also lit by the LEDs' images in mirrors, each where it reaches the skin.
+
+    Parameters
+    ----------
+    rig : `rig.leds[k]` lights image k
+    glasses : the mirrors
+    points_mm, normals : (h, w, 3) of the skin on a regular grid
+    """
+    leds = []
+    for exposure in rig.leds:
+        members = [replace(led, also=()) for led in (exposure, *exposure.also)]
+        lights = [_shaded(led, facing_share(points_mm, normals, led), points_mm) for led in members]
+        for glass in glasses:
+            for led in members:
+                image = led_image(led, glass.plane, glass.reflectance)
+                through = mirrored_share(points_mm, image, glass.plane, glass.corners_mm)
+                lights.append(_shaded(image, facing_share(points_mm, normals, image) * through, points_mm))
+        leds.append(replace(lights[0], also=tuple(lights[1:])))
+    return replace(rig, leds=tuple(leds))
+
+
+def _shaded(led: Led, share: FloatArray, points_mm: NDArray[np.float64]) -> Led:
+    x, y = points_mm[0, [0, -1], 0], points_mm[[0, -1], 0, 1]
+    shade = Shade((float(x[0]), float(x[1])), (float(y[0]), float(y[1])), np.ascontiguousarray(share, dtype=np.float32))
+    return replace(led, shade=shade)
