@@ -14,7 +14,7 @@ from splitknit.rig.mirror_shape import holder_depth, holder_places, mirror_front
 from splitknit.rig.part_settings import MirrorSettings, PartSettings
 from splitknit.settings import override
 from splitknit.simulate.diffusion import fresnel
-from splitknit.simulate.finger import Pose, draw_finger
+from splitknit.simulate.finger import Pose, draw_finger, finger_surface
 from splitknit.simulate.finger_shape import FingerBody
 from splitknit.simulate.lens import pixels_of_points
 from splitknit.simulate.lighting import cut_out
@@ -320,6 +320,22 @@ def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way()
     cosine = way[0] / np.linalg.norm(way)
     expected = 0.8 * 1e4 / (way @ way) * cosine * (1 - fresnel(np.array(cosine)))
     assert both - direct == pytest.approx(float(expected), rel=1e-4)
+    # a smaller mirror in the same plane, beside the way of the light
+    aside = replace(mirror, corners_mm=tuple((x, y + 80.0, z) for x, y, z in mirror.corners_mm))
+    missed = light_through(patch, lights_of(led, (aside,)), 0.3, 0.0)[0].max()
+    assert missed == pytest.approx(direct)
+
+
+def test_a_square_tip_has_no_second_body_beside_it():
+    square = draw_finger(2, print_settings=MasterPrintSettings(proximal_mm=12.0))
+    assert square.shape.tip_squareness > 0.3
+    camera = mirror_rig(MirrorViews(), 0.06).camera
+    surface = finger_surface(square, POSE, camera)
+    rows, columns = np.nonzero(surface.mask)
+    x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
+    assert np.abs(x).max() < 13.0
+    assert surface.landmarks["tip_px"][1] == pytest.approx(rows.min(), abs=1.0)
+    assert rows.min() > 0.4 * camera.image_size[0]
 
 
 def test_a_capture_has_the_drawn_mirrors_and_its_truth_the_true_ones(taken_once):

@@ -109,6 +109,11 @@ class FingerBody:
         stretch = form.rise * (c[0] * angle + bend) / np.maximum(physical, 1e-12)
         return distance, stretch * lateral, (y - forward) + stretch * forward
 
+    def encloses(self, x: Array, y: Array, z: Array) -> NDArray[np.bool_]:
+        """Whether points may belong to the finger: far beside a square tip the implicit function falls again."""
+        s = self.shape
+        return np.asarray((np.abs(x) < 0.9 * s.width_mm) & (y < s.length_mm + 0.3 * s.tip_length_mm))
+
     def top(self, x: Array, y: Array) -> Array:
         """Return z of the palmar skin over (x, y) of an unskewed section frame; NaN beside the finger."""
         form = self._sections(y)

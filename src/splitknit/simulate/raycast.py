@@ -100,6 +100,7 @@ def cast_rays(
     z_shape, hit = _meet_body(body, placement, rays, start)
     if bottom is not None and not hit.all():
         _meet_along(body, placement, rays, (start, bottom), (z_shape, hit))
+    hit &= body.encloses(*placement.to_finger(*rays.at(z_shape)))
     index = np.nonzero(hit)[0]
     rays, z_shape = rays.some(index), z_shape[index]
     _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(*rays.at(z_shape)))
