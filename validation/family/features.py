@@ -185,6 +185,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--case", default="kumar")
     parser.add_argument("--part", choices=tuple(PARTS), action="append")
     parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--replicates", type=int, default=1000)
     options = parser.parse_args(arguments)
     parts = options.part or list(PARTS)
     folder = options.work / options.case
@@ -201,7 +202,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     known = json.loads(options.out.read_text()) if options.out.is_file() else {}
     for part in parts:
-        known.setdefault(options.case, {})[part] = report(folder, part)
+        known.setdefault(options.case, {})[part] = report(folder, part, options.replicates)
         options.out.write_text(json.dumps(known, indent=1) + "\n")
         print(json.dumps(known[options.case][part]["methods"], indent=1))
     return 0
