@@ -93,7 +93,7 @@ class PreparedMinutiae3D(Framed):
         round_ = 2 * np.pi / angle
         scaled[:, 1:] %= round_
         scaled[:, 1:][scaled[:, 1:] >= round_] = 0.0
-        return cKDTree(scaled, boxsize=[1e6, round_, round_])
+        return cKDTree(scaled, boxsize=np.array([1e6, round_, round_]))
 
 
 def minutiae3d_match(

@@ -83,7 +83,8 @@ class PreparedTetrahedra(Framed):
         others = near[:, triples].reshape(-1, 3)
         corners = np.column_stack([np.repeat(np.arange(len(places)), len(triples)), others])
         least = np.stack([apart2[corners[:, i], corners[:, j]] for i, j in _EDGES]).min(axis=0)
-        return corners[least >= self.settings.edge_mm**2]
+        kept: Index = corners[least >= self.settings.edge_mm**2]
+        return kept
 
     @cached_property
     def edges(self) -> Array:
