@@ -18,10 +18,11 @@ def add_print(verbs: Any) -> None:
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the print into")
     verb.add_argument(
         "--method",
-        choices=("relief", "unroll", "curvature", "photo"),
+        choices=("relief", "unroll", "curvature", "photo", "rolled"),
         default="unroll",
         help="unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's); "
-        "curvature: the shape index; photo: the photograph (needs a capture)",
+        "curvature: the shape index; photo: the photograph (needs a capture); rolled: around the finger, by front "
+        "and its mirrors (needs a capture with mirrors)",
     )
     verb.add_argument(
         "--surface",
@@ -69,6 +70,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
         f"Print ({facts['method']}) of {columns} x {rows} pixels at {facts['ppi']:g} ppi, {where}: "
         f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart.",
     ]
+    if "rolled" in facts:
+        lines.append(_rolled_words(facts["rolled"]))
     if "distortion" in facts:
         figures = facts["distortion"]
         lines.append(
@@ -83,6 +86,14 @@ def _words(facts: dict[str, Any]) -> list[str]:
     lines += _quality_words(facts["quality"])
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines
+
+
+def _rolled_words(rolled: dict[str, Any]) -> str:
+    steps = [seam["step_rms_um"] for seam in rolled["seams"].values() if seam["step_rms_um"] is not None]
+    words = (
+        f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger, from {len(rolled['views'])} views"
+    )
+    return words + (f"; seams step by {max(steps):.1f} um at most (rms)." if steps else ".")
 
 
 def _quality_words(quality: dict[str, Any]) -> list[str]:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from splitknit.apps.printing_files import distortion_picture, map_arrays, write_minutiae
 from splitknit.apps.printing_quality import nfiq2_of, quality_facts
+from splitknit.apps.printing_rolled import KINDS as ROLLED_KINDS
+from splitknit.apps.printing_rolled import laid_flat, read_rolled, write_rolled
 from splitknit.apps.printing_sources import Source, read_source
 from splitknit.check import BadInput, require
 from splitknit.flatten import (
@@ -43,10 +45,12 @@ from splitknit.flatten import (
 )
 from splitknit.flatten.unroll import KINDS
 from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
+from splitknit.recipe.rolled import Rolled
+from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.settings import override
 from splitknit.types import FloatArray
 
-METHODS = ("relief", "unroll", "curvature", "photo")
+METHODS = ("relief", "unroll", "curvature", "photo", "rolled")
 SURFACES = ("plane", *KINDS)
 RESOLUTIONS = (500.0, 1000.0)
 Progress = Callable[[str, float], None]
@@ -66,6 +70,8 @@ class PrintingSettings:
     gabor: GaborSettings = field(default_factory=GaborSettings)
     stft: StftSettings = field(default_factory=StftSettings)
     quality: PrintQualitySettings = field(default_factory=PrintQualitySettings)
+    rolled: RolledSettings = field(default_factory=RolledSettings)
+    """Of ``rolled``: how the views of a capture with mirrors become one finger."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +113,7 @@ def make_print(
         If the source lacks what is needed, or there are no ridges.
     """
     settings = settings or PrintingSettings()
+    require(method != "rolled", "a rolled print is made from a capture with mirrors: make_rolled_print.")
     place = checked_surface(method, surface, settings)
     inks = replace(settings.ink, ppi=ppi)
     unrolled: Unrolled | None = None
@@ -134,6 +141,20 @@ def make_print(
     return Print(image, weight, print_map, inked, method != "photo", unrolled)
 
 
+def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, settings: PrintingSettings) -> Print:
+    """Make a print of a finger around its front.
+
+    Raises
+    ------
+    BadInput
+        If there are no ridges or too little skin.
+    """
+    unrolled, print_map = laid_flat(rolled, kind, ppi, settings.unroll)
+    inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)
+    image = ink(inked, weight, replace(settings.ink, ppi=ppi))
+    return Print(image, weight, print_map, inked, True, unrolled)
+
+
 def checked_surface(method: str, surface: str | None, settings: PrintingSettings) -> str:
     """Where a print is made; refuses what does not go together.
 
@@ -144,6 +165,10 @@ def checked_surface(method: str, surface: str | None, settings: PrintingSettings
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(surface is None or surface in SURFACES, f"surface must be one of {', '.join(SURFACES)}, not '{surface}'.")
+    if method == "rolled":
+        kind = surface or (settings.unroll.kind if settings.unroll.kind in ROLLED_KINDS else "free")
+        require(kind in ROLLED_KINDS, f"a rolled finger is laid flat {' or '.join(ROLLED_KINDS)}, not on the {kind}.")
+        return kind
     if surface is None:
         return settings.unroll.kind if method == "unroll" else "plane"
     require(
@@ -193,14 +218,17 @@ def print_to_folder(
     place = checked_surface(method, surface, settings)
     require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
     require(out.resolve() != path.resolve(), f"'{out}' is the input; name another folder.")
-    photo = method == "photo"
     with atomic_folder(out) as target:
-        source = read_source(path, photo=photo, surface=not photo or place != "plane", preset=preset, progress=tell)
+        source, around = _read(path, method, place, preset, settings, tell)
         timings = {"reading": time.perf_counter() - started}
         tell("printing", 0.75)
         try:
             clock = time.perf_counter()
-            made = make_print(source, method, place, ppi, settings)
+            made = (
+                make_print(source, method, place, ppi, settings)
+                if around is None
+                else make_rolled_print(around, source, place, ppi, settings)
+            )
             timings["printing"] = time.perf_counter() - clock
             tell("enhancing", 0.85)
             clock = time.perf_counter()
@@ -211,7 +239,7 @@ def print_to_folder(
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
         tell("writing", 0.92)
-        origin = provenance({"method": method, "surface": place, "ppi": ppi, **asdict(settings)}, source.hashes)
+        origin = provenance({**_parameters(method, settings), "surface": place, "ppi": ppi}, source.hashes)
         texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
         pictures = {
             "print.png": made.image,
@@ -227,17 +255,14 @@ def print_to_folder(
             "surface": place,
             "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
             "ppi": ppi,
-            "size": list(made.image.shape),
-            "mirrored": True,
-            "ridges": "dark",
             "enhanced": settings.enhance,
-            "ridge_period_mm": _periods(enhanced, ppi),
-            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
-            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+            **_sizes(made, enhanced, ppi),
         }
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion.figures()
             write_image(target / "distortion.png", distortion_picture(made.map, made.unrolled))
+        if around is not None:
+            facts["rolled"] = write_rolled(target, around)
         clock = time.perf_counter()
         quality = measured(made, enhanced, ppi, settings)
         timings["quality"] = time.perf_counter() - clock
@@ -253,6 +278,36 @@ def print_to_folder(
             stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
     tell("done", 1.0)
     return {**facts, "out": str(out)}
+
+
+def _read(  # noqa: PLR0917
+    path: Path, method: str, place: str, preset: str, settings: PrintingSettings, tell: Progress
+) -> tuple[Source, Rolled | None]:  # fmt: skip
+    """What the print is made from, and the finger around its front where the print is rolled."""
+    if method == "rolled":
+        return read_rolled(path, preset, settings.rolled, tell)
+    photo = method == "photo"
+    surface = not photo or place != "plane"
+    return read_source(path, photo=photo, surface=surface, preset=preset, progress=tell), None
+
+
+def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:
+    """What a print follows from; the rolled finger's settings only where it is one."""
+    found = {"method": method, **asdict(settings)}
+    if method != "rolled":
+        found.pop("rolled")
+    return found
+
+
+def _sizes(made: Print, enhanced: Enhanced, ppi: float) -> dict[str, Any]:
+    return {
+        "size": list(made.image.shape),
+        "mirrored": True,
+        "ridges": "dark",
+        "ridge_period_mm": _periods(enhanced, ppi),
+        "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+        "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+    }
 
 
 def _needed(values: FloatArray | None) -> FloatArray:

@@ -21,6 +21,7 @@ from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.provenance import JsonValue
 from splitknit.recipe.space_minutiae import in_space
+from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]
 AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
@@ -69,7 +70,7 @@ def write_minutiae(  # noqa: PLR0917
         "count": len(found.x_px),
         "finger": finger,
     }
-    if source.height_mm is not None:
+    if source.height_mm is not None or source.points_mm is not None:
         scale = print_map.ppi / 500.0
         places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
         space = minutiae_in_space(places, found.direction_rad, print_map, source)
@@ -87,11 +88,36 @@ def minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap,
 
     NaN where the print shows nothing, or the surface is not known.
     """
+    if source.points_mm is not None:
+        return _on_chart(
+            source.points_mm,
+            print_map.input_from_print(places),
+            print_map.directions_in_input(places, directions_rad),
+        )
     assert source.height_mm is not None
     points = None if source.x_mm is None or source.y_mm is None else (source.x_mm, source.y_mm)
     return in_space(
         places, directions_rad, print_map, source.height_mm, source.pitch_mm, source.input_from_upright, points
     )
+
+
+def _on_chart(points_mm: FloatArray, there: Array, ahead: Array) -> Array:
+    """(N, 6) points and directions of places (N, 2) of a chart (H, W, 3), heading `ahead` (N,) on it."""
+    step = np.stack([np.cos(ahead), -np.sin(ahead)], axis=1)  # rows run downwards
+    here, before, after = (_read(points_mm, at) for at in (there, there - step, there + step))
+    return np.column_stack([here, after - before])
+
+
+def _read(points_mm: FloatArray, places: Array) -> Array:
+    """(N, 3) bilinear values of (H, W, 3) at places (N, 2; column, row); NaN outside and beside NaN."""
+    if len(places) == 0:
+        return np.zeros((0, 3))
+    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
+    nan = float("nan")
+    values = cv2.remap(
+        points_mm, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(nan, nan, nan)
+    )
+    return np.asarray(values[:, 0], dtype=np.float64)
 
 
 def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:

@@ -42,6 +42,8 @@ class Source:
     y_mm: FloatArray | None = None
     photo: FloatArray | None = None
     """(H, W) light of the skin, ridges bright; captures only."""
+    points_mm: FloatArray | None = None
+    """(H, W, 3) of the skin, upright, NaN where not known: given where the pixels are no picture's but a chart's."""
     preset: str | None = None
     hashes: Mapping[str, str] = field(default_factory=dict)
     subject: Mapping[str, Any] = field(default_factory=dict)

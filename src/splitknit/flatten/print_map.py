@@ -111,9 +111,11 @@ def plane_map(
 
 
 def unrolled_map(
-    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float = 70.0, margin_mm: float = 0.5
+    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = 70.0, margin_mm: float = 0.5
 ) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
+
+    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger.
 
     Raises
     ------
@@ -123,7 +125,7 @@ def unrolled_map(
     _check_scale(unrolled.grid.pitch_mm, ppi)
     px_per_mm = ppi / MM_PER_INCH
     flat, grid = unrolled.flat_mm, unrolled.grid
-    facing = grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
+    facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
     require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
     used = flat[facing]
     low, high = used.min(axis=0) - margin_mm, used.max(axis=0) + margin_mm
@@ -150,7 +152,7 @@ def _check_scale(pitch_mm: float, ppi: float) -> None:
 
 
 def _dense_inverse(
-    print_of_grid: Array, grid: SurfaceGrid, size: tuple[int, int], step: float, slant_deg: float
+    print_of_grid: Array, grid: SurfaceGrid, size: tuple[int, int], step: float, slant_deg: float | None
 ) -> tuple[FloatArray, FloatArray]:
     """Columns and rows of the input for every pixel of the print."""
     lines = [np.arange(-2, int(np.ceil((n - 1) / step)) + 3) * step for n in size]
@@ -171,9 +173,10 @@ def _dense_inverse(
     down, across = (weights(np.arange(n) / step + 2.0, len(line)) for n, line in zip(size, lines, strict=True))
     columns, rows = (down @ input_of_coarse[..., d].astype(np.float32) @ across.T for d in range(2))
     trusted = linear(np.asarray(found, dtype=np.float32), size, step) > 0.999
-    column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
-    cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    trusted &= linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
+    if slant_deg is not None:
+        column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
+        cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        trusted &= linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
     return (
         np.where(trusted, columns, np.float32(NOWHERE)).astype(np.float32),
         np.where(trusted, rows, np.float32(NOWHERE)).astype(np.float32),

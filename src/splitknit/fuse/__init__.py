@@ -2,7 +2,7 @@
 
 from splitknit.fuse.blend import Blended, BlendSettings, blend, coverage_deg, seam_lines, seam_steps, view_weight
 from splitknit.fuse.body import Body, body_from_outlines, outline
-from splitknit.fuse.chart import Chart, chart_over, read, surface_normals
+from splitknit.fuse.chart import Chart, chart_over, read, sampled, surface_normals
 from splitknit.fuse.disparity import Disparity, DisparitySettings, disparity, ridge_band
 from splitknit.fuse.light import facing_share, mirrored_share, reflected_corners
 from splitknit.fuse.reflection import Plane, led_image, plane_of, reflect_points, reflect_vectors
@@ -36,6 +36,7 @@ __all__ = [
     "reflect_vectors",
     "reflected_corners",
     "ridge_band",
+    "sampled",
     "seam_lines",
     "seam_steps",
     "shifts_by",

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 
 from splitknit.check import require
 from splitknit.types import FloatArray
@@ -116,6 +117,14 @@ def surface_normals(points_mm: Array) -> Array:
     normal = np.cross(right, -down)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.asarray(np.nan_to_num(normal / np.maximum(length, 1e-12)))
+
+
+def sampled(chart: Chart, radius_mm: Array, other: Chart) -> Array:
+    """(n, m) a surface of one chart on the rays of another with the same axis; held beyond the first's ends."""
+    spline = RectBivariateSpline(-chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3)
+    low, high = chart.length_mm[-1], chart.length_mm[0]
+    rows = -np.clip(other.length_mm, low, high)
+    return np.asarray(spline(rows, np.clip(other.angle_rad, chart.angle_rad[0], chart.angle_rad[-1])))
 
 
 def read(

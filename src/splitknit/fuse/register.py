@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 KNOT_MM = 2.0
 """Distance of the knots of the correction of the surface."""
-POSE_PRIOR = (0.004, 0.004, 0.06)
+POSE_PRIOR = (0.01, 0.01, 0.2)
 """Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
 DEPTH_PRIOR_MM = 2.0
 """Standard deviation of the surface against where it is taken to be."""

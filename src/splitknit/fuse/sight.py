@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from splitknit.fuse.chart import Chart, read
+from splitknit.fuse.chart import Chart
 from splitknit.fuse.reflection import Plane, reflect_points, reflect_vectors
 from splitknit.types import Camera, FloatArray
 
@@ -77,7 +78,7 @@ def heights(sight: Sight, chart: Chart, radius_mm: Any, x_mm: Array, y_mm: Array
         column, row = chart.places(angle, length)
         last_row, last_column = chart.shape[0] - 1, chart.shape[1] - 1
         there = (column >= 0) & (column <= last_column) & (row <= last_row)
-        met = read(surface, column, row, held=True)
+        met = ndimage.map_coordinates(surface, [row, column], order=1, mode="nearest")
         return np.nan_to_num(distance - met, nan=1e3), there
 
     low, high = (

@@ -22,6 +22,7 @@ from splitknit.fuse import (
     disparity,
     read,
     ridge_band,
+    sampled,
     surface_normals,
     view_weight,
     warp_field,
@@ -120,10 +121,7 @@ class _Work:
         return chart_over(whole.centre_mm, whole.axes, around, lengths, whole.cap_mm, pitch_mm, half)
 
     def radius_on(self, chart: Chart) -> Array:
-        angle, length = np.broadcast_arrays(chart.angle_rad[None, :], chart.length_mm[:, None])
-        column, row = self.shape.chart.places(angle, length)
-        field = read(self.shape.radius_mm.astype(np.float32), column, row, cubic=True, held=True)
-        return np.asarray(field, dtype=np.float64)
+        return sampled(self.shape.chart, self.shape.radius_mm, chart)
 
     def seen(self, name: str, points: Array, normals: Array) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Relief, deviation and weight-giving cosine of a view at points; and where it shows them."""
@@ -162,12 +160,10 @@ class _Work:
 
     def apply(self, step: Correction, chart: Chart) -> None:
         whole = self.shape.chart
-        angle, length = np.broadcast_arrays(whole.angle_rad[None, :], whole.length_mm[:, None])
-        column, row = chart.places(angle, length)
-        columns = chart.shape[1] - 1
-        added = read(step.radius_mm.astype(np.float32), column, row, held=True)
-        beyond = np.maximum(np.maximum(-column, column - columns), 0) / (30.0 / 360.0 * columns)
-        self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + added * np.exp(-0.5 * beyond**2))
+        around = float(chart.angle_rad[-1])
+        beyond = np.maximum(np.abs(whole.angle_rad) - around, 0.0) / np.deg2rad(30.0)
+        added = sampled(chart, step.radius_mm, whole) * np.exp(-0.5 * beyond**2)
+        self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + added)
         for name, (first, second, shift) in step.poses.items():
             glass = self.glasses[name]
             self.glasses[name] = replace(glass, plane=glass.plane.moved((first, second), shift))
@@ -253,12 +249,23 @@ def _fused(work: _Work) -> Rolled:
 
 def _warps(work: _Work, chart: Chart) -> dict[str, FloatArray]:
     """(n, m, 2) of each mirror: columns and rows by which its ridges still lie further than the front's."""
+    chosen = work.rolled
     coarse = work.chart(COARSE_PITCH_MM)
-    found = work.compare(coarse, work.radius_on(coarse), work.rolled.last_window_mm, work.rolled.last_reach_mm)
-    warps = {}
+    points = coarse.points(work.radius_on(coarse))
+    normals = surface_normals(points)
+    pitch = coarse.pitch_mm
+    column, row = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in coarse.shape[::-1]))
+    first, _, _, there = work.seen("front", points, normals)
+    first = ridge_band(first, there, pitch)
     scale = (chart.shape[1] - 1) / (coarse.shape[1] - 1), (chart.shape[0] - 1) / (coarse.shape[0] - 1)
-    for name, one in found.items():
-        field = warp_field(one, coarse.shape, coarse.pitch_mm)
+    warps = {}
+    for name in work.glasses:
+        field = np.zeros((*coarse.shape, 2), dtype=np.float32)
+        for window, reach, smooth in chosen.elastic_steps_mm:
+            second, _, _, known = work.seen(name, _moved(points, column, row, field), normals)
+            second = ridge_band(second, known, pitch)
+            found = disparity(first, second, there & known, pitch, reach, replace(chosen.disparity, window_mm=window))
+            field += warp_field(found, coarse.shape, pitch, smooth)
         large = cv2.resize(field, chart.shape[::-1], interpolation=cv2.INTER_LINEAR)
         warps[name] = np.asarray(large * np.array(scale, dtype=np.float32), dtype=np.float32)
     return warps

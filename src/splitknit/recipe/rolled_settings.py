@@ -18,13 +18,13 @@ class RolledSettings:
     """Of the chart: finer than what the camera resolves."""
     exponent: float = 2.3
     """Of the finger's sections before its ridges tell more: 2 is an ellipse, more is squarer."""
-    windows_mm: tuple[float, ...] = (5.0, 4.0)
+    windows_mm: tuple[float, ...] = (5.0, 5.0, 4.0)
     """Squares that are compared in each turn of the registration."""
-    reaches_mm: tuple[float, ...] = (1.6, 0.8)
+    reaches_mm: tuple[float, ...] = (1.6, 1.0, 0.6)
     """How far apart ridges are looked for in each turn."""
-    last_window_mm: float = 3.0
-    """The same for the warp at the end, which takes up what is left."""
-    last_reach_mm: float = 0.4
+    elastic_steps_mm: tuple[tuple[float, float, float], ...] = ((4.0, 0.8, 2.0), (2.5, 0.4, 1.2))
+    """Of the warp at the end, which takes up what is left: squares, reach, and the standard deviation over which the
+    shifts are smoothed, step by step."""
     turns: int = 1
     """How often the views' ridges are found on the surface as it is known by then."""
     poses_free: bool = True
