@@ -13,7 +13,7 @@ from typing import Any
 
 from splitknit.check import BadInput, require
 from splitknit.recipe.coloured import as_lit
-from splitknit.recipe.finger import find_finger, finger_key
+from splitknit.recipe.finger import finger_key
 from splitknit.recipe.memory import Memory
 from splitknit.recipe.mirrors import on_mirror_shape, seen_in_mirrors
 from splitknit.recipe.presets import PRESETS, PipelineSettings
@@ -21,6 +21,7 @@ from splitknit.recipe.rays import as_modelled
 from splitknit.recipe.result import assemble
 from splitknit.recipe.settings_document import settings_document
 from splitknit.recipe.skin import metric_skin
+from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.recipe.surfaces import metric_opaque, thesis
 from splitknit.settings import override
@@ -83,7 +84,7 @@ def reconstruct(
     memory.check(capture)
     capture, notes = as_lit(as_modelled(capture, chosen), chosen)
     watch = Stopwatch(progress)
-    finger = memory(finger_key(chosen), partial(find_finger, capture, chosen, watch))
+    capture, finger = memory(finger_key(chosen), partial(find_steady_finger, capture, chosen, watch))
     mirrors = None
     if chosen.shape.source == "mirror":
         with watch("finger"):

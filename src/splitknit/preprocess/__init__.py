@@ -11,8 +11,11 @@ from splitknit.preprocess.orientation import OrientationSettings, Upright, find_
 from splitknit.preprocess.phalange import Crease, CreaseSettings, find_crease, phalange_mask
 from splitknit.preprocess.photometric import PhotometricMaskSettings, photometric_mask
 from splitknit.preprocess.quality import QualitySettings, capture_quality, quality_warnings
+from splitknit.preprocess.registration import Registration, RegistrationSettings, register_shots, without_glare
+from splitknit.preprocess.registration_band import BandRegistration, Seen, register_band
 
 __all__ = [
+    "BandRegistration",
     "ClaheSettings",
     "Crease",
     "CreaseSettings",
@@ -21,6 +24,9 @@ __all__ = [
     "OrientationSettings",
     "PhotometricMaskSettings",
     "QualitySettings",
+    "Registration",
+    "RegistrationSettings",
+    "Seen",
     "ShotMotion",
     "Upright",
     "capture_quality",
@@ -33,6 +39,9 @@ __all__ = [
     "phalange_mask",
     "photometric_mask",
     "quality_warnings",
+    "register_band",
+    "register_shots",
     "shot_motion",
     "touched_borders",
+    "without_glare",
 ]

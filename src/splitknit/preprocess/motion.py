@@ -1,4 +1,4 @@
-"""Whether the finger moved between the shots. Measured and warned of; nothing is shifted.
+"""Whether the finger moved between the shots. Measured and warned of; :mod:`.registration` undoes it.
 
 On copies of at most 10 px/mm, coarser for the coarse bands. Shots differ in illumination, and a moving light looks like
 a moving finger: a ridge lit from the left seems shifted against the same ridge lit from the right by up to a tenth of a
@@ -7,7 +7,7 @@ millimetre. That apparent shift follows the light's direction, so it is fitted a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -15,12 +15,24 @@ from numpy.typing import NDArray
 
 from splitknit.check import check_mask, check_stack, require
 from splitknit.preprocess.regions import blur, bounding_box, dilate, reduce_image, reduce_mask, reduction
+from splitknit.preprocess.registration import RegistrationSettings
 from splitknit.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
-    """How motion between shots is measured."""
+    """How motion between shots is measured, and undone."""
+
+    correct: str = "auto"
+    """``auto``: motion of at least `correct_mm` is undone; ``on``: always; ``off``: it is measured and warned of."""
+    correct_mm: float = 0.02
+    """Motion from here on is undone. Still fingers of the twin show at most 0.014 mm."""
+    most_mm: float = 0.8
+    """More motion is refused: ridges may be taken for their neighbours."""
+    most_left: float = 0.35
+    """Share of the details that may be left over, where the shots do not fit together, before they are refused."""
+    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    """How the shots are brought onto one of them."""
 
     working_px_per_mm: float = 10.0
     """Scale of the copies that are compared in the finest band."""
@@ -38,7 +50,8 @@ class MotionSettings:
     """Motion of a shot with less reliability than this is not believed."""
 
     def __post_init__(self) -> None:
-        for name in ("working_px_per_mm", "warn_mm"):
+        require(self.correct in ("auto", "on", "off"), f"motion.correct must be auto, on or off, not '{self.correct}'.")
+        for name in ("working_px_per_mm", "warn_mm", "correct_mm", "most_mm", "most_left"):
             require(getattr(self, name) > 0, f"motion.{name} must be positive.")
         require(len(self.bands_mm) > 0 and min(self.bands_mm) > 0, "motion.bands_mm must be positive numbers.")
         require(self.band_ratio > 1, "motion.band_ratio must be above 1.")

@@ -170,6 +170,7 @@ def _quality(  # noqa: PLR0917
         if len(stack) >= 4:
             motion = shot_motion(stack, outline, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
+            found["motion_reliability"] = [float(v) for v in motion.reliability]
             words += motion_warnings(motion, settings.motion)
         if "radiometry" in capture.rig.provenance and len(stack) >= 5:
             drift, said = _drift(capture, band, stack, lights, outline)

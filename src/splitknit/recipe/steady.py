@@ -1,0 +1,212 @@
+"""A finger that moved between the shots, undone: every image brought onto the middle shot of the white band."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+from splitknit.preprocess import Seen, register_band, register_shots, without_glare
+from splitknit.preprocess.registration_flow import Flow
+from splitknit.radiance import has_colour, linear_channels, linear_stack
+from splitknit.recipe.finger import SURVEY_PX_PER_MM, Finger, find_finger
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.types import Band, Capture, FloatArray
+
+MARGIN_MM = 2.0
+"""Beyond the finger, images are left as they are."""
+HELPS = 0.8
+"""Undoing motion must bring what no surface explains below this share of what it was."""
+
+
+def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) -> tuple[Capture, Finger]:
+    """Find the finger; where it moved between the shots, undo that first.
+
+    Returns
+    -------
+    capture : Capture
+        The one that was given, the same object, where the finger lay still; else one whose images are resampled, once,
+        onto the pixels of the reference shot (the middle one of the white band), which is left as it is.
+    finger : Finger
+        Its facts tell the motion.
+
+    Raises
+    ------
+    BadInput
+        If there is no finger, or it moved by more than can be undone.
+    """
+    finger = find_finger(capture, settings, watch)
+    motion = settings.motion
+    seen_mm = _seen_mm(finger, settings)
+    wanted = motion.correct == "on" or (motion.correct == "auto" and seen_mm >= motion.correct_mm)
+    enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 3
+    if not wanted or not enough:
+        return capture, finger
+    with watch("finger"):
+        registered = _register(capture, finger, settings)
+        if motion.correct == "auto" and not _worth_it(registered, seen_mm, settings):
+            return capture, finger
+        _check(registered, settings)
+        steadied = _resampled(capture, finger, registered)
+    again = find_finger(steadied, settings, watch)
+    facts = {**again.facts, "motion": registered.facts}
+    note = (
+        f"the finger moved by {registered.most_mm:.2f} mm between the shots; that was undone, and the images resampled."
+    )
+    return steadied, replace(again, facts=facts, warnings=(note, *again.warnings))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Registered:
+    """Motion of every band."""
+
+    flows: dict[str, Flow]
+    most_mm: float
+    """Largest shift of a shot against the reference, mean over the finger."""
+    before: float
+    """Share of the details that no surface explains: rms over the white shots, as they are."""
+    after: float
+    """The same with the motion undone."""
+    facts: dict[str, Any]
+
+
+def _seen_mm(finger: Finger, settings: PipelineSettings) -> float:
+    """Largest motion that the measurement between the shots believes in."""
+    found = [0.0]
+    for figures in finger.quality.values():
+        believed = np.asarray(figures.get("motion_reliability", [])) >= settings.motion.least_reliability
+        found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[believed]]
+    return max(found)
+
+
+def _register(capture: Capture, finger: Finger, settings: PipelineSettings) -> _Registered:
+    """Registration of the white band, of the others to it, and what a report says of them."""
+    px_per_mm = capture.rig.camera.px_per_mm
+    binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
+    px = px_per_mm / binning
+    white = capture.bands["white"]
+    grey = linear_stack(white, capture.encoding, "grey", binning=binning)
+    mask = _reduced(finger.wider, grey.shape[1:])
+    skin = grey
+    if has_colour(white) and capture.material == "skin":
+        skin = without_glare(linear_channels(white, capture.encoding, ("red", "green", "blue"), binning=binning))
+    lights = capture.rig.select(white.lights).light_vectors()
+    shots = _shots(white)
+    reference = len(white.pixels) // 2
+    method = settings.motion.registration
+    found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
+    flows = {"white": found.flow}
+    facts: dict[str, Any] = {"reference": f"white {reference}", "white": _told(found.flow, mask, px)}
+    facts["white"] |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
+    for name, band in capture.bands.items():
+        if name == "white" or band.colours:
+            continue
+        stack = linear_stack(band, capture.encoding, "grey", binning=binning)
+        vectors = capture.rig.select(band.leds).light_vectors()
+        other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
+        flows[name] = other.flow
+        facts[name] = _told(other.flow, mask, px)
+        facts[name] |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
+    most = max(max(facts[name]["moved_mm"]) for name in flows)
+    return _Registered(flows, most, _rms(found.before), _rms(found.after), facts)
+
+
+def _worth_it(registered: _Registered, seen_mm: float, settings: PipelineSettings) -> bool:
+    """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
+    motion = settings.motion
+    if registered.most_mm < motion.correct_mm:
+        return False
+    if registered.after > motion.most_left:  # no skin, or shots that do not fit together
+        return seen_mm >= motion.warn_mm
+    return registered.after < HELPS * registered.before
+
+
+def _check(registered: _Registered, settings: PipelineSettings) -> None:
+    """Refuse motion that cannot be undone."""
+    motion = settings.motion
+    require(
+        registered.most_mm <= motion.most_mm,
+        f"the finger moved by {registered.most_mm:.2f} mm between the shots, and at most {motion.most_mm:g} mm can be "
+        "undone; rest the finger on its support and capture again.",
+    )
+    if registered.after > motion.most_left:
+        raise BadInput(
+            f"the shots do not fit together: {100 * registered.after:.0f} % of their details are left over when "
+            f"the motion between them is undone, and at most {100 * motion.most_left:.0f} % may be; rest the finger on "
+            "its support and capture again, or set motion.correct=off."
+        )
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _shots(band: Band) -> NDArray[np.intp]:
+    """Photograph of every image of the band's stack: coloured LEDs share one."""
+    if not band.colours:
+        return np.arange(len(band.pixels))
+    return np.repeat(np.arange(len(band.pixels)), [len(set(names)) for names in band.colours])
+
+
+def _told(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
+    """Mean shift (x right, y up) and turn of every shot, for a report."""
+    rows, columns = np.nonzero(mask)
+    stride = max(1, len(rows) // 4000)
+    x, y = columns[::stride] / px_per_mm, rows[::stride] / px_per_mm
+    shifts = flow.at(x, y)
+    mean = shifts.mean(axis=2)
+    across, down = x - x.mean(), y - y.mean()
+    turn = (shifts[:, 0] * down - shifts[:, 1] * across).sum(axis=1) / (across**2 + down**2).sum()
+    return {
+        "moved_mm": _plain(np.hypot(mean[:, 0], mean[:, 1])),
+        "shift_mm": [[float(a), float(-b)] for a, b in mean],
+        "turn_deg": _plain(np.rad2deg(turn)),
+        "centre_mm": [float(x.mean()), float(y.mean())],
+    }
+
+
+def _plain(values: NDArray[np.float64]) -> list[float]:
+    return [round(float(v), 5) for v in values]
+
+
+def _reduced(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
+    return np.asarray(small)
+
+
+def _resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capture:
+    """The capture with every image taken from where its skin is, once, in the values that are stored."""
+    px_per_mm = capture.rig.camera.px_per_mm
+    margin = round(MARGIN_MM * px_per_mm)
+    window = (
+        slice(max(0, finger.window[0].start - margin), finger.window[0].stop + margin),
+        slice(max(0, finger.window[1].start - margin), finger.window[1].stop + margin),
+    )
+    rows, columns = (slice(*part.indices(n)) for part, n in zip(window, capture.shape, strict=True))
+    bands = dict(capture.bands)
+    for name, flow in registered.flows.items():
+        band = bands[name]
+        pixels = band.pixels.copy()
+
+        def one(k: int, pixels: Any = pixels, band: Band = band, flow: Flow = flow) -> None:
+            if not flow.nodes_mm[k].any():
+                return
+            across, down = flow.maps(k, px_per_mm, (rows, columns))
+            moved = _taken(band.pixels[k], across, down)
+            pixels[k, rows, columns] = moved.reshape(moved.shape[0], moved.shape[1], -1)
+
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(one, range(len(pixels))))
+        bands[name] = replace(band, pixels=pixels)
+    return replace(capture, bands=bands)
+
+
+def _taken(image: NDArray[Any], columns: FloatArray, rows: FloatArray) -> NDArray[Any]:
+    """Values at places in an image, by cubic interpolation."""
+    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))

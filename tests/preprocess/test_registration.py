@@ -1,0 +1,210 @@
+"""Shots of a moving finger: shifts and turns are found under lights that change, and none where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.preprocess import RegistrationSettings, Seen, register_band, register_shots, without_glare
+from splitknit.preprocess.registration_flow import finger_family, places_of, still
+
+PX = 14.0
+QUICK = RegistrationSettings(iterations=8)
+SHIFTS = {0: (0.31, -0.12), 1: (0.2, 0.1), 2: (-0.06, 0.0), 4: (0.03, 0.15), 5: (0.12, -0.24), 6: (-0.4, 0.2)}
+TURNS_DEG = {0: 0.4, 1: 0.0, 2: -0.2, 4: 0.3, 5: -0.5, 6: 0.1}
+
+
+def moved(image, shift_mm, turn_deg, centre):
+    """The image of skin that turned about `centre` (columns, rows) and shifted (right, down)."""
+    matrix = cv2.getRotationMatrix2D(centre, turn_deg, 1.0)
+    matrix[:, 2] += np.asarray(shift_mm) * PX
+    size = (image.shape[1], image.shape[0])
+    return cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def expected(points, shift_mm, turn_deg, centre):
+    """(2, N) shifts in mm of points (2, N) in mm."""
+    angle = -np.deg2rad(turn_deg)
+    x, y = points - np.asarray(centre)[:, None] / PX
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ np.stack([x, y])
+    return turned - np.stack([x, y]) + np.asarray(shift_mm)[:, None]
+
+
+@dataclass(frozen=True)
+class Ridged:
+    stack: np.ndarray
+    mask: np.ndarray
+    lights: np.ndarray
+
+
+def ridged(depth_mm=0.03, tone=0.02, first_light=0.0, seed=0):
+    """A matt finger with ridges of `depth_mm` and a pattern of `tone` on them under seven lights on a ring."""
+    rng = np.random.default_rng(seed)
+    height, width = round(24 * PX), round(19 * PX)
+    x = (np.arange(width) - (width - 1) / 2)[None, :] / PX
+    y = ((height - 1) / 2 - np.arange(height))[:, None] / PX
+    inside = (x / 8.0) ** 2 + (np.maximum(y + 1.0, 0) / 11.0) ** 2 < 1.0
+    body = 6.0 * np.sqrt(np.clip(1.0 - (x / 8.0) ** 2 - (np.maximum(y + 1.0, 0) / 11.0) ** 2, 0.0, 1.0))
+    wave = np.sin(2 * np.pi * np.hypot(x - 1.0, y + 3.0) / 0.5)
+    down, right = np.gradient(np.where(inside, body + 0.5 * depth_mm * wave, 0.0), 1.0 / PX)
+    norm = np.sqrt(1.0 + right**2 + down**2)
+    angles = first_light + 2 * np.pi * np.arange(7) / 7
+    lights = np.stack([0.35 * np.cos(angles), 0.35 * np.sin(angles), np.full(7, 0.937)], axis=1)
+    shade = (-right * lights[:, 0, None, None] + down * lights[:, 1, None, None] + lights[:, 2, None, None]) / norm
+    stack = np.where(inside, 0.4 * np.maximum(shade, 0.0) * (1 + tone * wave), 0.02)
+    return Ridged((stack + 0.002 * rng.standard_normal(stack.shape)).astype(np.float32), inside, lights)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ridged()
+
+
+@pytest.fixture(scope="module")
+def centre(scene):
+    rows, columns = np.nonzero(scene.mask)
+    return float(columns.mean()), float(rows.mean())
+
+
+@pytest.fixture(scope="module")
+def motion(scene, centre):
+    return np.stack([moved(i, SHIFTS.get(k, (0, 0)), TURNS_DEG.get(k, 0.0), centre) for k, i in enumerate(scene.stack)])
+
+
+@pytest.fixture(scope="module")
+def found(scene, motion):
+    return register_shots(motion, scene.lights, scene.mask, PX, reference=3, settings=QUICK)
+
+
+def core(scene):
+    inside = cv2.erode(scene.mask.astype(np.uint8), np.ones((21, 21))) > 0
+    rows, columns = np.nonzero(inside)
+    return columns[::53] / PX, rows[::53] / PX
+
+
+def test_a_still_finger_stays_where_it_is(scene):
+    found = register_shots(scene.stack, scene.lights, scene.mask, PX, reference=3, settings=QUICK)
+    assert np.abs(found.flow.at(*core(scene))).max() < 0.02
+    np.testing.assert_allclose(found.after, found.before, rtol=0.1)
+
+
+def test_shifts_and_turns_are_found_under_changing_light(scene, centre, found):
+    x, y = core(scene)
+    flow = found.flow.at(x, y)
+    assert not flow[3].any()
+    for k, shift in SHIFTS.items():
+        wanted = expected(np.stack([x, y]), shift, TURNS_DEG[k], centre)
+        error = flow[k] - wanted
+        assert np.sqrt((error**2).sum(axis=0).mean()) < 0.045, k
+    assert found.after.max() < 0.5 * found.before.max()
+
+
+def test_the_flow_tells_where_to_take_pixels_from(scene, motion, found):
+    shape = scene.mask.shape
+    columns, rows = found.flow.maps(0, PX, (slice(0, shape[0]), slice(0, shape[1])))
+    again = cv2.remap(motion[0], columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    inside = cv2.erode(scene.mask.astype(np.uint8), np.ones((21, 21))) > 0
+
+    def fine(image):
+        return (image - cv2.GaussianBlur(image, (0, 0), 0.3 * PX))[inside]
+
+    assert np.corrcoef(fine(again), fine(scene.stack[0]))[0, 1] > 0.95
+    assert np.corrcoef(fine(motion[0]), fine(scene.stack[0]))[0, 1] < 0.6
+    part = found.flow.maps(0, PX, (slice(40, 90), slice(30, 120)))
+    np.testing.assert_array_equal(part[0], columns[40:90, 30:120])
+    np.testing.assert_array_equal(part[1], rows[40:90, 30:120])
+
+
+def test_the_order_of_the_lights_does_not_matter(scene, motion, found):
+    order = np.array([3, 0, 6, 1, 5, 2, 4])
+    again = register_shots(motion[order], scene.lights[order], scene.mask, PX, reference=0, settings=QUICK)
+    np.testing.assert_allclose(again.flow.at(*core(scene)), found.flow.at(*core(scene))[order], atol=2e-3)
+
+
+def test_images_of_one_shot_move_together(scene, centre):
+    shots = np.array([0, 0, 1, 1, 1, 2, 2])
+    place = {0: (0.2, -0.1), 1: (0.0, 0.0), 2: (-0.15, 0.1)}
+    stack = np.stack([moved(i, place[s], 0.0, centre) for i, s in zip(scene.stack, shots, strict=True)])
+    found = register_shots(stack, scene.lights, scene.mask, PX, reference=1, shots=shots, settings=QUICK)
+    mean = found.flow.at(*core(scene)).mean(axis=2)
+    assert len(mean) == 3
+    for shot, shift in place.items():
+        np.testing.assert_allclose(mean[shot], shift, atol=0.03)
+
+
+def test_small_elastic_shifts_are_found(scene):
+    height, width = scene.mask.shape
+    columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    wave = 0.05 * np.sin(2 * np.pi * rows / PX / 22.0)  # mm to the right, in shot 1
+    stack = scene.stack.copy()
+    stack[1] = cv2.remap(stack[1], columns - wave * np.float32(PX), rows, cv2.INTER_CUBIC)
+    x, y = core(scene)
+    true = 0.05 * np.sin(2 * np.pi * y / 22.0)
+    errors = []
+    for elastic_mm in (0.0, 5.0):
+        settings = RegistrationSettings(elastic_mm=elastic_mm, stiffness=0.1, iterations=8)
+        found = register_shots(stack, scene.lights, scene.mask, PX, reference=3, settings=settings)
+        errors.append(np.std(found.flow.at(x, y)[1, 0] - true))
+    assert errors[1] < 0.75 * errors[0]
+
+
+def test_another_band_is_brought_onto_the_first(scene, motion, found, centre):
+    # lights between those of the first band, ridges that hardly show, other noise
+    other = ridged(depth_mm=0.01, tone=0.0, first_light=np.pi / 7, seed=1)
+    place = {k: (0.05 * k, 0.3 - 0.1 * k) for k in range(7)}
+    stack = np.stack([moved(image, place[k], 0.0, centre) for k, image in enumerate(other.stack)])
+    seen = Seen(motion, scene.lights, found.flow, np.arange(7))
+    band = register_band(seen, stack, other.lights, scene.mask, PX, QUICK)
+    mean = band.flow.at(*core(scene)).mean(axis=2)
+    np.testing.assert_allclose(mean, np.array(list(place.values())), atol=0.05)
+    assert (band.likeness > band.likeness_before).all()
+    assert band.likeness.min() > 0.5
+
+
+def test_glare_is_what_all_colours_share():
+    rng = np.random.default_rng(0)
+    skin, glare = rng.random((3, 4, 5, 6), dtype=np.float32), rng.random((4, 5, 6), dtype=np.float32)
+    np.testing.assert_allclose(without_glare(skin + glare), without_glare(skin), atol=1e-6)
+
+
+def test_hats_of_the_elastic_family_sum_to_a_shift():
+    mask = np.zeros((300, 200), dtype=bool)
+    mask[40:260, 30:170] = True
+    x, y = places_of(still(2, mask.shape, 10.0))
+    inside = (x > 5.5) & (x < 14.5) & (y > 6.8) & (y < 23.2)
+    family = finger_family(mask, 10.0, tilts=True, hats_mm=5.0)
+    basis = family.basis(x, y)
+    assert family.rigid == 5
+    assert basis.shape[2] > 5 + 2 * 3 * 4
+    np.testing.assert_allclose(basis[inside][:, 0, 5::2].sum(axis=1), 1.0)
+    assert not basis[:, 1, 5::2].any()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"stack": np.ones((4, 30, 20), np.float32)}, "at least 5 images"),
+        ({"stack": np.full((7, 30, 20), np.nan, np.float32)}, "NaN"),
+        ({"lights": np.eye(3)}, "lights must have the shape"),
+        ({"reference": 7}, "one of 7 shots"),
+        ({"shots": np.zeros(3, int)}, "shots must have the shape"),
+        ({"mask": np.zeros((30, 20), bool)}, "empty"),
+    ],
+)
+def test_bad_input_is_refused(change, words):
+    given = {"stack": np.ones((7, 30, 20), np.float32), "lights": np.ones((7, 3)), "mask": np.ones((30, 20), bool)}
+    given |= {"reference": 3} | change
+    with pytest.raises(BadInput, match=words):
+        register_shots(given.pop("stack"), given.pop("lights"), given.pop("mask"), 10.0, **given)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("fine_mm", ()), ("band_ratio", 1.0), ("elastic_mm", 1.0), ("iterations", 0), ("rim_mm", -1.0)]
+)
+def test_bad_settings(name, value):
+    with pytest.raises(BadInput, match="bands" if name == "fine_mm" else name):
+        RegistrationSettings(**{name: value})

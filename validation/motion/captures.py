@@ -1,0 +1,46 @@
+"""Captures of fingers that move, simulated once and kept in ``validation/out/motion``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from splitknit.io import write_capture
+from splitknit.simulate.motion import HandMotion
+from splitknit.simulate.renderer import RenderSettings
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+OUT = Path(__file__).resolve().parents[1] / "out" / "motion"
+SEEDS = tuple(range(7001, 7009))
+"""Fingers of the table; those of 9101 to 9104 served to choose the settings."""
+AMPLITUDES_MM = (0.5, 0.25, 0.8, 0.1)
+SCALE = 0.35
+
+
+def capture_folder(seed: int, amplitude_mm: float, scale: float, out: Path = OUT) -> Path:
+    """Folder of a capture with truth; it is simulated where it is missing."""
+    folder = out / f"{seed}_{amplitude_mm:g}_{scale:g}"
+    if not (folder / "truth.npz").is_file():
+        motion = HandMotion(amplitude_mm=amplitude_mm)
+        settings = TwinSettings(scale=scale, motion=motion, render=RenderSettings(workers=1))
+        capture, truth = simulate_capture(seed, None, settings)
+        kept = {name: value for name, value in truth.items() if not name.startswith(("glare", "relief"))}
+        write_capture(capture, folder, kept, overwrite=True)
+    return folder
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Simulate what is missing."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--amplitudes", type=float, nargs="+", default=(0.0, *AMPLITUDES_MM))
+    parser.add_argument("--scale", type=float, default=SCALE)
+    options = parser.parse_args(arguments)
+    for amplitude in options.amplitudes:
+        for seed in options.seeds:
+            print(capture_folder(seed, amplitude, options.scale), flush=True)
+
+
+if __name__ == "__main__":
+    main()
