@@ -71,6 +71,10 @@ KINDS: dict[str, Callable[[Capture], Capture]] = {
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_kinds_of_captures(kind: str, preset: str, capture: Capture, truth: Truth) -> None:
+    if preset == "lin" and "grey" in kind:
+        with pytest.raises(BadInput, match="the white band is grey"):
+            quick(KINDS[kind](capture), preset)
+        return
     result = quick(KINDS[kind](capture), preset)
     plausible(result, truth)
     words = " ".join(result.warnings)

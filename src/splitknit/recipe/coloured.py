@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from splitknit.recipe.compose import COMPOSED, composed
 from splitknit.recipe.presets import PipelineSettings
-from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.types import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
 
 _ROUNDS = 8
 _SAMPLE = 40_000
@@ -21,9 +21,12 @@ def as_lit(capture: Capture, settings: PipelineSettings) -> tuple[Capture, tuple
     BadInput
         If coloured exposures are to be put together from white images that are grey or too few.
     """
-    if settings.lights.compose == 0 or capture.bands["white"].colours:
+    white = capture.bands["white"]
+    if settings.lights.compose == 0 or white.colours:
         return capture, ()
-    return composed(capture, settings.lights.compose), (COMPOSED,)
+    exposures = max(1, min(settings.lights.compose, len(white.leds) // len(COLOURS)))
+    words = "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
+    return composed(capture, exposures), (f"{words} {COMPOSED}",)
 
 
 def balanced(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> FloatArray:

@@ -12,9 +12,10 @@ from splitknit.radiance import linear_channels, saturation_levels
 from splitknit.types import COLOURS, Band, Capture, Rig
 
 COMPOSED = (
-    "the coloured exposures were put together from white ones: broad bands instead of lines, and shots that were taken "
-    "one after the other."
+    "put together from images under white LEDs: broad bands instead of lines, and shots that were taken one after the "
+    "other share an exposure."
 )
+"""What every result says that does not come from coloured LEDs."""
 _BLACK = 0.02
 """Stored level of no light, so that noise below it is kept."""
 
@@ -51,7 +52,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
         "coloured exposures are put together from colour images only, but the white band is grey; capture in colour.",
     )
     count = 3 * exposures
-    around = _around(capture)
+    around = around_the_finger(capture)
     require(
         len(around) >= count,
         f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}.",
@@ -62,10 +63,10 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     for places in shared_exposures(exposures):
         shots = [chosen[place] for place in places]
         images.append(_exposure(white, capture.encoding, shots, mixing))
-        group = tuple(white.leds[k][0] for k in shots)
-        for index, colour in zip(group, COLOURS, strict=True):
-            leds[index] = replace(leds[index], colour=colour)
-        groups.append(group)
+        first = len(leds)
+        for k, colour in zip(shots, COLOURS, strict=True):
+            leds.extend(replace(leds[index], colour=colour) for index in white.leds[k])
+        groups.append(tuple(range(first, len(leds))))
     rig = Rig(
         replace(capture.rig.camera, crosstalk=mixing), tuple(leds), capture.rig.provenance, capture.rig.mirrors
     )  # fmt: skip
@@ -82,12 +83,13 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     return replace(capture, rig=rig, bands={**capture.bands, "white": band})
 
 
-def _around(capture: Capture) -> list[int]:
+def around_the_finger(capture: Capture) -> list[int]:
     """White images in the order of their lights' azimuths."""
     white = capture.bands["white"]
     vectors = capture.rig.select(white.leds).light_vectors()
-    single = [k for k in range(len(white.leds)) if len(white.leds[k]) == 1]
-    return sorted(single, key=lambda k: (float(np.arctan2(vectors[k, 1], vectors[k, 0]) % (2 * np.pi)), k))
+    return sorted(
+        range(len(white.leds)), key=lambda k: (float(np.arctan2(vectors[k, 1], vectors[k, 0]) % (2 * np.pi)), k)
+    )
 
 
 def _exposure(white: Band, encoding: str, shots: list[int], mixing: NDArray[np.float64]) -> NDArray[np.uint16]:

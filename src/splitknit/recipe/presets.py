@@ -103,8 +103,8 @@ class LightsSettings:
     """Coloured LEDs: Lin's case only."""
 
     compose: int = 0
-    """Put so many coloured exposures together from the images under white LEDs, three images for each; 0 takes the
-    capture as it is, and so does any capture under coloured LEDs."""
+    """Put so many coloured exposures together from the images under white LEDs, three images for each (fewer where
+    images are few); 0, and any capture under coloured LEDs: take the images as they are."""
     balance: bool = False
     """Divide the images of each colour by how bright the finger is in it; one factor a colour."""
 
