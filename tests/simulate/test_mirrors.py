@@ -24,6 +24,7 @@ from splitknit.simulate.mirror_parts import HolderProfile, mirror_rig, nominal_m
 from splitknit.simulate.mirror_settings import MirrorParts, MirrorViews
 from splitknit.simulate.mirror_truth import section_points
 from splitknit.simulate.mirror_twin import bare_behind
+from splitknit.simulate.mirror_view import outline_coverage
 from splitknit.simulate.mirrors import Gate, Reflection, as_built, lights_of
 from splitknit.simulate.raycast import Placement
 from splitknit.simulate.rays import rays_of
@@ -32,7 +33,7 @@ from splitknit.simulate.skin import SkinSettings
 from splitknit.simulate.skin_map import skin_map
 from splitknit.simulate.surface import Surface
 from splitknit.simulate.twin import TwinSettings, simulate_capture
-from splitknit.types import Led, Mirror
+from splitknit.types import Camera, Led, Mirror
 
 ALL = ("left", "right", "tip")
 FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))
@@ -360,13 +361,35 @@ def test_the_same_bytes_whatever_the_number_of_workers(taken_once):
         np.testing.assert_array_equal(values, other_truth[name])
 
 
-def test_the_lip_hides_the_lowest_part_and_the_outline_the_rest(taken_once):
-    _, capture, truth = taken_once
-    camera = capture.rig.camera
-    for name in ("left", "right"):
-        column, _ = pixels_of_points(camera, *truth[f"mirror_{name}_corners_mm"].T)
-        columns = np.flatnonzero(truth[f"view_{name}_mask"].any(axis=0))
-        assert column.min() - 1 <= columns.min() and columns.max() <= column.max() + 1
+def test_the_lip_hides_the_lowest_part_of_a_finger_that_lies_low():
+    exact = settings(scale=0.08, names=("left", "right"), turn_sd_deg=0.0, shift_sd_mm=0.0)
+    low = replace(exact, pose=replace(POSE, height_mm=-5.0))
+    capture, truth = simulate_capture(4, settings=low, finger=FINGER)
+    camera, profile = capture.rig.camera, HolderProfile(low.mirrors.parts)
+    for name, inner, outer in (("left", "max", "min"), ("right", "min", "max")):
+        mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
+        edge = Reflection.of(mirror).points(profile.quad(name, camera, profile.lip[1], profile.lip[1]))
+        face, _ = pixels_of_points(camera, *np.array(mirror.corners_mm).T)
+        image, rows = pixels_of_points(camera, *edge.T)
+        seen = truth[f"view_{name}_mask"][int(rows.min()) + 3 : int(rows.max()) - 3]
+        columns = np.flatnonzero(seen.any(axis=0))
+        assert getattr(columns, inner)() == pytest.approx(getattr(image, outer)(), abs=2.0)
+        assert abs(getattr(face, inner)() - getattr(image, outer)()) > 3.0
+        assert face.min() - 1 <= columns.min() and columns.max() <= face.max() + 1
+
+
+def test_an_outline_covers_as_much_of_each_pixel_as_it_does():
+    camera = Camera(px_per_mm=10.0, image_size=(40, 60))
+    x, y = 1.23, -0.41
+    corners = np.array([(x - 1, y - 0.5, 0), (x + 1, y - 0.5, 0), (x + 1, y + 0.5, 0), (x - 1, y + 0.5, 0)])
+    cover = outline_coverage(camera, corners)
+    assert cover.share.sum() == pytest.approx(200.0, rel=0.03)
+    rows, columns = (np.arange(part.start, part.stop) for part in cover.window)
+    total = cover.share.sum()
+    assert (cover.share.sum(axis=0) @ columns) / total == pytest.approx(29.5 + 10 * x, abs=0.15)
+    assert (cover.share.sum(axis=1) @ rows) / total == pytest.approx(19.5 - 10 * y, abs=0.15)
+    outside = outline_coverage(camera, corners + np.array([50.0, 0.0, 0.0]))
+    assert outside.share.size == 0 or outside.share.max() == 0.0
 
 
 @pytest.mark.parametrize(

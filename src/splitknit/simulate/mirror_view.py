@@ -25,7 +25,7 @@ BEYOND_MM = 3.0
 """How far beyond a mirror's outline the reflected skin is followed: light diffuses across the outline."""
 PROXIMAL_MM = 32.0
 """What lies further than this from the first crease towards the palm is not shown: the hand's sleeve is there."""
-_FINE = 4
+_FINE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
