@@ -87,7 +87,8 @@ def _sentence(cause: str, name: str, found: PrintQuality) -> str:
         "and lens, and capture again.",
         "gaps": f"{100 * figures.gap_share:.0f} % of the skin between ridges shows none: glare, a crease, a scar, "
         "water, dirt or blur; wipe the finger and the lens, check the focus, and capture again.",
-        "noise": f"The picture is noisy ({noise}); lengthen the exposure, keep the finger still, and capture again.",
+        "noise": f"The picture is noisy or the finger dusty ({noise}); wipe it, lengthen the exposure, keep the finger "
+        "still, and capture again.",
         "soft": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
         "partial": f"Only {figures.ridge_length_mm:.0f} mm of ridges ({figures.ridge_area_mm2:.0f} mm2) are in view; "
         "push the finger further in, its pad to the camera, and capture again.",

@@ -144,7 +144,7 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
     if quality["ridge_contrast"] < settings.least_ridge_contrast:
         words.append(
             f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
-            "clean the lens, or moisten a worn finger."
+            "clean the lens, dry a wet finger, or moisten a worn one."
         )
     if quality["ambient_share"] is not None and quality["ambient_share"] > settings.most_ambient:
         words.append(
