@@ -1,0 +1,150 @@
+"""A finger that moved is brought onto one shot before it is reconstructed; a still one is left alone, bit by bit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit import reconstruct
+from splitknit.apps.cli import main
+from splitknit.apps.compare import compare
+from splitknit.check import BadInput
+from splitknit.io import write_capture
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.memory import Memory
+from splitknit.recipe.steady import find_steady_finger
+from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.settings import override
+from splitknit.simulate.motion import HandMotion
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+OFF = {"motion.correct": "off"}
+
+
+@pytest.fixture(scope="module")
+def still():
+    return simulate_capture(11, "whorl", TwinSettings(scale=0.15))
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return simulate_capture(11, "whorl", TwinSettings(scale=0.15, motion=HandMotion(amplitude_mm=0.5)))
+
+
+@pytest.fixture(scope="module")
+def undone(moved):
+    return reconstruct(moved[0], "ea")
+
+
+def steadied(capture, **changes):
+    settings = override(preset_settings("ea"), {f"motion.{name}": value for name, value in changes.items()})
+    return find_steady_finger(capture, settings, Stopwatch())
+
+
+def correlation(result, truth):
+    return compare(result, truth).figures["ridge_correlation"]
+
+
+def test_motion_is_undone(still, moved, undone):
+    lost = correlation(reconstruct(still[0], "ea"), still[1]) - correlation(undone, moved[1])
+    assert lost < 0.05
+    assert correlation(reconstruct(moved[0], "ea", OFF), moved[1]) < correlation(undone, moved[1]) - 0.15
+
+
+def test_the_report_tells_the_motion(moved, undone):
+    _, truth = moved
+    told = undone.facts["motion"]
+    assert told["reference"] == "white 3"
+    assert told["white"]["turn_deg"][3] == 0.0
+    for name, first in (("white", 0), ("nir", 7)):
+        assert len(told[name]["shift_mm"]) == 7
+        flow = np.nanmean(truth["motion_flow_px"][first : first + 7], axis=(2, 3)) * float(truth["pitch_mm"])
+        # the finger's middle is not that of all skin in view, which turns
+        np.testing.assert_allclose(told[name]["shift_mm"], flow * [1, -1], atol=0.06)
+    assert max(told["white"]["unexplained_after"]) < 0.5 * max(told["white"]["unexplained_before"])
+    assert "moved by" in undone.warnings[0]
+    json.dumps(told)
+
+
+def test_the_reference_shot_and_the_capture_given_are_not_touched(moved):
+    capture, _ = moved
+    before = {name: band.pixels.copy() for name, band in capture.bands.items()}
+    other, _ = steadied(capture)
+    for name, pixels in before.items():
+        np.testing.assert_array_equal(capture.bands[name].pixels, pixels)
+    np.testing.assert_array_equal(other.bands["white"].pixels[3], before["white"][3])
+    assert (other.bands["white"].pixels[0] != before["white"][0]).any()
+    assert (other.bands["nir"].pixels[0] != before["nir"][0]).any()
+    assert other.bands["white"].pixels.dtype == before["white"].dtype
+
+
+def test_a_still_finger_is_left_alone(still):
+    capture, _ = still
+    same, finger = steadied(capture)
+    assert same is capture
+    assert "motion" not in finger.facts
+    results = [reconstruct(capture, "ea", changes) for changes in (None, OFF)]
+    for name in ("height_mm", "ridge_mm", "normals", "albedo", "mask"):
+        np.testing.assert_array_equal(*(getattr(result, name) for result in results))
+
+
+@pytest.mark.slow
+def test_off_changes_nothing_and_on_always_registers(still, moved):
+    assert steadied(moved[0], correct="off")[0] is moved[0]
+    other, finger = steadied(still[0], correct="on")
+    assert other is not still[0]
+    assert max(finger.facts["motion"]["white"]["moved_mm"]) < 0.02
+
+
+@pytest.mark.slow
+def test_cases_of_one_capture_share_the_registration(moved, undone):
+    capture, _ = moved
+    memory = Memory(capture)
+    first = reconstruct(capture, "ea", memory=memory)
+    np.testing.assert_array_equal(first.ridge_mm, undone.ridge_mm)
+    plain = reconstruct(capture, "ea", OFF, memory=memory)
+    assert "motion" not in plain.facts
+    again = reconstruct(capture, "ea", {"height.padding": "mirror"}, memory=memory)
+    assert again.facts["motion"] == first.facts["motion"]
+
+
+def test_too_much_motion_is_refused(moved, tmp_path, capsys):
+    capture, truth = moved
+    with pytest.raises(BadInput, match=r"moved by 0\.\d\d mm .* at most 0\.05 mm can be undone"):
+        steadied(capture, most_mm=0.05)
+    write_capture(capture, tmp_path / "capture", truth)
+    out = tmp_path / "result"
+    command = ["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--preset", "ea"]
+    assert main([*command, "--set", "motion.most_mm=0.05"]) == 2
+    assert "at most 0.05 mm can be undone" in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_shots_that_do_not_fit_together_are_refused(moved):
+    capture, _ = moved
+    white = capture.bands["white"]
+    pixels = white.pixels.copy()
+    for k in (0, 2, 5):
+        pixels[k] = np.roll(pixels[k], (round(2.4 * 11), round((k - 2) * 11)), axis=(0, 1))
+    broken = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
+    with pytest.raises(BadInput, match=r"mm can be undone|do not fit together"):
+        steadied(broken, correct="on")
+
+
+def test_few_shots_are_left_alone(moved):
+    capture, _ = moved
+    white = capture.bands["white"]
+    few = {"pixels": white.pixels[:4], "leds": white.leds[:4], "exposure": white.exposure[:4]}
+    short = replace(white, **few, black_level=white.black_level[:4])
+    other = replace(capture, bands={**capture.bands, "white": short})
+    assert steadied(other, correct="on")[0] is other
+
+
+@pytest.mark.parametrize(("name", "value"), [("correct", "maybe"), ("most_mm", 0.0), ("correct_mm", -1.0)])
+def test_bad_settings(name, value):
+    with pytest.raises(BadInput, match=f"motion.{name}"):
+        override(preset_settings("ea"), {f"motion.{name}": value})
