@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from splitknit.check import BadInput
 from splitknit.rig.dimensions import dimensions_of
@@ -124,6 +125,7 @@ def test_a_reflection_is_its_own_inverse_and_keeps_the_plane():
     led = Led("white", position_mm=(10.0, 0.0, 140.0), lobe_exponent=2.0, intensity=2.0)
     image = once.led(led, 0.9)
     assert image.intensity == pytest.approx(1.8)
+    assert image.lobe_exponent == 2.0 and image.reflected
     # its beam goes to the image of what it was aimed at
     to_origin = once.points(np.zeros(3)) - np.array(image.position_mm)
     np.testing.assert_allclose(image.axis, to_origin / np.linalg.norm(to_origin), atol=1e-12)
@@ -297,6 +299,22 @@ def test_images_of_leds_light_the_sides(captures):
         side, middle = mask & (sign * normals[..., axis] > 0.85), mask & (normals[..., 2] > 0.995)
         assert light[:, side].mean() > 1.5 * less[:, side].mean()
         assert light[:, middle].mean() < 1.2 * less[:, middle].mean()
+
+
+def test_skin_that_is_seen_twice_is_as_bright_in_the_mirror_as_in_front(taken):
+    _, capture, truth = taken
+    pixels = capture.bands["white"].pixels[..., 0].astype(float)
+    front = truth["mask"] & (truth["normals"][..., 2] > 0.4)
+    tree = cKDTree(truth["chart_mm"][front])
+    for name in ("left", "right"):
+        mask = truth[f"view_{name}_mask"] & (truth[f"view_{name}_normals"][..., 2] > 0.4)
+        apart, nearest = tree.query(truth[f"view_{name}_chart_mm"][mask])
+        same = apart < 0.12
+        assert same.sum() > 60
+        for light in pixels:
+            here, there = light[mask][same], light[front][nearest[same]]
+            bright = there > 0.2 * there.max()
+            assert np.median(here[bright] / there[bright]) == pytest.approx(0.9, abs=0.15)  # Fresnel, glare, neighbours
 
 
 def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way():
