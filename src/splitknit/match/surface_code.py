@@ -36,7 +36,7 @@ class SurfaceCodeSettings:
 
     pitch_mm: float = 0.1
     """Of the grid of places; a ridge's period has four to five of them."""
-    smooth_mm: float = 0.06
+    smooth_mm: float = 0.03
     """Sigma of the Gaussian over the surface before its curvature is taken."""
     window_mm: float = 0.25
     """Side of the window to which quadratics are fitted."""
