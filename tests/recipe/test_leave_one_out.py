@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,13 @@ from splitknit.check import BadInput
 from splitknit.io import write_capture
 from splitknit.match.minutiae_record import Minutiae
 from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.recipe.leave_one_out import PICTURES, LeaveOneOutSettings, left_out_pictures, voted_minutiae
+from splitknit.recipe.leave_one_out import (
+    PICTURES,
+    LeaveOneOutSettings,
+    _component,
+    left_out_pictures,
+    voted_minutiae,
+)
 from splitknit.recipe.matchable import surface_print
 from splitknit.simulate.twin import TwinSettings, simulate_capture
 from splitknit.types import Band, Capture
@@ -79,6 +86,20 @@ def test_pictures_of_a_turned_finger_are_turned_back(capture: Capture) -> None:
         for j in range(-6, 7)
     )
     assert best > 0.7
+
+
+def test_components_point_right_and_towards_the_tip() -> None:
+    normals = np.zeros((1, 3, 3), np.float32)
+    normals[0] = [[0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [0.0, 0.0, 1.0]]
+    albedo = np.array([[0.2, np.nan, 0.4]], np.float32)
+    upright = SimpleNamespace(upright=SimpleNamespace(input_from_upright=np.eye(3)))
+    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 5.0], [0.0, 0.0, 1.0]])  # the tip points to column 0
+    lying = SimpleNamespace(upright=SimpleNamespace(input_from_upright=quarter))
+    for finger, right, up in ((upright, [0.6, 0, 0], [0, 0.6, 0]), (lying, [0, 0.6, 0], [-0.6, 0, 0])):
+        np.testing.assert_allclose(_component(normals, albedo, "x", finger)[0], right, atol=1e-6)
+        np.testing.assert_allclose(_component(normals, albedo, "y", finger)[0], up, atol=1e-6)
+    np.testing.assert_allclose(_component(normals, albedo, "z", lying)[0], [0.8, 0.8, 1.0])
+    np.testing.assert_allclose(_component(normals, albedo, "albedo", lying)[0], np.float32([0.2, 0.0, 0.4]))
 
 
 def _turned(band: Band) -> Band:

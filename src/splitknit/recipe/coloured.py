@@ -9,7 +9,9 @@ from splitknit.recipe.compose import COMPOSED, composed
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.types import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
 
-_ROUNDS = 8
+_ROUNDS = 200
+"""At most: with LEDs of each colour all around the finger a handful is enough."""
+_SETTLED = 1e-6
 _SAMPLE = 40_000
 
 
@@ -64,10 +66,12 @@ def colour_factors(
         factors[own] = seen[own].mean() / max(float(lights[own, 2].mean()), 1e-6)
     for _ in range(_ROUNDS):
         factors /= np.exp(np.mean(np.log(np.maximum(factors, 1e-6))))
-        model = factors[:, None] * lights
+        model, before = factors[:, None] * lights, factors.copy()
         shading = lights @ (np.linalg.pinv(model) @ seen)
         for name in names:
             own = colour == name
             factors[own] = float((seen[own] * shading[own]).sum() / max((shading[own] ** 2).sum(), 1e-12))
+        if float(np.abs(factors / before - 1.0).max()) < _SETTLED:
+            break
     factors = np.maximum(factors, 1e-6)
     return np.asarray(factors / np.exp(np.mean(np.log(factors))))
