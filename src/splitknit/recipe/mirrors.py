@@ -137,6 +137,33 @@ def seen_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirro
         "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
         "metric or snk.",
     )
+    views, grey = _views_and_images(capture, settings)
+    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
+    tip = capture.tip_direction_deg or 0.0
+    shape = mirror_shape(views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip)
+    if settings.shape.mirror.slopes and settings.shape.mirror.method == "outlines":
+        slopes = skin_slopes(capture, grey, views, shape)
+        if slopes is not None:
+            shape = mirror_shape(
+                views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip, slopes=slopes
+            )
+    return SeenInMirrors(views, shape, capture)
+
+
+def found_views(capture: Capture, settings: PipelineSettings) -> Views:
+    """Which part of a capture's images shows the finger itself, and which parts show it in mirrors.
+
+    Raises
+    ------
+    BadInput
+        See :func:`splitknit.shape.find_views`.
+    """
+    return _views_and_images(capture, settings)[0]
+
+
+def _views_and_images(capture: Capture, settings: PipelineSettings) -> tuple[Views, FloatArray]:
+    """Views, and the white images (L, h, w) on their grid."""
+    rig = capture.rig
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
     binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
@@ -153,15 +180,7 @@ def seen_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirro
         binning,
         settings.shape.mirror.views,
     )
-    tip = capture.tip_direction_deg or 0.0
-    shape = mirror_shape(views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip)
-    if settings.shape.mirror.slopes and settings.shape.mirror.method == "outlines":
-        slopes = skin_slopes(capture, grey, views, shape)
-        if slopes is not None:
-            shape = mirror_shape(
-                views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip, slopes=slopes
-            )
-    return SeenInMirrors(views, shape, capture)
+    return views, grey
 
 
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 SHEAR_SD = 0.05
 """Standard deviation of the shear: a roll by 8 deg gives about 0.045."""
-INDEPENDENT_SLOPES = 15.0
+INDEPENDENT_SLOPES = 20.0
 """Slopes err together: at glare, and where light by way of a mirror ends."""
 TIP_TRUST = 0.1
 """Weight of a view from beyond the tip: it sees the largest sections only."""

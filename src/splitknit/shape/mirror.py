@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.check import BadInput, require
 from splitknit.shape.body import Body
 from splitknit.shape.dense import heights_on, nearest
 from splitknit.shape.fit import Fit, Pose, SeenIn, Slopes, fit_body, touched
-from splitknit.shape.outline import Rows, finger_axis, rows_of
+from splitknit.shape.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.shape.planes import MirrorPlane, Touching, touching
 from splitknit.shape.settings import MirrorShapeSettings
 from splitknit.shape.thesis import Ellipses, ellipses
@@ -28,6 +28,9 @@ TURN_DEG = 0.2
 """Standard deviation of a mirror's turn as the views' tips tell it."""
 
 
+MOST_TURN_RAD = 0.12
+THICKNESS = (0.4, 1.4)
+"""Of fingers, over their breadth."""
 MOST_DEG = 7.0
 """A mirror that would be further off than this is not believed."""
 
@@ -145,7 +148,13 @@ def _by_thesis(  # noqa: PLR0917
     """The thesis's method on the first lateral view."""
     name, mirror = next(iter(sides.items()))
     _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, settings.row_mm)
-    outward = -1.0 if float(mirror.normal[:2] @ lateral.across) > 0 else 1.0
+    side = pad_side(mirror, lateral)
+    require(
+        not is_cut(lateral, side),
+        f"the view in the {name} mirror is cut off at the mirror's edge: lay the finger in "
+        "the middle, so that the mirror shows all of its pad.",
+    )
+    outward = 1.0 if side == "right" else -1.0
     model = ellipses(front, lateral, outward)
     facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}
     return MirrorShape(camera, model, facts, {"front": (front,), name: (lateral,)})
@@ -164,6 +173,7 @@ def _by_outlines(  # noqa: PLR0917
     outlines: dict[str, tuple[Rows, ...]] = {"front": (front,)}
     seen: dict[str, SeenIn] = {}
     lateral: dict[str, Rows] = {}
+    cut: list[str] = []
     for name, mirror in used.items():
         plane = MirrorPlane.nominal(mirror)
         tip = _from_tip(mirror, axis)
@@ -175,12 +185,26 @@ def _by_outlines(  # noqa: PLR0917
             rows = rows_of(mask, camera, views.binning, plane.image_axis(axis), settings.row_mm)
             lateral[name] = rows
             parts = _touching(camera, rows, ("left", "right"))
+        if is_cut(rows, pad_side(mirror, rows), from_tip=tip):
+            cut.append(name)
+            lateral.pop(name, None)
+            continue
         outlines[name] = (rows,)
         seen[name] = SeenIn(parts, plane, mirror.point_mm, tip)
+    require(
+        bool(lateral),
+        f"the view in the {' and the '.join(cut)} mirror is cut off at its edge: lay the finger in the middle, "
+        "so that the mirror shows all of its pad.",
+    )
     poses = {name: Pose() for name in seen}
     for name in lateral:
         caps = [_cap(mask, camera, views.binning, axis, settings) for mask in (views.front, views.mirrors[name])]
         turn = _turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
+        if turn is None:
+            raise BadInput(
+                f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the one in front; "
+                "check that the rig file's mirrors are those in the picture and that one finger alone is in view."
+            )
         poses[name] = Pose(turn_rad=turn)
         seen[name] = replace(seen[name], turn_rad=turn, turn_sd_rad=np.deg2rad(TURN_DEG))
     body = _first_body(front, lateral, seen, poses, settings)
@@ -189,7 +213,7 @@ def _by_outlines(  # noqa: PLR0917
     fit = fit_body(body, front_planes, seen, poses, settings, slopes)
     _refuse_misfit(fit, seen, settings)
     beside = {"front": front_planes, **{name: seen[name].touching for name in lateral}}
-    return MirrorShape(camera, fit.body, _facts(fit, settings, slopes), outlines, fit, beside)
+    return MirrorShape(camera, fit.body, {**_facts(fit, settings, slopes), "views_cut_off": cut}, outlines, fit, beside)
 
 
 def _touching(camera: Camera, rows: Rows, sides: tuple[str, ...]) -> Touching:
@@ -204,10 +228,11 @@ def _cap(mask: BoolArray, camera: Camera, binning: int, axis: Array, settings: M
     return places
 
 
-def _turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, axis: Array) -> float:
+def _turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, axis: Array) -> float | None:
     """How far a mirror is turned about the camera's axis, from the tips of two views.
 
-    The line that joins a point with its mirror image touches both views' outlines at the tip (a frontier point).
+    The line that joins a point with its mirror image touches both views' outlines at the tip (a frontier point). None:
+    no turn within reason makes it so.
     """
     about = np.array([0.0, 0.0, 0.0])
 
@@ -222,10 +247,10 @@ def _turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array,
         far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
         return float(far[0] - far[1]) * float(np.hypot(*epipole))
 
-    low, high = -0.12, 0.12
+    low, high = -MOST_TURN_RAD, MOST_TURN_RAD
     values = apart(low), apart(high)
     if values[0] * values[1] > 0:
-        return 0.0
+        return None
     for _ in range(30):
         middle = 0.5 * (low + high)
         if (apart(middle) > 0) == (values[0] > 0):
@@ -278,6 +303,12 @@ def _refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn], settings: MirrorShapeSe
             f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
             "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
         )
+    thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
+    require(
+        THICKNESS[0] < thickness < THICKNESS[1],
+        f"the views do not fit one finger: in the mirrors it would be {thickness:.2f} times as thick as it is broad in "
+        "front; check that one finger alone is in view.",
+    )
     for name, pose in fit.poses.items():
         worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
         require(

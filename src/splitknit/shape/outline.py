@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.types import BoolArray, Camera
+from splitknit.types import BoolArray, Camera, Mirror
 from splitknit.view import pixels_of, plane_points
 
 Array = NDArray[np.float64]
 
+STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05
+"""An outline that is straighter than this (rms) is a mirror's edge: pads bulge, and their ends are round."""
 BLUR_PX = 1.2
 """A mask is smoothed by this much before its outline is measured between the pixels."""
 
@@ -139,6 +141,31 @@ def medial_line(rows: Rows, full_width: float = 0.8) -> tuple[float, float]:
         scale = max(1.4826 * float(np.median(np.abs(away))), 1e-3)
         weight = np.clip(1.0 - (away / (4.685 * scale)) ** 2, 0.0, None) ** 2
     return slope, offset
+
+
+def pad_side(mirror: Mirror, rows: Rows) -> str:
+    """On which side of the rows a mirror shows the finger's pad: the one away from the finger."""
+    return "left" if float(mirror.normal[:2] @ rows.across) > 0 else "right"
+
+
+def is_cut(rows: Rows, side: str, *, from_tip: bool = False) -> bool:
+    """Whether a view ends at its mirror's edge rather than at the pad: its outline is a straight line, or not there.
+
+    Parameters
+    ----------
+    side : of the pad
+    from_tip : whether the rows run across the finger
+    """
+    known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
+    edge = rows.left_mm if side == "left" else rows.right_mm
+    low, high = (0.3, 0.7) if from_tip else (0.1, 0.6)
+    part = slice(*(int(known[0] + share * (known[-1] - known[0])) for share in (low, high)))
+    along, edge = rows.along_mm[part], edge[part]
+    there = np.isfinite(edge)
+    if float(there.mean()) < 0.6:
+        return True
+    away = edge[there] - np.polyval(np.polyfit(along[there], edge[there], 1), along[there])
+    return bool(float(np.std(away)) < (STRAIGHT_TIP_MM if from_tip else STRAIGHT_MM))
 
 
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array, row_mm: float) -> tuple[Array, Rows]:

@@ -81,11 +81,9 @@ class MirrorPlane:
         about_mm : (3,) point of the mirror that stays where it is but for the shift
         """
         level = _level(self.normal)
-        side = np.array([-level[1], level[0], 0.0])
-        normal = self.normal + np.tan(turn_rad) * np.hypot(*self.normal[:2]) * side
-        normal = normal / np.linalg.norm(normal)
-        level = _level(normal)
-        elevation = np.arctan2(normal[2], np.hypot(*normal[:2])) + lean_rad
+        cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+        level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
+        elevation = np.arctan2(self.normal[2], np.hypot(*self.normal[:2])) + lean_rad
         normal = np.array([*(np.cos(elevation) * level), np.sin(elevation)])
         return MirrorPlane(normal, float(normal @ about_mm) + shift_mm)
 

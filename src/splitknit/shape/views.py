@@ -137,7 +137,15 @@ def _largest_in(
 
 
 def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_per_mm: float) -> None:
-    """Refuse another finger beside the first: as bright, as coloured, and nearly as large."""
+    """Refuse another finger beside the first: about as bright, and nearly as large."""
+    light = image if image.ndim == 2 else image.sum(axis=2)
+    other = (light > 0.5 * float(np.median(light[front]))) & ~in_any & ~_grown(front, 1.5 * px_per_mm)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(other.astype(np.uint8))
+    largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
+    require(
+        largest < 0.25 * float(front.sum()),
+        "there are two fingers between the mirrors: lay one finger there at a time.",
+    )
 
 
 def _refuse_contact(name: str, view: BoolArray, front: BoolArray, px_per_mm: float) -> None:
