@@ -100,3 +100,15 @@ def test_results_are_of_the_fingers_they_name() -> None:
     seeds = [finger["seed"] for finger in results["fingers"]]
     assert len(set(seeds)) == len(seeds) >= 8
     assert not set(seeds) & {trial["seed"] for trial in results["trials"]}
+
+
+@pytest.mark.slow
+def test_everything_runs_on_tiny_fingers(script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    xie, report = script("xie"), script("xie_report")
+    monkeypatch.setattr(xie, "OUT", tmp_path / "scratch")
+    assert xie.main(["--smoke", "--out", str(tmp_path / "xie.json")]) == 0
+    results = json.loads((tmp_path / "xie.json").read_text(encoding="ascii"))
+    for table in report.TABLES.values():
+        lines = table(results).splitlines()
+        assert results["photographs"] is None or len(lines) > 2
+        assert len({line.count("|") for line in lines}) == 1
