@@ -20,6 +20,8 @@ from splitknit.evaluate import BootstrapSettings
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
+FAMILY_CASES = ("kumar", "zheng", "lin", "xie")
+FAMILY_MATCHERS = ("ridge", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
 
@@ -106,6 +108,29 @@ def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
     return facts
 
 
+def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """The systems that SnK is measured against, by the established matchers and by those of their own."""
+    cases = list(dict.fromkeys([*options.cases, *FAMILY_CASES]))
+    captures = read_captures(store, cases)
+    facts: Row = {}
+    rows, differences = [], []
+    for matcher in FAMILY_MATCHERS:
+        try:
+            table = read_table(store, captures, cases, (matcher,))
+        except SystemExit as nothing:
+            facts[matcher] = {"missing": [str(nothing)]}
+            continue
+        work = _work(options, table, truth)
+        trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, "")]
+        rows += rate_rows(work, trials, options.jobs, (PLAIN, WHOLE))
+        base = next((trial for trial in trials if trial.case == "ea"), None)
+        groups = [(trial, base) for trial in trials if base is not None and trial is not base]
+        differences += difference_rows(work, groups, (WHOLE,), options.jobs)
+        facts[matcher] = _facts(table, trials)
+    _write(options, "family", rows, differences)
+    return facts
+
+
 def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Genuine scores against roll, glare, moisture and partial views."""
     captures = read_captures(store, options.cases)
@@ -187,12 +212,14 @@ def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[
 
 
 PARTS = ("fusion", "cases", "matchers", "sensitivity", "failures", "scales")
+"""What ``all`` makes; ``family`` has cases of its own, and a store of its own where those are of fewer people."""
 PART_OF = {
     "fusion": run_fusion,
     "cases": run_cases,
     "matchers": run_matchers,
     "sensitivity": run_sensitivity,
     "failures": run_failures,
+    "family": run_family,
 }
 
 

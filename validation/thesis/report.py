@@ -90,6 +90,10 @@ def blocks(folder: Path) -> dict[str, str]:
         made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))
         made[f"{name}_margin"] = margin_table(rows)
         made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
+    made["family"] = rate_table(
+        read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
+    )
+    made["family_differences"] = difference_table(read(folder / "family_differences.csv"), (WHOLE,))
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):
         made[factor] = sensitivity_table([row for row in sensitivity if row["factor"] == factor])

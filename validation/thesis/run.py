@@ -3,6 +3,7 @@
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures --store STORE --population POPULATION
     python validation/thesis/run.py scales --population POPULATION --people 5
+    python validation/thesis/run.py family --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # from nothing: simulate, batch, then all
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
     python validation/thesis/report.py                                # docs/thesis-tables.md from what lies here
@@ -88,7 +89,7 @@ def _store(options: argparse.Namespace) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "all", "chain"])
+    parser.add_argument("part", choices=[*PARTS, "family", "all", "chain"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=HERE)
