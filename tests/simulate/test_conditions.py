@@ -101,6 +101,20 @@ def test_two_roughnesses_keep_their_energy_and_reciprocity():
     assert 0.93 < 2 * np.pi * float(np.mean(radiance * z)) < 1.01
 
 
+def test_two_roughnesses_follow_the_papers():
+    ax, ay = 0.1, 0.4
+    light, view = np.array([0.5, 0.1, 0.86]), np.array([0.2, -0.6, 0.77])
+    light, view = light / np.linalg.norm(light), view / np.linalg.norm(view)
+    x, y, z = (light + view) / np.linalg.norm(light + view)
+    spread = 1 / (np.pi * ax * ay * ((x / ax) ** 2 + (y / ay) ** 2 + z**2) ** 2)
+    seen = [2 / (1 + np.sqrt(1 + ((ax * d[0]) ** 2 + (ay * d[1]) ** 2) / d[2] ** 2)) for d in (light, view)]
+    mirrors = fresnel(np.array([np.dot(light, (x, y, z))]), 1.42)[0]
+    wanted = spread * seen[0] * seen[1] * mirrors / (4 * view[2])
+    parts = [tuple(np.full(1, v) for v in vector) for vector in ((0, 0, 1.0), light, view, (1.0, 0, 0))]
+    found = reflected(parts[0], parts[1], parts[2], ay, index=1.42, along=parts[3], roughness_along=ax)
+    assert found[0] == pytest.approx(wanted, rel=1e-6)
+
+
 def test_equal_roughnesses_have_no_direction():
     normal = tuple(np.full(1, v) for v in (0.1, 0.0, np.sqrt(0.99)))
     along = tuple(np.full(1, v) for v in (0.0, 1.0, 0.0))
@@ -188,7 +202,7 @@ def test_grains_hide_the_skin_and_shade_it(egg):
     assert (dusty.diffuse[:, :, row, column] < 1e-2 * bare.diffuse[:, :, row, column]).all()
     near = np.s_[:, :, row - 8 : row + 9, column - 8 : column + 9]
     lost = 1 - dusty.diffuse[near].sum(axis=(2, 3)) / bare.diffuse[near].sum(axis=(2, 3))
-    assert (lost > np.pi * 16 / 17**2).all()  # more than it hides: its shadow
+    assert (lost > 1.1 * np.pi * 16 / 17**2).all(), lost  # more than it hides: its shadow
     assert (lost[:, 0] < lost[:, 2]).all()  # red light comes from further away below the skin
 
 
