@@ -72,12 +72,14 @@ def _picture(  # noqa: PLR0917
     )
 
 
-def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
-    """Show the mean white image as the camera saw it, with the mask's outline, the cut and the finger's axis."""
+def titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
+    """A photograph with a caption and a scale bar."""
+    return _picture(title, image, caption, pitch_mm=pitch_mm, photo=True)
+
+
+def mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
+    """Mean of the white images for people, `size` (columns, rows)."""
     pixels = capture.bands["white"].pixels
-    rows, columns = result.mask.shape
-    scale = min(1.0, LONGEST_PX / max(rows, columns))
-    size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
     total = np.zeros((size[1], size[0], 3), dtype=np.float32)
     for image in pixels:
         small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
@@ -85,11 +87,19 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     total /= len(pixels) * float(np.iinfo(pixels.dtype).max)
     brightest = max(float(np.percentile(total, 99.7)), 1e-6)
     gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
-    picture = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(np.uint8)
+    picture: ColourArray = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(np.uint8)
+    return np.ascontiguousarray(picture)
+
+
+def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
+    """Show the mean white image as the camera saw it, with the mask's outline, the cut and the finger's axis."""
+    rows, columns = result.mask.shape
+    scale = min(1.0, LONGEST_PX / max(rows, columns))
+    size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
+    picture = mean_image(capture, size)
 
     inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    picture = np.ascontiguousarray(picture)
     cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
     _draw(picture, [_axis(result)], scale, SKY)
     crease = result.facts.get("crease_line")

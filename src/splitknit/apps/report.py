@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from splitknit.apps import charts, figures
 from splitknit.apps.compare import Comparison, compare
 from splitknit.apps.figures import Picture, Views
+from splitknit.apps.mirror_picture import mirror_pictures
 from splitknit.apps.pages import render
 from splitknit.apps.pictures import upright_frame
 from splitknit.apps.words import EXPLAINED, label, sentence
@@ -84,6 +85,7 @@ def make_report(
     uncertainty = figures.uncertainty_picture(result, frame)
     maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
     maps += [figures.relief_picture(result, frame), figures.shape_picture(result, frame)]
+    maps += mirror_pictures(result, capture)
     html = render(
         "report.html",
         title=title,
@@ -95,7 +97,7 @@ def make_report(
         maps=maps + ([uncertainty] if uncertainty is not None else []),
         profiles=_profiles(result, truth),
         quality=_tables(facts["quality"]),
-        found=_tables(facts["facts"]),
+        found=_tables({name: fact for name, fact in facts["facts"].items() if name != "mirror_drawing"}),
         settings=_tables(facts["settings"]),
         capture=[(label(key), _flat(value)) for key, value in facts["capture"].items() if value],
         comparison=_comparison_table(comparisons),
