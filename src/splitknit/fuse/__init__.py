@@ -6,7 +6,8 @@ from splitknit.fuse.chart import Chart, chart_over, read, sampled, surface_norma
 from splitknit.fuse.disparity import Disparity, DisparitySettings, disparity, ridge_band
 from splitknit.fuse.light import facing_share, mirrored_share, reflected_corners
 from splitknit.fuse.reflection import Plane, led_image, plane_of, reflect_points, reflect_vectors
-from splitknit.fuse.register import Correction, correct, shifts_by, warp_field
+from splitknit.fuse.register import Correction, align, shifts_by, warp_field
+from splitknit.fuse.search import Found, SearchSettings, search
 from splitknit.fuse.sight import Sight, heights
 
 __all__ = [
@@ -17,12 +18,14 @@ __all__ = [
     "Correction",
     "Disparity",
     "DisparitySettings",
+    "Found",
     "Plane",
+    "SearchSettings",
     "Sight",
+    "align",
     "blend",
     "body_from_outlines",
     "chart_over",
-    "correct",
     "coverage_deg",
     "disparity",
     "facing_share",
@@ -39,6 +42,7 @@ __all__ = [
     "sampled",
     "seam_lines",
     "seam_steps",
+    "search",
     "shifts_by",
     "surface_normals",
     "view_weight",

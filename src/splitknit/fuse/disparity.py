@@ -22,9 +22,9 @@ class DisparitySettings:
     """Side of the squares that are compared: some six ridges."""
     step_mm: float = 1.0
     """Distance of their middles."""
-    least_peak: float = 0.45
+    least_peak: float = 0.4
     """Correlation below which a square says nothing."""
-    least_lead: float = 0.06
+    least_lead: float = 0.03
     """How much the best place must correlate better than any other peak: ridges look alike a period on."""
     least_share: float = 0.7
     """Share of a square that both views must show."""

@@ -10,15 +10,16 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from splitknit.fuse.chart import Chart
 from splitknit.fuse.disparity import Disparity
 from splitknit.fuse.sight import Sight
-from splitknit.types import FloatArray
+from splitknit.types import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
 
-KNOT_MM = 2.0
+KNOT_MM = 2.5
 """Distance of the knots of the correction of the surface."""
 POSE_PRIOR = (0.01, 0.01, 0.2)
 """Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
@@ -28,22 +29,24 @@ OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.3, 10.0
 """The same where the front's outline tells the surface, this near to a right angle from the front."""
 BEND_PRIOR_MM = 0.25
 """Standard deviation of the correction's second difference from knot to knot."""
-NOISE_MM = 0.04
-"""Of a measured shift."""
+ALIKE_MM = 0.3
+"""Ridges say something new at about this distance."""
+ROBUST = 1.0
+"""Difference of two views' ridges, of unit contrast, from which it counts less and less."""
+ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What moves the surface and the mirrors."""
+    """What moves the surface and a mirror."""
 
     radius_mm: Array
-    """(n, m) to be added to the surface on the chart as it is."""
-    poses: dict[str, tuple[float, float, float]]
-    """Two turns (rad) and a shift (mm) of each mirror as it is, see :meth:`splitknit.fuse.reflection.Plane.moved`."""
-    total: Array
-    """(P,) all corrections so far: knots of the surface, then poses. What is expected of them is expected of these."""
-    left_mm: float
-    """Root mean square of the shifts that this does not explain."""
+    """(n, m) to be added to the surface on the chart."""
+    pose: tuple[float, float, float]
+    """Two turns (rad) and a shift (mm) of the mirror, see :meth:`splitknit.fuse.reflection.Plane.moved`."""
+    before: float
+    """Correlation of the two views' ridges where both see them, as it was."""
+    after: float
 
 
 def shifts_by(
@@ -84,79 +87,92 @@ def _pixels(sight: Sight, points: Array) -> Array:
     return np.stack([seen[..., 0], -seen[..., 1]], axis=-1)
 
 
-def correct(  # noqa: PLR0917
-    chart: Chart, radius_mm: Array, found: dict[str, Disparity], front: Sight, mirrors: dict[str, Sight],
-    poses_free: bool = True, before: Array | None = None,
+def align(  # noqa: PLR0917
+    chart: Chart, radius_mm: Array, front: Sight, mirror: Sight, first: FloatArray, second: FloatArray,
+    both: BoolArray, pose_free: bool = True,
 ) -> Correction:  # fmt: skip
-    """Surface and poses that explain how far the mirrors' ridges lie from the front's.
+    """Bend the surface and move the mirror until its ridges lie on the front's, all of them at once.
 
-    Linear least squares with priors; shifts that do not fit are weighed down (Cauchy) in turns.
+    Gauss-Newton on the difference of the two ridge bands, each of unit local contrast. Unknown are the knots of a
+    smooth correction of the surface and the mirror's pose, with priors on both. Ridges must lie within a quarter of a
+    period to begin with: see :mod:`splitknit.fuse.search`.
 
     Parameters
     ----------
     chart, radius_mm : the surface (n, m)
-    found : shifts of each mirror against the front, in columns and rows of the chart
-    poses_free : whether mirrors may move
-    before : ``total`` of the corrections that the surface and the mirrors already have
+    first, second : (n, m) ridge bands of the front and of the mirror's view, zero where not seen
+    both : (n, m) where both see the finger
+    pose_free : whether the mirror may move
+
+    References
+    ----------
+    Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
     """
-    rows, columns = chart.shape
-    pitch = chart.pitch_mm
-    every = max(1, round(KNOT_MM / pitch))
-    knots = (-(-(rows - 1) // every) + 1, -(-(columns - 1) // every) + 1)
+    rows, columns = np.nonzero(both)
+    if rows.size < 500:
+        return Correction(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0, 0.0)
+    every = max(2, round(KNOT_MM / chart.pitch_mm))
+    knots = (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
     count = knots[0] * knots[1]
+    modes = _modes(chart, radius_mm, (front, mirror), (rows, columns))
+    spread = _hats(columns / every, rows / every, knots)
+    one, other = (evened(band, both, chart.pitch_mm) for band in (first, second))
+    slopes = np.gradient(other, axis=1), np.gradient(other, axis=0)
+    target = one[rows, columns]
+    prior = _priors(knots, _depth_prior(chart, every, knots[1]), pose_free)
+    weight = (chart.pitch_mm / ALIKE_MM) ** 2  # neighbouring pixels say the same
+    values = np.zeros(count + 3)
+    scores: list[tuple[float, Array]] = []
+    for _ in range(ROUNDS):
+        by_depth = spread @ values[:count]
+        moved = modes[..., 0] * by_depth[:, None] + modes[..., 1:] @ values[count:]
+        column, row = columns + moved[:, 0], rows + moved[:, 1]
+        seen, across, down = (_read(field, column, row) for field in (other, *slopes))
+        scores.append((float(np.corrcoef(seen, target)[0, 1]) if seen.std() > 0 else 0.0, values))
+        jacobian = across[:, None] * modes[:, 0] + down[:, None] * modes[:, 1]  # (K, 4)
+        left = target - seen
+        trust = 1.0 / (1.0 + (left / ROBUST) ** 2)
+        matrix: Any = scipy.sparse.hstack(
+            [scipy.sparse.diags_array(jacobian[:, 0]) @ spread, scipy.sparse.csr_array(jacobian[:, 1:])]
+        ).tocsr()
+        scaled = scipy.sparse.diags_array(trust * weight)
+        normal = matrix.T @ scaled @ matrix + prior
+        step = scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), matrix.T @ (scaled @ left) - prior @ values)
+        values = values + step
+    best, values = max(scores, key=lambda item: item[0])
+    grid = values[:count].reshape(knots).astype(np.float32)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / every for n in chart.shape[::-1]))
+    smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
+    first_turn, second_turn, shift = (float(v) for v in values[count:])
+    return Correction(np.asarray(smooth, dtype=np.float64), (first_turn, second_turn, shift), scores[0][0], best)
+
+
+def _modes(
+    chart: Chart, radius_mm: Array, sights: tuple[Sight, Sight], at: tuple[NDArray[np.intp], NDArray[np.intp]]
+) -> Array:
+    """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of surface, by pose."""
     points = chart.points(radius_mm)
     _, rays = chart.rays()
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    matrices, values, weights = [], [], []
-    names = list(found)
-    for place, name in enumerate(names):
-        one = found[name]
-        if one.peak.size == 0:
-            continue
-        at = (
-            np.clip(np.rint(one.rows).astype(int), 0, rows - 1),
-            np.clip(np.rint(one.columns).astype(int), 0, columns - 1),
-        )
-        steps = right[at], down[at]
-        scale = np.stack([np.linalg.norm(s, axis=1) for s in steps], axis=1)  # mm for a column, a row
-        of_front, _ = shifts_by(front, chart, points[at], rays[at], steps)
-        of_mirror, by_pose = shifts_by(mirrors[name], chart, points[at], rays[at], steps)
-        spread = _hats(one.columns / every, one.rows / every, knots)
-        for axis in range(2):
-            by_depth = (of_mirror - of_front)[:, axis] * scale[:, axis]
-            pose = np.zeros((len(one.peak), 3 * len(names)))
-            if poses_free:
-                pose[:, 3 * place : 3 * place + 3] = by_pose[:, axis] * scale[:, axis, None]
-            matrices.append(
-                scipy.sparse.hstack([scipy.sparse.diags_array(by_depth) @ spread, scipy.sparse.csr_array(pose)])
-            )
-            values.append(one.shift[:, axis] * scale[:, axis])
-            weights.append(one.peak / NOISE_MM)
-    done = np.zeros(count + 3 * len(names)) if before is None else before
-    if not matrices:
-        return Correction(np.zeros(chart.shape), dict.fromkeys(names, (0.0, 0.0, 0.0)), done, 0.0)
-    matrix: Any = scipy.sparse.vstack(matrices).tocsr()
-    value, weight = np.concatenate(values), np.concatenate(weights)
-    prior = _priors(knots, len(names), _depth_prior(chart, every, knots[1]))
-    solution = np.zeros_like(done)
-    trust = np.ones(value.size)
-    for _ in range(6):
-        scaled = scipy.sparse.diags_array((weight * trust) ** 2)
-        normal = matrix.T @ scaled @ matrix + prior
-        solution = scipy.sparse.linalg.spsolve(
-            scipy.sparse.csc_array(normal), matrix.T @ (scaled @ value) - prior @ done
-        )
-        left = value - matrix @ solution
-        trust = 1.0 / np.sqrt(1.0 + (left / (2.5 * NOISE_MM)) ** 2)
-    grid = solution[:count].reshape(knots).astype(np.float32)
-    column, row = np.meshgrid(np.arange(columns, dtype=np.float32) / every, np.arange(rows, dtype=np.float32) / every)
-    smooth = cv2.remap(grid, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    poses = {}
-    for place, name in enumerate(names):
-        first, second, shift = (float(v) for v in solution[count + 3 * place : count + 3 * place + 3])
-        poses[name] = (first, second, shift)
-    spread_left = float(np.sqrt(np.average(left**2, weights=trust**2)))
-    return Correction(np.asarray(smooth, dtype=np.float64), poses, done + solution, spread_left)
+    (of_front, _), (of_mirror, by_pose) = (
+        shifts_by(sight, chart, points[at], rays[at], (right[at], down[at])) for sight in sights
+    )
+    return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
+
+
+def evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
+    """(n, m) ridge band over its local standard deviation."""
+    size = sigma_mm / pitch_mm
+    share = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
+    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / share
+    typical = float(np.median(power[known])) if known.any() else 1.0
+    return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
+
+
+def _read(field: FloatArray, columns: Array, rows: Array) -> Array:
+    """(K,) values at places, zero outside."""
+    return np.asarray(ndimage.map_coordinates(field, [rows, columns], order=1, mode="constant"), dtype=np.float64)
 
 
 def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.csr_array:
@@ -182,23 +198,21 @@ def _depth_prior(chart: Chart, every: int, columns: int) -> Array:
     return np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
 
 
-def _priors(knots: tuple[int, int], mirrors: int, deviation_mm: Array) -> Any:
-    """Inverse covariance of knots and poses; `deviation_mm` (columns,) of the surface."""
+def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool) -> Any:
+    """Inverse covariance of knots and pose; `deviation_mm` (columns,) of the surface."""
     rows, columns = knots
 
-    def bends(count: int) -> scipy.sparse.csr_array:
+    def bends(count: int) -> Any:
         if count < 3:
             return scipy.sparse.csr_array((0, count))
-        return scipy.sparse.csr_array(
-            scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count))
-        )
+        return scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)).tocsr()
 
     down = scipy.sparse.kron(bends(rows), scipy.sparse.eye_array(columns))
     across = scipy.sparse.kron(scipy.sparse.eye_array(rows), bends(columns))
     smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
     near = scipy.sparse.diags_array(np.tile(1.0 / deviation_mm**2, rows))
-    poses = scipy.sparse.diags_array(np.tile(1.0 / np.array(POSE_PRIOR) ** 2, mirrors))
-    return scipy.sparse.block_diag([smooth + near, poses])
+    spreads = np.array(POSE_PRIOR) if pose_free else np.full(3, 1e-9)
+    return scipy.sparse.block_diag([smooth + near, scipy.sparse.diags_array(1.0 / spreads**2)]).tocsr()
 
 
 def warp_field(found: Disparity, shape: tuple[int, int], pitch_mm: float, smooth_mm: float = 1.5) -> FloatArray:

@@ -13,16 +13,15 @@ from splitknit.check import require
 from splitknit.fuse import (
     Blended,
     Chart,
-    Correction,
-    Disparity,
     Sight,
+    align,
     blend,
     chart_over,
-    correct,
     disparity,
     read,
     ridge_band,
     sampled,
+    search,
     surface_normals,
     view_weight,
     warp_field,
@@ -37,6 +36,7 @@ from splitknit.types import BoolArray, Capture, FloatArray
 Array = NDArray[np.float64]
 COARSE_PITCH_MM = 0.07
 """Of the chart on which ridges are compared."""
+SEARCH_PITCH_MM = 0.1
 LEAST_COSINE = 0.25
 """Views are compared where both see the skin less steeply than this."""
 
@@ -88,8 +88,7 @@ class _Work:
             rolled.exponent,
         )
         self.reliefs: dict[str, ViewRelief] = {}
-        self.corrected: Array | None = None
-        self.left_mm: list[float] = []
+        self.correlation: dict[str, list[float]] = {}
         self.matched: dict[str, int] = {}
 
     def sights(self) -> dict[str, Sight]:
@@ -131,42 +130,37 @@ class _Work:
         known = np.isfinite(relief) & np.isfinite(deviation) & np.isfinite(trust) & (cosine > LEAST_COSINE)
         return np.where(known, relief, 0), np.where(known, deviation, 0), np.where(known, trust, 0), known
 
-    def register(self, window_mm: float, reach_mm: float) -> None:
-        chart = self.chart(COARSE_PITCH_MM)
+    def register(self, coarse: bool) -> None:
+        """Bring the mirrors' ridges onto the front's: by a search first, then by what bends and moves."""
+        chart = self.chart(SEARCH_PITCH_MM)
         radius = self.radius_on(chart)
-        found = self.compare(chart, radius, window_mm, reach_mm)
-        sights = self.sights()
-        front = sights.pop("front")
-        step = correct(chart, radius, found, front, sights, self.rolled.poses_free, self.corrected)
-        self.corrected = step.total
-        self.apply(step, chart)
-        self.left_mm.append(step.left_mm)
-
-    def compare(self, chart: Chart, radius: Array, window_mm: float, reach_mm: float) -> dict[str, Disparity]:
         points = chart.points(radius)
         normals = surface_normals(points)
-        pitch = chart.pitch_mm
         first, _, _, there = self.seen("front", points, normals)
-        first = ridge_band(first, there, pitch)
-        found = {}
-        for name in self.glasses:
+        first = ridge_band(first, there, chart.pitch_mm)
+        sights = self.sights()
+        added = np.zeros(chart.shape)
+        for name, glass in list(self.glasses.items()):
             second, _, _, known = self.seen(name, points, normals)
-            both = there & known
-            second = ridge_band(second, known, pitch)
-            chosen = replace(self.rolled.disparity, window_mm=window_mm)
-            found[name] = disparity(first, second, both, pitch, reach_mm, chosen)
-            self.matched[name] = int(found[name].peak.size)
-        return found
+            given = first, ridge_band(second, known, chart.pitch_mm), there & known
+            if coarse:
+                found = search(chart, radius, sights["front"], sights[name], *given, self.rolled.search)
+                correlation, step, pose = found.correlation, found.radius_mm, found.pose
+            else:
+                done = align(chart, radius, sights["front"], sights[name], *given, self.rolled.poses_free)
+                correlation, step, pose = done.after, done.radius_mm, done.pose
+                if done.after <= done.before:
+                    continue
+            self.correlation.setdefault(name, []).append(round(correlation, 3))
+            added += step
+            self.glasses[name] = replace(glass, plane=glass.plane.moved(pose[:2], pose[2]))
+        self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + self.spread(chart, added))
 
-    def apply(self, step: Correction, chart: Chart) -> None:
+    def spread(self, chart: Chart, added: Array) -> Array:
+        """A correction on a part of the finger, on the chart all around it."""
         whole = self.shape.chart
-        around = float(chart.angle_rad[-1])
-        beyond = np.maximum(np.abs(whole.angle_rad) - around, 0.0) / np.deg2rad(30.0)
-        added = sampled(chart, step.radius_mm, whole) * np.exp(-0.5 * beyond**2)
-        self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + added)
-        for name, (first, second, shift) in step.poses.items():
-            glass = self.glasses[name]
-            self.glasses[name] = replace(glass, plane=glass.plane.moved((first, second), shift))
+        beyond = np.maximum(np.abs(whole.angle_rad) - float(chart.angle_rad[-1]), 0.0) / np.deg2rad(30.0)
+        return np.asarray(sampled(chart, added, whole) * np.exp(-0.5 * beyond**2))
 
 
 def rolled_finger(
@@ -200,9 +194,8 @@ def rolled_finger(
         tell("views", turn / (chosen.turns + 1))
         work.find_ridges()
         tell("registration", (turn + 0.7) / (chosen.turns + 1))
-        stages = list(zip(chosen.windows_mm, chosen.reaches_mm, strict=True))
-        for window, reach in stages if turn == 0 else stages[-1:]:
-            work.register(window, reach)
+        for coarse in (True, False, False) if turn == 0 else (False,):
+            work.register(coarse)
     tell("fusion", chosen.turns / (chosen.turns + 1))
     return _fused(work)
 
@@ -238,8 +231,8 @@ def _fused(work: _Work) -> Rolled:
     facts = {
         "views": list(names),
         "relief_by": {name: work.reliefs[name].how for name in names},
+        "views_meet": dict(work.correlation),
         "squares_matched": dict(work.matched),
-        "left_after_registration_mm": [round(value, 4) for value in work.left_mm],
     }
     return Rolled(
         chart, points.astype(np.float32), normals.astype(np.float32), blended, names, stacked,
@@ -265,6 +258,7 @@ def _warps(work: _Work, chart: Chart) -> dict[str, FloatArray]:
             second, _, _, known = work.seen(name, _moved(points, column, row, field), normals)
             second = ridge_band(second, known, pitch)
             found = disparity(first, second, there & known, pitch, reach, replace(chosen.disparity, window_mm=window))
+            work.matched[name] = int(found.peak.size)
             field += warp_field(found, coarse.shape, pitch, smooth)
         large = cv2.resize(field, chart.shape[::-1], interpolation=cv2.INTER_LINEAR)
         warps[name] = np.asarray(large * np.array(scale, dtype=np.float32), dtype=np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from splitknit.check import require
-from splitknit.fuse import BlendSettings, DisparitySettings
+from splitknit.fuse import BlendSettings, DisparitySettings, SearchSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,11 +18,7 @@ class RolledSettings:
     """Of the chart: finer than what the camera resolves."""
     exponent: float = 2.3
     """Of the finger's sections before its ridges tell more: 2 is an ellipse, more is squarer."""
-    windows_mm: tuple[float, ...] = (5.0, 5.0, 4.0)
-    """Squares that are compared in each turn of the registration."""
-    reaches_mm: tuple[float, ...] = (1.6, 1.0, 0.6)
-    """How far apart ridges are looked for in each turn."""
-    elastic_steps_mm: tuple[tuple[float, float, float], ...] = ((4.0, 0.8, 2.0), (2.5, 0.4, 1.2))
+    elastic_steps_mm: tuple[tuple[float, float, float], ...] = ((4.0, 0.7, 2.0), (2.5, 0.3, 1.2))
     """Of the warp at the end, which takes up what is left: squares, reach, and the standard deviation over which the
     shifts are smoothed, step by step."""
     turns: int = 1
@@ -34,6 +30,7 @@ class RolledSettings:
     slope_prior: float = 0.5
     """How much slopes that the lights hardly tell are held to the shape's: variance of the images' relative error over
     that of the slopes."""
+    search: SearchSettings = field(default_factory=SearchSettings)
     disparity: DisparitySettings = field(default_factory=DisparitySettings)
     blend: BlendSettings = field(default_factory=BlendSettings)
 
@@ -41,8 +38,4 @@ class RolledSettings:
         require(30.0 <= self.around_deg <= 150.0, "rolled.around_deg must lie in [30, 150].")
         require(0.01 <= self.pitch_mm <= 0.2, "rolled.pitch_mm must lie in [0.01, 0.2].")
         require(1.5 <= self.exponent <= 4.0, "rolled.exponent must lie in [1.5, 4].")
-        require(
-            len(self.windows_mm) == len(self.reaches_mm) >= 1, "rolled.windows_mm and rolled.reaches_mm go together."
-        )
-        require(min(*self.windows_mm, *self.reaches_mm) > 0.0, "rolled.windows_mm and reaches_mm must be positive.")
         require(1 <= self.turns <= 5, "rolled.turns must lie between 1 and 5.")

@@ -1,0 +1,173 @@
+"""One capture with mirrors, rolled, against its truth: coverage, ridges by slant, seams, and prints to compare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from splitknit.apps.printing_rolled import laid_flat, rolled_facts
+from splitknit.flatten import UnrollSettings, ink, resample
+from splitknit.fuse import Blended, DisparitySettings, disparity, read, ridge_band, seam_lines, seam_steps, warp_field
+from splitknit.io import read_capture
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.rolled import Rolled, rolled_finger
+from splitknit.recipe.rolled_capture import find_mirror_views
+from splitknit.recipe.rolled_settings import RolledSettings
+
+BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
+"""Of the angle between the true skin and the camera's axis."""
+CAP_MM, BASE_MM = 0.0, 14.0
+"""Rows that are measured: from the tip's cap downwards, as far as this; creases lie below."""
+BESIDE_MM = 1.5
+STEP = 2
+"""Every so many of the chart's pixels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What is kept of a capture."""
+
+    row: dict[str, Any]
+    prints: dict[str, tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]]
+    """Of ``rolled`` and ``front``: the print, its relief in mm, and where it shows the finger."""
+
+
+def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
+    """Roll a capture and compare it with its truth."""
+    capture = read_capture(folder)
+    chosen = preset_settings("metric")
+    views = find_mirror_views(capture, chosen)
+    rolled = rolled_finger(capture, views, chosen, settings)
+    front = front_alone(rolled)
+    with np.load(folder / "truth.npz") as arrays:
+        truth = {name: arrays[name] for name in arrays.files if name.startswith(("body_", "mirror_"))}
+    facts = rolled_facts(rolled)
+    row = {
+        "pattern_of": folder.name,
+        "coverage_deg": facts["coverage_deg"]["median"],
+        "coverage_front_deg": rolled_facts(front)["coverage_deg"]["median"],
+        "views": list(rolled.names),
+        "squares": facts["squares_matched"],
+        "poses": _poses(rolled, views, truth),
+        **_against_truth(rolled, front, truth),
+    }
+    prints = {name: _print(one) for name, one in (("rolled", rolled), ("front", front))}
+    return Measured(row, prints)
+
+
+def front_alone(rolled: Rolled) -> Rolled:
+    """The same finger as its front shows it: the same relief, without the mirrors'."""
+    known = rolled.blended.known & (rolled.blended.shares[0] > 1e-3)
+    relief = np.where(known, rolled.view_reliefs[0], np.float32(0.0)).astype(np.float32)
+    shares = np.stack([known.astype(np.float32)])
+    blended = Blended(relief, rolled.blended.deviation_mm, known, shares)
+    return replace(rolled, blended=blended, names=("front",), view_reliefs=rolled.view_reliefs[:1])
+
+
+def _print(rolled: Rolled) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+    _, print_map = laid_flat(rolled, "free", 500.0, UnrollSettings())
+    values, weight = resample(rolled.blended.relief_mm, rolled.blended.known, rolled.chart.pitch_mm, print_map)
+    return ink(values, weight), values, weight > 0.5
+
+
+def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
+    """Errors of the mirrors' normals (deg) and places (mm), as the outlines have them and after registration."""
+    found = {}
+    first = {view.name: view.glass for view in views if view.glass is not None}
+    for glass in rolled.glasses:
+        normal, point = truth[f"mirror_{glass.name}_normal"], truth[f"mirror_{glass.name}_point_mm"]
+        for word, one in (("outlines", first[glass.name]), ("ridges", glass)):
+            turn = float(np.rad2deg(np.arccos(min(1.0, float(one.plane.normal @ normal)))))
+            off = float((one.plane.point_mm - point) @ normal)
+            found[f"{glass.name}_{word}"] = [round(turn, 3), round(off, 3)]
+    return found
+
+
+def _against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
+    chart = rolled.chart
+    pitch = chart.pitch_mm * STEP
+    relief, normals = _truth_at(rolled.points_mm[::STEP, ::STEP].astype(np.float64), truth)
+    slant = np.rad2deg(np.arccos(np.clip(normals[..., 2], -1.0, 1.0)))
+    length = chart.length_mm[::STEP, None]
+    region = (length <= CAP_MM) & (length >= -BASE_MM)
+    result: dict[str, Any] = {}
+    for name, one in (("rolled", rolled), ("front", front)):
+        known = one.blended.known[::STEP, ::STEP]
+        seen = ridge_band(np.ascontiguousarray(one.blended.relief_mm[::STEP, ::STEP]), known, pitch)
+        there = ridge_band(relief, known, pitch)
+        moved, apart = _aligned(there, seen, known, pitch)
+        result[f"{name}_strict"] = _by_band(there, seen, known & region, slant)
+        result[f"{name}_aligned"] = _by_band(moved, seen, known & region, slant)
+        result[f"{name}_apart_mm"] = apart
+        if name == "rolled":
+            result["seams"] = _seams(rolled, seen, moved, known & region, pitch)
+    return result
+
+
+def _truth_at(points: NDArray[np.float64], truth: dict[str, Any]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """True relief (mm) and true smooth normals at the truth's points nearest to points (n, m, 3)."""
+    places = truth["body_shape_mm"].reshape(-1, 3).astype(np.float64)
+    distance, index = cKDTree(places).query(points.reshape(-1, 3), k=4)
+    weight = 1.0 / np.maximum(distance, 1e-4) ** 2
+    weight /= weight.sum(axis=1, keepdims=True)
+    relief = (truth["body_relief_um"].ravel()[index] * weight).sum(axis=1) * 1e-3
+    normals = (truth["body_normals"].reshape(-1, 3)[index] * weight[..., None]).sum(axis=1)
+    return relief.reshape(points.shape[:2]).astype(np.float32), normals.reshape(points.shape)
+
+
+def _aligned(there: Any, seen: Any, known: Any, pitch: float) -> tuple[Any, float]:
+    """The truth moved onto the estimate by a smooth warp (1.6 mm at most, then what is left), and how far (rms, mm)."""
+    column, row = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in there.shape[::-1]))
+    field = np.zeros((*there.shape, 2), dtype=np.float32)
+    moved = there
+    for window, reach, smooth in ((5.0, 1.2, 2.5), (4.0, 0.5, 1.5), (3.0, 0.3, 1.2)):
+        chosen = DisparitySettings(window_mm=window, least_peak=0.35, least_lead=0.03)
+        found = disparity(seen, moved, known, pitch, reach, chosen)
+        field += warp_field(found, there.shape, pitch, smooth)
+        moved = read(np.ascontiguousarray(there), column + field[..., 0], row + field[..., 1], held=True)
+    apart = float(np.sqrt((field[known] ** 2).sum(axis=1).mean())) * pitch
+    return moved, round(apart, 3)
+
+
+def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float | None]:
+    result: dict[str, float | None] = {}
+    for low, high in BANDS_DEG:
+        where = known & (slant >= low) & (slant < high)
+        enough = int(where.sum()) > 500
+        result[f"{low}-{high}"] = round(float(np.corrcoef(there[where], seen[where])[0, 1]), 3) if enough else None
+    beyond = known & (slant >= 60)
+    enough = int(beyond.sum()) > 500
+    result["beyond 60"] = round(float(np.corrcoef(there[beyond], seen[beyond])[0, 1]), 3) if enough else None
+    return result
+
+
+def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:
+    """Steps of the relief's error (rms, um) across each seam: cross-faded, as a hard cut would have them, and 1.5 mm to
+    either side, where there is no seam."""
+    shares = rolled.blended.shares[:, ::STEP, ::STEP]
+    best = np.argmax(shares, axis=0)
+    cut = np.take_along_axis(rolled.view_reliefs[:, ::STEP, ::STEP], best[None], axis=0)[0]
+    cut = ridge_band(np.ascontiguousarray(cut), rolled.blended.known[::STEP, ::STEP], pitch)
+    result = {}
+    for place, name in enumerate(rolled.names[1:], start=1):
+        line = seam_lines(shares, 0, place) & known
+        if not line.any():
+            result[name] = None
+            continue
+        away = round(BESIDE_MM / pitch)
+        beside = (np.roll(line, away, axis=1) | np.roll(line, -away, axis=1)) & known
+        steps = {
+            "faded": seam_steps(seen - there, line, pitch),
+            "cut": seam_steps(cut - there, line, pitch),
+            "no_seam": seam_steps(seen - there, beside, pitch),
+        }
+        result[name] = {
+            "length_mm": round(float(line.any(axis=1).sum()) * pitch, 1),
+            **{f"{word}_um": round(1000.0 * float(np.sqrt((s**2).mean())), 2) for word, s in steps.items()},
+        }
+    return result
