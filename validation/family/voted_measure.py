@@ -1,0 +1,74 @@
+"""Minutiae of one capture, plain and voted, against the true ones of the simulator."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "prints"))
+
+from agreement_measure import against_truth
+from agreement_truth import Truth, read_truth
+
+from splitknit.batch import Store
+from splitknit.batch.chunks import read_chunk
+from splitknit.batch.reading import places_of
+from splitknit.flatten import plane_map, resample
+from splitknit.io import read_capture
+from splitknit.io.png import decode_png
+from splitknit.match.minutiae import extract
+from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.finger import Finger, find_finger
+from splitknit.recipe.leave_one_out import left_out_pictures
+from splitknit.recipe.stopwatch import Stopwatch
+
+PPI = 500.0
+
+
+def name_of(capture: tuple[str, int, str]) -> str:
+    """Of a capture's folder in its population."""
+    return f"{capture[0]}/session_{capture[1]}/{capture[2]}"
+
+
+def lists_of(population: Path, capture: tuple[str, int, str], **options: Any) -> dict[str, list[str]]:
+    """Packed minutiae (hex) of every picture of every set, by the picture."""
+    read = read_capture(population / name_of(capture))
+    found: dict[str, list[str]] = {}
+    for one in left_out_pictures(read, preset_settings("zheng"), **options):
+        found.setdefault(one.picture, []).append(pack_minutiae(extract(one.print_image)).hex())
+    return found
+
+
+def plain_of(store: Path, case: str, capture: tuple[str, int, str]) -> Minutiae | None:
+    """Minutiae of a reconstruction's relief print; None where the store lacks it."""
+    place = places_of(Store(store).files("features", case)).get(name_of(capture))
+    data = None if place is None else read_chunk(place.file, ["print"]).column("print").to_pylist()[place.row]
+    return None if data is None else extract(decode_png(data, "print")[..., 0])
+
+
+class Judge:
+    """The truth of one capture on its print's frame."""
+
+    def __init__(self, population: Path, capture: tuple[str, int, str]) -> None:
+        """Read the truth and find the finger."""
+        read = read_capture(population / name_of(capture))
+        finger: Finger = find_finger(read, preset_settings("zheng"), Stopwatch(None))
+        pitch = read.rig.camera.pitch_mm
+        print_map = plane_map(pitch, finger.upright.input_from_upright, finger.upright.size, PPI)
+        _, weight = resample(finger.mask.astype(np.float32), finger.mask, pitch, print_map)
+        self.made: Any = SimpleNamespace(map=print_map, weight=weight)
+        self.truth: Truth = read_truth(population, *capture)
+
+    def record(self, minutiae: Minutiae) -> dict[str, Any]:
+        """As in validation/prints."""
+        return against_truth(minutiae, self.made, self.truth)
+
+
+def unpacked(lists: dict[str, list[str]], pictures: tuple[str, ...]) -> list[Minutiae]:
+    """Lists of minutiae of some pictures of all sets."""
+    return [unpack_minutiae(bytes.fromhex(data)) for name in pictures for data in lists.get(name, [])]
