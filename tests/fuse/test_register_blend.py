@@ -1,0 +1,170 @@
+"""Ridges of two views brought together, and blended."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.fuse import (
+    BlendSettings,
+    Chart,
+    DisparitySettings,
+    Plane,
+    SearchSettings,
+    Sight,
+    align,
+    blend,
+    chart_over,
+    coverage_deg,
+    disparity,
+    ridge_band,
+    seam_lines,
+    seam_steps,
+    search,
+    shifts_by,
+    surface_normals,
+    view_weight,
+    warp_field,
+)
+from splitknit.types import Camera
+
+CAMERA = Camera(12.0, (420, 900))
+LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
+PLANE = Plane(np.array([20.0, 0.0, -8.0]), LEAN)
+FRONT, RIGHT = Sight("front", CAMERA), Sight("right", CAMERA, PLANE)
+
+
+def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
+    """Noise of one ridge period (6 px), whose directions wander."""
+    noise = np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+    return cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
+
+
+def test_shifted_ridges_are_found_where_they_went() -> None:
+    whole = ridges((220, 260))
+    first, second = whole[20:200, 20:240], whole[17:197, 25:245]  # 5 columns less, 3 rows more
+    both = np.ones(first.shape, dtype=bool)
+    found = disparity(np.ascontiguousarray(first), np.ascontiguousarray(second), both, 0.1, 1.0)
+    assert found.peak.size > 50
+    assert np.allclose(found.shift, [-5.0, 3.0], atol=0.1)
+    field = warp_field(found, first.shape, 0.1)
+    assert np.allclose(field[60:120, 80:140], [-5.0, 3.0], atol=0.8)
+    unrelated = disparity(np.ascontiguousarray(first), ridges(first.shape, 5), both, 0.1, 1.0)
+    assert unrelated.peak.size < 5
+    none = disparity(np.ascontiguousarray(first), np.ascontiguousarray(second), ~both, 0.1, 1.0)
+    assert none.peak.size == 0
+
+
+def test_the_ridge_band_has_no_mean() -> None:
+    relief = ridges((80, 80)) + 5.0
+    band = ridge_band(relief, np.ones(relief.shape, bool), 0.1)
+    assert abs(float(band.mean())) < 0.02
+    assert np.corrcoef(band.ravel(), relief.ravel())[0, 1] > 0.95
+
+
+def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
+    chart = chart_over(np.array([0.0, 0.0, -7.0]), np.eye(3), (-100.0, 100.0), (-14.0, 0.0), 7.0, 0.1, 7.0)
+    return chart, np.full(chart.shape, radius)
+
+
+def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray, ...]:
+    """Ridges of front and mirror on a chart of radius 7, of a finger that bulges by `more` between front and side."""
+    fine = np.linspace(0.0, np.pi / 2, 4001)
+    radius = 7.0 + more * np.sin(2 * fine) ** 2
+    angle = np.clip(chart.angle_rad, 0.0, np.pi / 2)
+    in_front = np.interp(7.0 * np.sin(angle), radius * np.sin(fine), fine)
+    in_mirror = np.interp(-7.0 * np.cos(angle), -radius * np.cos(fine), fine)
+    texture = ridges((chart.shape[0], 600), texture_seed)
+    column, row = np.meshgrid(np.arange(chart.shape[1]), np.arange(chart.shape[0], dtype=np.float32))
+    views = []
+    for seen in (in_front, in_mirror):
+        place = (seen * 7.0 / 0.1)[column].astype(np.float32)
+        views.append(cv2.remap(texture, place, row, cv2.INTER_CUBIC))
+    degrees = np.rad2deg(chart.angle_rad)
+    both = np.broadcast_to((degrees > 18) & (degrees < 72), chart.shape)
+    return views[0] * both, views[1] * both, both, np.interp(angle, fine, radius) - 7.0
+
+
+@pytest.mark.parametrize("more", [0.3, -0.25])
+def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
+    chart, radius = cylinder(7.0)
+    first, second, both, truth = bulged(chart, more)
+    before = np.corrcoef(first[both], second[both])[0, 1]
+    assert before < 0.3  # ridges are shifted by more than a period
+    ranges = SearchSettings(bulge_mm=(0.5, 0.06), shift_mm=(0.15, 0.15), turn_deg=(0.2, 0.2))
+    found = search(chart, radius, FRONT, RIGHT, first, second, both, ranges)
+    assert found.correlation > 0.8
+    middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
+    left = found.radius_mm[70, middle] - truth[middle]
+    # surface and mirror trade against each other: what both move by is what counts
+    assert np.abs(left + found.pose[2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
+    nothing = search(chart, radius, FRONT, RIGHT, first, ridges(chart.shape, 9) * both, both, ranges)
+    assert not nothing.radius_mm.any()
+
+
+def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
+    chart, radius = cylinder(7.0)
+    first, second, both, truth = bulged(chart, 0.04)
+    done = align(chart, radius, FRONT, RIGHT, first, second, both, pose_free=False)
+    assert done.after > max(0.95, done.before + 0.05)
+    assert done.pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
+    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.02
+    few = np.zeros_like(both)
+    assert align(chart, radius, FRONT, RIGHT, first, second, few).radius_mm.max() == 0.0
+
+
+def test_ridges_move_as_surface_and_mirror_do() -> None:
+    chart, radius = cylinder(7.0)
+    points = chart.points(radius)
+    _, rays = chart.rays()
+    at = np.array([70]), np.array([np.abs(chart.angle_rad - np.pi / 4).argmin()])
+    steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
+    front, no_pose = shifts_by(FRONT, chart, points[at], rays[at], steps)
+    mirror, by_pose = shifts_by(RIGHT, chart, points[at], rays[at], steps)
+    column_mm = np.linalg.norm(steps[0])
+    # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side, the mirror's back
+    assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
+    assert mirror[0] * column_mm == pytest.approx([-1.0, 0.0], abs=0.02)
+    assert not no_pose.any()
+    assert abs(by_pose[0, 0, 2] * column_mm) == pytest.approx(2.0, abs=0.03)
+
+
+def test_views_fade_into_each_other() -> None:
+    chart, radius = cylinder(7.0)
+    normals = surface_normals(chart.points(radius))
+    settings = BlendSettings()
+    known = np.ones(chart.shape, dtype=bool)
+    deviation = np.full(chart.shape, 0.004, np.float32)
+    weights = np.stack(
+        [view_weight(sight.cosine(normals), known, deviation, 0.1, settings) for sight in (FRONT, RIGHT)]
+    )
+    degrees = np.rad2deg(chart.angle_rad)
+    assert not weights[0][:, np.abs(degrees) > settings.steepest_deg].any()
+    assert not weights[1][:, degrees < 90 - settings.steepest_deg].any()
+    values = np.stack([np.zeros(chart.shape), np.ones(chart.shape)]).astype(np.float32)
+    made = blend(values, np.stack([deviation] * 2), weights)
+    assert np.allclose(made.shares.sum(axis=0)[made.known], 1.0, atol=1e-5)
+    rising = made.relief_mm[70, (degrees > 18) & (degrees < 72)]
+    assert (np.diff(rising) > -1e-6).all()
+    assert np.abs(np.diff(rising)).max() < 0.1  # no jump between neighbours
+    assert made.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.02)
+    line = seam_lines(made.shares, 0, 1)
+    assert np.abs(degrees[np.flatnonzero(line[70])] - 45).max() < 2
+    hard = np.where(made.shares[0] > made.shares[1], 0.0, 1.0)
+    assert np.allclose(seam_steps(hard, line, 0.1), 1.0)
+    assert np.abs(seam_steps(np.ones(chart.shape), line, 0.1)).max() == 0
+    # from -72 deg of the front to the chart's end, less what fades out
+    around = coverage_deg(chart, made.known, normals)
+    assert np.median(around) == pytest.approx(72 + 100, abs=8)
+
+
+def test_settings_are_checked() -> None:
+    for wrong in ({"steepest_deg": 95.0}, {"power": 0.0}, {"fade_mm": 0.0}, {"deviation_floor_um": 0.0}):
+        with pytest.raises(BadInput, match="fuse"):
+            BlendSettings(**wrong)
+    for wrong in ({"window_mm": 0.1}, {"step_mm": 9.0}, {"least_peak": 1.5}, {"least_lead": 1.0}, {"least_share": 0.0}):
+        with pytest.raises(BadInput, match="fuse"):
+            DisparitySettings(**wrong)
