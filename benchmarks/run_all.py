@@ -24,6 +24,7 @@ SUITES = {
     "bench_viewer.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
     "bench_capture.py": (["--rounds", "2"], ["--rounds", "1", "--scales", "0.5"]),
+    "bench_motion.py": (["--rounds", "3"], ["--rounds", "1", "--scale", "0.4"]),
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
 }
 

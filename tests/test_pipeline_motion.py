@@ -18,6 +18,7 @@ from splitknit.recipe.memory import Memory
 from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
+from splitknit.simulate.coloured import coloured_rig
 from splitknit.simulate.motion import HandMotion
 from splitknit.simulate.twin import TwinSettings, simulate_capture
 
@@ -133,6 +134,20 @@ def test_shots_that_do_not_fit_together_are_refused(moved):
     broken = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
     with pytest.raises(BadInput, match=r"mm can be undone|do not fit together"):
         steadied(broken, correct="on")
+
+
+@pytest.mark.slow
+def test_photographs_of_coloured_leds_are_brought_together():
+    capture = simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0)))[0]
+    white = capture.bands["white"]
+    pixels = white.pixels.copy()
+    pixels[0] = np.roll(pixels[0], (2, -3), axis=(0, 1))
+    moved = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
+    _, finger = steadied(moved, correct="on")
+    told = finger.facts["motion"]["white"]
+    assert len(told["moved_mm"]) == len(pixels)
+    pitch = capture.rig.camera.pitch_mm
+    np.testing.assert_allclose(told["shift_mm"][0], [-3 * pitch, -2 * pitch], atol=0.08)
 
 
 def test_few_shots_are_left_alone(moved):

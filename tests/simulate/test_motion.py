@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
+from splitknit.simulate.coloured import coloured_rig
+from splitknit.simulate.mirror_settings import MirrorViews
 from splitknit.simulate.motion import HandMotion, draw_path
 from splitknit.simulate.moving_scene import smear_kernel
 from splitknit.simulate.twin import TwinSettings, simulate_capture
@@ -103,6 +105,13 @@ def test_a_smear_is_as_long_as_the_path():
     across = kernel.sum(axis=0)
     assert np.sqrt((across * columns**2).sum()) == pytest.approx(4.0 / np.sqrt(12), rel=0.08)
     assert (smear_kernel(np.zeros(2)) == np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]])).all()
+
+
+def test_coloured_leds_and_mirrors_are_refused():
+    with pytest.raises(BadInput, match="coloured"):
+        simulate_capture(5, None, replace(twin(amplitude_mm=0.2), rig=coloured_rig(0.12, 0)))
+    with pytest.raises(BadInput, match="mirrors"):
+        simulate_capture(5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorViews(names=("left",))))
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ class MotionSettings:
     """How motion between shots is measured, and undone."""
 
     correct: str = "auto"
-    """``auto``: motion of at least `correct_mm` is undone; ``on``: always; ``off``: it is measured and warned of."""
+    """``auto``: skin that moved by `correct_mm` at least is brought back; ``on``: always; ``off``: it is warned of."""
     correct_mm: float = 0.02
     """Motion from here on is undone. Still fingers of the twin show at most 0.014 mm."""
     most_mm: float = 0.8

@@ -7,7 +7,17 @@ from typing import Any
 
 from splitknit.recipe.presets import PipelineSettings
 
-LATER = ("smooth", "lights", "normals.hanrahan_krueger", "shape.mirror")
+LATER = (
+    "smooth",
+    "lights",
+    "normals.hanrahan_krueger",
+    "shape.mirror",
+    "motion.correct",
+    "motion.correct_mm",
+    "motion.most_mm",
+    "motion.most_left",
+    "motion.registration",
+)
 """Settings of later cases: at their defaults they change nothing, so the documents, hashes and files of earlier cases
 stay what they were."""
 

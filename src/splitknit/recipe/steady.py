@@ -44,8 +44,9 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
     finger = find_finger(capture, settings, watch)
     motion = settings.motion
     seen_mm = _seen_mm(finger, settings)
-    wanted = motion.correct == "on" or (motion.correct == "auto" and seen_mm >= motion.correct_mm)
-    enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 3
+    suspect = capture.material == "skin" and seen_mm >= motion.correct_mm  # gloss of other things looks like motion
+    wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
+    enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
     if not wanted or not enough:
         return capture, finger
     with watch("finger"):

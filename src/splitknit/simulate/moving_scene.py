@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.check import require
 from splitknit.simulate.diffusion import WalkTable, load_walks
 from splitknit.simulate.lighting import white_card
 from splitknit.simulate.moving import MovingFinger
@@ -31,6 +32,10 @@ def photograph_moving(
     shot, ``motion_reference``; ``motion_*`` tell the motion, and ``glare_*`` lie where each shot shows the finger.
     The ambient frame of a band shows the finger where its first shot does.
     """
+    require(
+        not any(led.colour for led in rig.leds),
+        "a moving finger is photographed with one LED an exposure in the twin; leave out motion or the coloured LEDs.",
+    )
     walks = load_walks()
     background_seed, noise_seed = seed.spawn(2)
     names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]

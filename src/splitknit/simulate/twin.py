@@ -105,6 +105,9 @@ def simulate_capture(
     settings = settings or TwinSettings()
     subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
     if settings.motion.amplitude_mm > 0:
+        require(
+            not has_mirrors(settings), "a finger between mirrors lies still in the twin; leave out motion or mirrors."
+        )
         moving, rig, skin, photo_seed = _set_in_motion(seed, pattern, settings, impression, finger)
         capture, truth = photograph_moving(moving, rig, skin, photo_seed, settings)
         return replace(capture, subject=subject), truth
