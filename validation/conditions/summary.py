@@ -1,0 +1,252 @@
+"""What fails first: ``python validation/conditions/summary.py SCRATCH``, after ``run.py``.
+
+Writes ``conditions.csv`` (medians over fingers with 95 % bootstrap intervals, beside the range of clean captures) and
+``conditions.json`` (what leaves its clean range first, and what the software said), and prints the tables of
+``docs/conditions.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.apps.printing_quality import advice
+from splitknit.flatten import PrintQuality, QualityFigures, score_of
+
+HERE = Path(__file__).parent
+WORSE_WHEN_LOWER = ("ridge_correlation", "ridge_good_area", "print_quality", "similarity", "mask_overlap")
+WORSE_WHEN_HIGHER = ("normals_mean_deg", "shape_rms_mm", "surface_rms_mm")
+WORSE_BOTH_WAYS = ("ridge_gain", "nfiq2")
+SHOWN_ONLY = ("saturated", "ridge_contrast")
+FIGURES = (*WORSE_WHEN_LOWER, *WORSE_WHEN_HIGHER, *WORSE_BOTH_WAYS, *SHOWN_ONLY)
+JUDGED = ("ridge_correlation", "ridge_gain", "normals_mean_deg", "shape_rms_mm", "print_quality", "nfiq2", "similarity")
+"""Figures that may fail first: those that the issue names."""
+
+
+def interval(values: np.ndarray, rounds: int = 2000) -> tuple[float, float]:
+    """95 % bootstrap interval of the median over fingers."""
+    rng = np.random.default_rng(0)
+    medians = np.median(rng.choice(values, (rounds, len(values))), axis=1)
+    return float(np.percentile(medians, 2.5)), float(np.percentile(medians, 97.5))
+
+
+def outside(figure: str, value: float, clean: np.ndarray) -> float:
+    """How far a value lies beyond the clean captures' range, in widths of that range; 0 inside."""
+    low, high = float(clean.min()), float(clean.max())
+    width = max(high - low, 1e-9)
+    below, above = (low - value) / width, (value - high) / width
+    if figure in WORSE_WHEN_LOWER:
+        return max(0.0, below)
+    if figure in WORSE_WHEN_HIGHER:
+        return max(0.0, above)
+    return max(0.0, below, above)
+
+
+def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each preset, condition, severity and figure."""
+    found = []
+    for preset in sorted({row["preset"] for row in rows}):
+        mine = [row for row in rows if row["preset"] == preset and row["exit"] == 0]
+        clean = [row for row in mine if row["kind"] == "none"]
+        fingers = len({row["seed"] for row in clean if row["impression"] == 0})
+        groups = sorted({(row["kind"], row["severity"]) for row in mine}, key=lambda key: (key[0] != "none", key))
+        for kind, severity in groups:
+            some = [r for r in mine if (r["kind"], r["severity"]) == (kind, severity) and r["impression"] == 0]
+            tried = [r for r in rows if (r["preset"], r["kind"], r["severity"]) == (preset, kind, severity)]
+            if len({r["seed"] for r in tried}) < fingers or not some:
+                continue  # not measured on all fingers yet
+            for figure in FIGURES:
+                values = np.array([row[figure] for row in some if row.get(figure) is not None])
+                known = np.array([row[figure] for row in clean if row.get(figure) is not None])
+                if len(values) == 0 or len(known) == 0:
+                    continue
+                low, high = interval(values)
+                middle = float(np.median(values))
+                found.append({
+                    "preset": preset, "kind": kind, "severity": severity, "figure": figure, "fingers": len(values),
+                    "median": round(middle, 4), "low": round(low, 4), "high": round(high, 4),
+                    "clean_low": round(float(known.min()), 4), "clean_high": round(float(known.max()), 4),
+                    "beyond": 0.0 if kind == "none" or figure in SHOWN_ONLY
+                    else round(outside(figure, middle, known), 2),
+                })  # fmt: skip
+    return found
+
+
+def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:
+    """For each condition: at which severity which figures first leave the clean range, the furthest first."""
+    result = {}
+    for kind in sorted({row["kind"] for row in table} - {"none"}):
+        mine = [r for r in table if (r["preset"], r["kind"]) == (preset, kind) and r["figure"] in JUDGED]
+        gone = sorted({row["severity"] for row in mine if row["beyond"] > 0})
+        if not gone:
+            result[kind] = {"severity": None, "figures": [], "measured": sorted({r["severity"] for r in mine})}
+            continue
+        left = sorted((r for r in mine if r["severity"] == gone[0] and r["beyond"] > 0), key=lambda r: -r["beyond"])
+        result[kind] = {
+            "severity": gone[0],
+            "figures": [
+                {k: r[k] for k in ("figure", "median", "low", "high", "clean_low", "clean_high")} for r in left
+            ],
+            "measured": sorted({r["severity"] for r in mine}),
+        }
+    return result
+
+
+def sentences(rows: list[dict[str, Any]], preset: str) -> dict[str, dict[str, int]]:
+    """How many of the fingers heard what, by condition and severity; numbers in the sentences are dropped."""
+    heard: dict[str, Counter[str]] = {}
+    for row in rows:
+        if row["preset"] != preset or row["impression"] != 0:
+            continue
+        count = heard.setdefault(f"{row['kind']} {row['severity']:g}", Counter())
+        count["captures"] += 1
+        if row["exit"]:
+            count["refused: " + plain(row["refused"])] += 1
+            continue
+        heard_now = {"reconstruct: " + plain(text) for text in row["warnings"] if "flexion crease" not in text}
+        heard_now |= {"print: " + plain(text) for text in advice_of(row)}
+        count.update(heard_now)
+        count["silent"] += not heard_now
+        count["reconstruct silent"] += not any(text.startswith("reconstruct") for text in heard_now)
+        count["not the same finger at a false match rate of 1e-4"] += bool(row.get("fmr", 0) and row["fmr"] > 1e-4)
+    return {key: dict(count.most_common()) for key, count in heard.items()}
+
+
+def advice_of(row: dict[str, Any]) -> tuple[str, ...]:
+    """Advice on the print in the words of today."""
+    if "print_figures" not in row:
+        return tuple(row["advice"])
+    figures = QualityFigures(**row["print_figures"])
+    score, worth = score_of(figures)
+    return advice(PrintQuality(score, figures, worth))
+
+
+def plain(text: str) -> str:
+    """A sentence without its numbers, and whether the white or the nir band was meant."""
+    return re.sub(r"\d+(\.\d+)?", "N", text.replace("white band: ", "").replace("nir band: ", "nir: "))
+
+
+def show(table: list[dict[str, Any]], preset: str) -> str:
+    """Markdown: medians of every condition and severity, bold where they left the clean range."""
+    lines = []
+    head = (
+        "ridge_correlation",
+        "ridge_gain",
+        "normals_mean_deg",
+        "shape_rms_mm",
+        "print_quality",
+        "nfiq2",
+        "similarity",
+    )
+    lines.append("| condition | severity | " + " | ".join(NAMES[name] for name in head) + " |")
+    lines.append("| --- " * (2 + len(head)) + "|")
+    keys = list(dict.fromkeys((r["kind"], r["severity"]) for r in table if r["preset"] == preset))
+    for kind, severity in keys:
+        values = []
+        for figure in head:
+            match = [
+                r
+                for r in table
+                if (r["preset"], r["kind"], r["severity"], r["figure"]) == (preset, kind, severity, figure)
+            ]
+            if not match:
+                values.append("")
+                continue
+            r = match[0]
+            digits = {"nfiq2": 0, "print_quality": 0, "normals_mean_deg": 1}.get(figure, 2)
+            text = f"{r['median']:.{digits}f} ({r['low']:.{digits}f}-{r['high']:.{digits}f})"
+            values.append(f"**{text}**" if r["beyond"] > 0 else text)
+        lines.append(f"| {kind} | {severity:g} | " + " | ".join(values) + " |")
+    return "\n".join(lines)
+
+
+LABELS = {
+    "is saturated": "saturated: dry the finger", "ridges hardly show": "ridges hardly show",
+    "Ridges are weak": "print: ridges weak (dry, worn, wet or out of focus)",
+    "Ridges are missing": "print: ridges missing", "shows none": "print: gaps (wipe it)",
+    "edges are soft": "print: soft", "noisy": "print: noisy or dusty", "mm2) are in view": "print: short",
+    "silent": "nothing said", "beside the finger": "print: beside the middle", "refused": "refused (exit code 2)",
+    "not the same finger": "not matched at FMR 1e-4",
+}  # fmt: skip
+"""Short forms of what is said; what is not among them (a crease that is not in view) is left out."""
+NAMES = {
+    "ridge_correlation": "ridge correlation", "ridge_gain": "ridge gain", "normals_mean_deg": "normals, deg",
+    "shape_rms_mm": "shape, mm", "print_quality": "print quality", "nfiq2": "NFIQ 2", "similarity": "similarity",
+}  # fmt: skip
+
+
+def labelled(heard: dict[str, int]) -> str:
+    """What was said to how many of the fingers, in short."""
+    count: Counter[str] = Counter()
+    for sentence, times in heard.items():
+        for part, label in LABELS.items():
+            if part in sentence and times and sentence != "reconstruct silent":
+                count[label] = max(count[label], times)
+    captures = heard["captures"]
+    return "; ".join(f"{label} {times}/{captures}" for label, times in count.most_common()) or "nothing"
+
+
+def first_table(document: dict[str, Any], preset: str) -> str:
+    """Markdown: what leaves its clean range first, and what the software then says."""
+    lines = [
+        "| condition | first at severity | what leaves its clean range | what the software then says | at severity 1 |"
+    ]
+    lines.append("| --- " * 5 + "|")
+    for kind, found in document["first"][preset].items():
+        said = document["said"][preset]
+        parts = [
+            f"{NAMES[f['figure']]} {f['median']:.3g} ({f['low']:.3g} to {f['high']:.3g}; clean {f['clean_low']:.3g} to "
+            f"{f['clean_high']:.3g})"
+            for f in found["figures"][:4]
+        ]
+        severity = found["severity"]
+        then = labelled(said[f"{kind} {severity:g}"]) if severity else ""
+        worst = labelled(said[f"{kind} 1"]) if f"{kind} 1" in said else ""
+        where = f"{severity:g} (of {', '.join(f'{v:g}' for v in found['measured'])})" if severity else "never"
+        lines.append(f"| {kind} | {where} | {'; '.join(parts)} | {then} | {worst} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Read, summarise, write, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scratch", type=Path)
+    parser.add_argument("--out", type=Path, default=HERE)
+    parser.add_argument("--page", type=Path, help="page whose tables are replaced, such as docs/conditions.md")
+    options = parser.parse_args()
+    rows = [json.loads(line) for line in (options.scratch / "rows.jsonl").read_text().splitlines()]
+    table = cells(rows)
+    presets = sorted({row["preset"] for row in rows})
+    with (options.out / "conditions.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(table[0]))
+        writer.writeheader()
+        writer.writerows(table)
+    document = {
+        "fingers": sorted({row["seed"] for row in rows}),
+        "captures": len({(row["seed"], row["impression"], row["kind"], row["severity"]) for row in rows}),
+        "first": {preset: first_failures(table, preset) for preset in presets},
+        "said": {preset: sentences(rows, preset) for preset in presets},
+    }
+    (options.out / "conditions.json").write_text(json.dumps(document, indent=1) + "\n")
+    tables = "\n\n".join(
+        f"`{preset}`, {len(document['fingers'])} fingers:\n\n{first_table(document, preset)}\n\n"
+        f"All medians (95 % intervals), bold where they left the range of the clean captures:\n\n{show(table, preset)}"
+        for preset in presets
+        if any(row["preset"] == preset and row["kind"] != "none" for row in rows)
+    )
+    if options.page:
+        page = options.page.read_text()
+        start, end = "<!-- conditions -->", "<!-- /conditions -->"
+        options.page.write_text(f"{page.split(start)[0]}{start}\n{tables}\n{end}{page.split(end)[1]}")
+    print(tables)
+
+
+if __name__ == "__main__":
+    main()
