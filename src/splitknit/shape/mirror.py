@@ -28,6 +28,8 @@ TURN_DEG = 0.2
 """Standard deviation of a mirror's turn as the views' tips tell it."""
 
 
+EVERY = 2
+"""Of the rows, that many make one point of an outline in the fit."""
 MOST_TURN_RAD = 0.12
 THICKNESS = (0.4, 1.4)
 """Of fingers, over their breadth."""
@@ -217,7 +219,7 @@ def _by_outlines(  # noqa: PLR0917
 
 
 def _touching(camera: Camera, rows: Rows, sides: tuple[str, ...]) -> Touching:
-    parts = [touching(camera, *rows.places(side)) for side in sides]
+    parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in sides]
     return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
 
 

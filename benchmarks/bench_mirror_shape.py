@@ -1,0 +1,99 @@
+"""The shape from one image and mirrors, of 3000 x 2000 pixels: finding the views, the fit, and z over every pixel.
+
+    python benchmarks/bench_mirror_shape.py [--rounds 5]
+
+One simulated finger is drawn flat: its views' masks as a picture of skin colour on a dark backdrop, with noise. On a
+busy machine the processor's seconds say more than those on the wall; both are given, the least of the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.pipeline import preset_settings
+from splitknit.preprocess import finger_mask
+from splitknit.recipe.mirrors import OUTLINE_PX_PER_MM
+from splitknit.shape import find_views, mirror_shape, view_binning
+from splitknit.simulate.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulate.finger_shape import FingerBody
+from splitknit.simulate.mirror_parts import mirror_rig
+from splitknit.simulate.mirror_settings import MirrorViews
+from splitknit.simulate.mirror_view import mirror_view
+from splitknit.simulate.skin_map import skin_map
+from timing import machine
+
+SIZE = (2000, 3000)
+PX_PER_MM = 40.0
+
+
+def picture() -> tuple[np.ndarray, Any]:
+    """(H, W, 3) float32 in [0, 1], and the rig."""
+    rig = mirror_rig(
+        MirrorViews(names=("left", "right", "tip"), nir=False, px_per_mm=PX_PER_MM, image_size=SIZE), 1.0, 0, 0.0
+    )
+    finger = draw_finger(9002)
+    body, master = FingerBody(finger.shape), finger.master()
+    pose = Pose(yaw_rad=0.06, insertion_mm=24.0)
+    placement, skin = place(body, pose, rig.camera), skin_map(master, finger.skin)
+    mask = finger_surface(finger, pose, rig.camera, master=master).mask.copy()
+    for mirror in rig.mirrors:
+        mask |= mirror_view(body, skin, placement, rig.camera, mirror).mask
+    rng = np.random.default_rng(0)
+    image = np.where(mask[..., None], np.float32([0.6, 0.42, 0.33]), np.float32(0.02))
+    image = cv2.GaussianBlur(image, (0, 0), 2.0) + rng.normal(0.0, 0.01, image.shape).astype(np.float32)
+    return np.asarray(image, dtype=np.float32), rig
+
+
+def timed(work: Callable[[], Any], rounds: int) -> tuple[Any, dict[str, float]]:
+    """Result, and the least seconds on the wall and of the processor."""
+    seconds = []
+    for _ in range(rounds):
+        wall, processor = time.perf_counter(), time.process_time()
+        result = work()
+        seconds.append((time.perf_counter() - wall, time.process_time() - processor))
+    return result, {name: round(min(s[k] for s in seconds), 3) for k, name in enumerate(("wall_s", "processor_s"))}
+
+
+def bench(image: np.ndarray, rig: Any, names: tuple[str, ...], rounds: int) -> dict[str, Any]:
+    """All steps with these mirrors alone."""
+    settings = preset_settings("metric")
+    mask = replace(settings.mask, fine_px_per_mm=OUTLINE_PX_PER_MM, coarse_px_per_mm=0.55 * OUTLINE_PX_PER_MM)
+    binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
+    mirrors = {mirror.name: mirror for mirror in rig.mirrors if mirror.name in names}
+
+    def views() -> Any:
+        size = (image.shape[1] // binning, image.shape[0] // binning)
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        return find_views(small, rig.camera, mirrors, lambda part, scale: finger_mask(part, scale, mask), binning)
+
+    found, first = timed(views, rounds)
+    shape, second = timed(lambda: mirror_shape(found, rig.camera, mirrors), rounds)
+    rows, columns = (np.flatnonzero(found.front.any(axis=k)) * binning for k in (1, 0))
+    window = slice(int(rows[0]), int(rows[-1])), slice(int(columns[0]), int(columns[-1]))
+    (_, _, z), third = timed(lambda: shape.points(*window), rounds)
+    steps = {"views": first, "fit": second, "heights": third}
+    total = {name: round(sum(step[name] for step in steps.values()), 3) for name in first}
+    return {**steps, "total": total, "pixels": int(np.isfinite(z).sum())}
+
+
+def main() -> None:
+    """Print one JSON object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args()
+    cases = (("left",), ("left", "right"), ("left", "right", "tip"))
+    drawn = picture()
+    found = {" ".join(names): bench(*drawn, names, options.rounds) for names in cases}
+    print(json.dumps({"machine": machine(), **found}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
