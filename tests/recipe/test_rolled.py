@@ -1,0 +1,112 @@
+"""A finger between mirrors, rolled: against formulas of its own, by its views' true masks and mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rolled_scene as scene
+
+from splitknit.check import BadInput
+from splitknit.fuse import SearchSettings, coverage_deg, plane_of, ridge_band
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.rolled import MirrorView, Rolled, rolled_finger
+from splitknit.recipe.rolled_capture import check_mirrors
+from splitknit.recipe.rolled_light import Glass
+from splitknit.recipe.rolled_settings import RolledSettings
+from splitknit.types import Capture
+
+QUICK = RolledSettings(
+    pitch_mm=0.07,
+    exponent=2.0,
+    search=SearchSettings(bulge_mm=(0.3, 0.06), shift_mm=(0.15, 0.15), turn_deg=(0.2, 0.2)),
+)
+
+
+def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> list[MirrorView]:
+    built = {mirror.name: mirror for mirror in capture.rig.mirrors}
+    glasses = {
+        name: Glass(name, plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
+        for name, mirror in built.items()
+    }
+    return [MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()]
+
+
+@pytest.fixture(scope="module")
+def finger() -> Rolled:
+    capture, masks = scene.capture()
+    return rolled_finger(capture, views_of(capture, masks), preset_settings("metric"), QUICK)
+
+
+def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
+    """True relief at the finger's points, and the slant of the skin there (deg, positive to the right)."""
+    points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
+    normals, _ = scene.bumped(points)
+    return scene.ridges(points), np.rad2deg(np.arctan2(normals[..., 0], normals[..., 2]))
+
+
+def test_ridges_are_found_around_the_finger_the_right_way_round(finger: Rolled) -> None:
+    truth, slant = truth_of(finger)
+    pitch = finger.chart.pitch_mm
+    known = finger.blended.known
+    seen, there = (ridge_band(f.astype(np.float32), known, pitch) for f in (finger.blended.relief_mm, truth))
+    straight = (finger.chart.length_mm[:, None] < 0) & (finger.chart.length_mm[:, None] > -12)
+    for low, high in ((-90, -60), (-60, -30), (-30, 0), (0, 30), (30, 60), (60, 90)):
+        where = known & straight & (slant > low) & (slant < high)
+        assert where.sum() > 1000, (low, high)
+        # a mirror image read the wrong way round would not correlate at all
+        assert np.corrcoef(seen[where], there[where])[0, 1] > 0.75, (low, high)
+
+
+def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
+    normals = finger.normals.astype(np.float64)
+    rows = (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
+    around = coverage_deg(finger.chart, finger.blended.known, normals)[rows]
+    front = coverage_deg(finger.chart, finger.blended.shares[0] > 0.001, normals)[rows]
+    assert np.median(around) > 180
+    assert np.median(front) < 150
+    assert finger.names == ("front", "left", "right")
+    assert np.allclose(finger.blended.shares.sum(axis=0)[finger.blended.known], 1.0, atol=1e-4)
+
+
+def test_the_surface_is_the_finger(finger: Rolled) -> None:
+    points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
+    x, y, z = np.moveaxis(points, -1, 0)
+    value = (x / scene.A) ** 2 + (np.maximum(y, 0) / scene.CAP) ** 2 + ((z - scene.TOP + scene.B) / scene.B) ** 2
+    off = (np.sqrt(value) - 1.0) * 7.0
+    rows = (finger.chart.length_mm < 4) & (finger.chart.length_mm > -12)
+    assert np.sqrt((off[rows] ** 2).mean()) < 0.15
+
+
+def test_one_mirror_is_enough_and_none_is_refused() -> None:
+    capture, masks = scene.capture(("right",))
+    settings = preset_settings("metric")
+    one = rolled_finger(capture, views_of(capture, masks), settings, replace(QUICK, elastic=False))
+    degrees = np.rad2deg(one.chart.angle_rad)
+    seen = one.blended.known[(one.chart.length_mm < 0) & (one.chart.length_mm > -12)].mean(axis=0) > 0.9
+    assert seen[np.abs(degrees - 95).argmin()]
+    assert not seen[np.abs(degrees + 95).argmin()]
+    with pytest.raises(BadInput, match="no mirror beside the finger shows it"):
+        rolled_finger(capture, views_of(capture, {"front": masks["front"]}), settings, QUICK)
+    with pytest.raises(BadInput, match="front view"):
+        rolled_finger(capture, views_of(capture, {"right": masks["right"]}), settings, QUICK)
+
+
+def test_captures_that_cannot_be_rolled_are_told_so() -> None:
+    rig = scene.rig()
+    capture = Capture(rig, {}, material="opaque")
+    with pytest.raises(BadInput, match="no band 'white'"):
+        check_mirrors(capture)
+    with pytest.raises(BadInput, match="has no mirrors beside the finger"):
+        check_mirrors(replace(capture, rig=replace(rig, mirrors=())))
+    lens = replace(rig.camera, model="perspective", matrix=np.diag([2520.0, 2520.0, 1.0]), distortion=(0.0,) * 5)
+    made, _ = scene.capture(("right",))
+    with pytest.raises(BadInput, match="parallel rays"):
+        check_mirrors(replace(made, rig=replace(made.rig, camera=lens)))
+
+
+def test_settings_are_checked() -> None:
+    for wrong in ({"around_deg": 170.0}, {"pitch_mm": 0.0}, {"exponent": 1.0}, {"turns": 0}):
+        with pytest.raises(BadInput, match="rolled"):
+            RolledSettings(**wrong)
