@@ -108,6 +108,8 @@ def drawing(seen: SeenInMirrors) -> dict[str, Any]:
         drawn["masks"][name] = np.round((outline + 0.5) * scale - 0.5, 1).tolist()
     for name, outlines in seen.shape.outlines.items():
         rows = outlines[0]
+        if abs(float(rows.axis @ seen.shape.outlines["front"][0].axis)) < np.sqrt(0.5):
+            continue  # a mirror beyond the tip: its rows run across
         slope, offset = medial_line(rows)
         ends = rows.along_mm[np.isfinite(rows.width_mm)][[0, -1]]
         places = np.outer(ends, rows.axis) + np.outer(slope * ends + offset, rows.across)
