@@ -57,8 +57,8 @@ def test_motion_is_undone(still, moved, undone):
 
 def test_the_report_tells_the_motion(moved, undone):
     _, truth = moved
-    told = undone.facts["motion"]
-    assert told["reference"] == "white 3"
+    told = {name: undone.facts[f"motion_{name}"] for name in ("white", "nir")}
+    assert undone.facts["motion"]["reference"] == "white 3"
     assert told["white"]["turn_deg"][3] == 0.0
     for name, first in (("white", 0), ("nir", 7)):
         assert len(told[name]["shift_mm"]) == 7
@@ -97,7 +97,7 @@ def test_off_changes_nothing_and_on_always_registers(still, moved):
     assert steadied(moved[0], correct="off")[0] is moved[0]
     other, finger = steadied(still[0], correct="on")
     assert other is not still[0]
-    assert max(finger.facts["motion"]["white"]["moved_mm"]) < 0.02
+    assert max(finger.facts["motion_white"]["moved_mm"]) < 0.02
 
 
 @pytest.mark.slow
@@ -144,7 +144,7 @@ def test_photographs_of_coloured_leds_are_brought_together():
     pixels[0] = np.roll(pixels[0], (2, -3), axis=(0, 1))
     moved = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
     _, finger = steadied(moved, correct="on")
-    told = finger.facts["motion"]["white"]
+    told = finger.facts["motion_white"]
     assert len(told["moved_mm"]) == len(pixels)
     pitch = capture.rig.camera.pitch_mm
     np.testing.assert_allclose(told["shift_mm"][0], [-3 * pitch, -2 * pitch], atol=0.08)

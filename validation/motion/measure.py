@@ -126,7 +126,7 @@ def flow_error_um(result: Reconstruction, truth: Truth, name: str) -> float:
 
     The shifts are those that the report tells: mean and turn of every shot, which is all that the default undoes.
     """
-    told = result.facts["motion"][name]
+    told = result.facts[f"motion_{name}"]
     rows, columns = truth["motion_rows"], truth["motion_columns"]
     core = cv2.erode(result.mask.astype(np.uint8), np.ones((3, 3)), iterations=round(MARGIN_MM / result.pitch_mm)) > 0
     inside = core[np.ix_(rows, columns)] & np.isfinite(truth["motion_flow_px"][0, 0])

@@ -56,7 +56,7 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
         _check(registered, settings)
         steadied = _resampled(capture, finger, registered)
     again = find_finger(steadied, settings, watch)
-    facts = {**again.facts, "motion": registered.facts}
+    facts = {**again.facts, **registered.facts}
     note = (
         f"the finger moved by {registered.most_mm:.2f} mm between the shots; that was undone, and the images resampled."
     )
@@ -103,8 +103,9 @@ def _register(capture: Capture, finger: Finger, settings: PipelineSettings) -> _
     method = settings.motion.registration
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
     flows = {"white": found.flow}
-    facts: dict[str, Any] = {"reference": f"white {reference}", "white": _told(found.flow, mask, px)}
-    facts["white"] |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
+    told = _told(found.flow, mask, px)
+    told |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
+    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": told}
     for name, band in capture.bands.items():
         if name == "white" or band.colours:
             continue
@@ -112,9 +113,11 @@ def _register(capture: Capture, finger: Finger, settings: PipelineSettings) -> _
         vectors = capture.rig.select(band.leds).light_vectors()
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = other.flow
-        facts[name] = _told(other.flow, mask, px)
-        facts[name] |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
-    most = max(max(facts[name]["moved_mm"]) for name in flows)
+        told = _told(other.flow, mask, px)
+        told |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
+        facts[f"motion_{name}"] = told
+    most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
+    facts["motion"]["most_mm"] = most
     return _Registered(flows, most, _rms(found.before), _rms(found.after), facts)
 
 
