@@ -9,7 +9,7 @@ from splitknit.types import Band, Camera, Capture, Led, Mirror, Rig
 A, B, CAP, TOP = 8.0, 6.5, 8.0, -0.5
 """Half breadth, half height, length of the cap, height of the pad; mm."""
 PX, SIZE = 18.0, (430, 1240)
-LEAN = 28.0
+LEAN = 30.0
 """The mirrors' planes are |x| - z = LEAN: at 45 deg."""
 DEPTH_MM = 0.03
 CORNERS = np.array([[14.0, -14.0], [14.0, 14.0], [36.0, 14.0], [36.0, -14.0]])
