@@ -195,8 +195,8 @@ def _by_outlines(  # noqa: PLR0917
         seen[name] = SeenIn(parts, plane, mirror.point_mm, tip)
     require(
         bool(lateral),
-        f"the view in the {' and the '.join(cut)} mirror is cut off at its edge: lay the finger in the middle, "
-        "so that the mirror shows all of its pad.",
+        f"the view in the {' and the '.join(cut)} mirror is cut off at the mirror's edge or the picture's: "
+        "lay the finger in the middle, so that the mirror shows all of its pad.",
     )
     poses = {name: Pose() for name in seen}
     for name in lateral:
