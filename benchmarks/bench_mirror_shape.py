@@ -34,8 +34,8 @@ SIZE = (2000, 3000)
 PX_PER_MM = 40.0
 
 
-def picture() -> tuple[np.ndarray, Any]:
-    """(H, W, 3) float32 in [0, 1], and the rig."""
+def drawn() -> tuple[dict[str, np.ndarray], Any]:
+    """Masks (H, W) of all views, and the rig."""
     rig = mirror_rig(
         MirrorViews(names=("left", "right", "tip"), nir=False, px_per_mm=PX_PER_MM, image_size=SIZE), 1.0, 0, 0.0
     )
@@ -43,13 +43,19 @@ def picture() -> tuple[np.ndarray, Any]:
     body, master = FingerBody(finger.shape), finger.master()
     pose = Pose(yaw_rad=0.06, insertion_mm=24.0)
     placement, skin = place(body, pose, rig.camera), skin_map(master, finger.skin)
-    mask = finger_surface(finger, pose, rig.camera, master=master).mask.copy()
+    masks = {"front": finger_surface(finger, pose, rig.camera, master=master).mask}
     for mirror in rig.mirrors:
-        mask |= mirror_view(body, skin, placement, rig.camera, mirror).mask
+        masks[mirror.name] = mirror_view(body, skin, placement, rig.camera, mirror).mask
+    return masks, rig
+
+
+def picture(masks: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+    """(H, W, 3) float32 in [0, 1] with these mirrors."""
+    mask = np.logical_or.reduce([masks[name] for name in ("front", *names)])
     rng = np.random.default_rng(0)
     image = np.where(mask[..., None], np.float32([0.6, 0.42, 0.33]), np.float32(0.02))
     image = cv2.GaussianBlur(image, (0, 0), 2.0) + rng.normal(0.0, 0.01, image.shape).astype(np.float32)
-    return np.asarray(image, dtype=np.float32), rig
+    return np.asarray(image, dtype=np.float32)
 
 
 def timed(work: Callable[[], Any], rounds: int) -> tuple[Any, dict[str, float]]:
@@ -90,8 +96,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     cases = (("left",), ("left", "right"), ("left", "right", "tip"))
-    drawn = picture()
-    found = {" ".join(names): bench(*drawn, names, options.rounds) for names in cases}
+    masks, rig = drawn()
+    found = {" ".join(names): bench(picture(masks, names), rig, names, options.rounds) for names in cases}
     print(json.dumps({"machine": machine(), **found}, indent=1))
 
 

@@ -144,7 +144,8 @@ def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_pe
     largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
     require(
         largest < 0.25 * float(front.sum()),
-        "there are two fingers between the mirrors: lay one finger there at a time.",
+        "there are two fingers in the picture, or a mirror that the rig file does not name: lay one finger there at a "
+        "time, and name all mirrors.",
     )
 
 
