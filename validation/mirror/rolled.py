@@ -67,7 +67,7 @@ def kept(folder: Path, seed: int, number: int, keep: bool) -> tuple[dict[str, An
             np.savez_compressed(stream, row=np.array(json.dumps(row)), **arrays)
         if not keep:
             shutil.rmtree(capture)
-        print(seed, ROLLS_DEG[number], row["coverage_deg"], row["rolled_aligned"], flush=True)
+        print(seed, ROLLS_DEG[number], row["coverage_deg"], row["rolled"], flush=True)
     with np.load(file) as arrays:
         return json.loads(str(arrays["row"])), {name: arrays[name] for name in arrays.files if name != "row"}
 
@@ -155,9 +155,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "same_step_beside_the_seams_um": spread([seam["no_seam_um"] for seam in steps]),
         "seam_step_hard_cut_um": spread([seam["cut_um"] for seam in steps]),
     }
-    for name in ("rolled_aligned", "front_aligned", "rolled_strict", "front_strict"):
+    for name in ("rolled", "front"):
         result[name] = {band: spread([row[name][band] for row in rows]) for band in rows[0][name]}
-    result["rolled_apart_mm"] = spread([row["rolled_apart_mm"] for row in rows])
+    result["surface_rms_mm"] = spread([row["surface_rms_mm"] for row in rows])
     return result
 
 

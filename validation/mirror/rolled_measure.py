@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from splitknit.apps.printing_rolled import laid_flat, rolled_facts
 from splitknit.flatten import UnrollSettings, ink, resample
-from splitknit.fuse import Blended, DisparitySettings, disparity, read, ridge_band, seam_lines, seam_steps, warp_field
+from splitknit.fuse import Blended, read, ridge_band, seam_lines, seam_steps
 from splitknit.io import read_capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled import Rolled, rolled_finger
@@ -20,7 +20,7 @@ from splitknit.recipe.rolled_capture import find_mirror_views
 from splitknit.recipe.rolled_settings import RolledSettings
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
-"""Of the angle between the true skin and the camera's axis."""
+"""Of the angle between the skin and the camera's axis."""
 CAP_MM, BASE_MM = 0.0, 14.0
 """Rows that are measured: from the tip's cap downwards, as far as this; creases lie below."""
 BESIDE_MM = 1.5
@@ -45,7 +45,11 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
     rolled = rolled_finger(capture, views, chosen, settings)
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
-        truth = {name: arrays[name] for name in arrays.files if name.startswith(("body_", "mirror_"))}
+        truth = {
+            name: arrays[name]
+            for name in arrays.files
+            if name.startswith(("body_", "mirror_", "view_", "relief_um", "mask"))
+        }
     facts = rolled_facts(rolled)
     row = {
         "pattern_of": folder.name,
@@ -53,7 +57,9 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
         "coverage_front_deg": rolled_facts(front)["coverage_deg"]["median"],
         "views": list(rolled.names),
         "squares": facts["squares_matched"],
+        "views_meet": facts["views_meet"],
         "poses": _poses(rolled, views, truth),
+        "surface_rms_mm": _surface_error(rolled, truth),
         **_against_truth(rolled, front, truth),
     }
     prints = {name: _print(one) for name, one in (("rolled", rolled), ("front", front))}
@@ -89,49 +95,47 @@ def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
 
 
 def _against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
-    chart = rolled.chart
-    pitch = chart.pitch_mm * STEP
-    relief, normals = _truth_at(rolled.points_mm[::STEP, ::STEP].astype(np.float64), truth)
-    slant = np.rad2deg(np.arccos(np.clip(normals[..., 2], -1.0, 1.0)))
-    length = chart.length_mm[::STEP, None]
+    """Every point of the print against the truth at the pixel of the image that it was taken from."""
+    pitch = rolled.chart.pitch_mm * STEP
+    slant = np.rad2deg(np.arccos(np.clip(rolled.normals[::STEP, ::STEP, 2], -1.0, 1.0)))
+    length = rolled.chart.length_mm[::STEP, None]
     region = (length <= CAP_MM) & (length >= -BASE_MM)
+    by_view = [_truth_of(rolled, k, truth) for k in range(len(rolled.names))]
+    best = np.argmax(rolled.blended.shares[:, ::STEP, ::STEP], axis=0)
     result: dict[str, Any] = {}
     for name, one in (("rolled", rolled), ("front", front)):
         known = one.blended.known[::STEP, ::STEP]
         seen = ridge_band(np.ascontiguousarray(one.blended.relief_mm[::STEP, ::STEP]), known, pitch)
-        there = ridge_band(relief, known, pitch)
-        moved, apart = _aligned(there, seen, known, pitch)
-        result[f"{name}_strict"] = _by_band(there, seen, known & region, slant)
-        result[f"{name}_aligned"] = _by_band(moved, seen, known & region, slant)
-        result[f"{name}_apart_mm"] = apart
+        # where two views are mixed, the truth is that of the one that counts more: ridges that do not meet cost
+        there = np.take_along_axis(np.stack(by_view), best[None], axis=0)[0] if name == "rolled" else by_view[0]
+        known = known & np.isfinite(there)
+        there = ridge_band(np.nan_to_num(there).astype(np.float32), known, pitch)
+        result[name] = _by_band(there, seen, known & region, slant)
         if name == "rolled":
-            result["seams"] = _seams(rolled, seen, moved, known & region, pitch)
+            result["seams"] = _seams(rolled, seen, there, known & region, pitch)
     return result
 
 
-def _truth_at(points: NDArray[np.float64], truth: dict[str, Any]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """True relief (mm) and true smooth normals at the truth's points nearest to points (n, m, 3)."""
-    places = truth["body_shape_mm"].reshape(-1, 3).astype(np.float64)
-    distance, index = cKDTree(places).query(points.reshape(-1, 3), k=4)
-    weight = 1.0 / np.maximum(distance, 1e-4) ** 2
-    weight /= weight.sum(axis=1, keepdims=True)
-    relief = (truth["body_relief_um"].ravel()[index] * weight).sum(axis=1) * 1e-3
-    normals = (truth["body_normals"].reshape(-1, 3)[index] * weight[..., None]).sum(axis=1)
-    return relief.reshape(points.shape[:2]).astype(np.float32), normals.reshape(points.shape)
+def _truth_of(rolled: Rolled, view: int, truth: dict[str, Any]) -> NDArray[np.float32]:
+    """(n, m) true relief, mm, at the pixels at which one view shows the chart's points; NaN beside it."""
+    name = rolled.names[view]
+    relief, mask = ("relief_um", "mask") if name == "front" else (f"view_{name}_relief_um", f"view_{name}_mask")
+    field = np.where(truth[mask], truth[relief] * np.float32(1e-3), np.float32(np.nan)).astype(np.float32)
+    places = rolled.places[view, ::STEP, ::STEP]
+    return read(field, places[..., 0], places[..., 1])
 
 
-def _aligned(there: Any, seen: Any, known: Any, pitch: float) -> tuple[Any, float]:
-    """The truth moved onto the estimate by a smooth warp (1.6 mm at most, then what is left), and how far (rms, mm)."""
-    column, row = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in there.shape[::-1]))
-    field = np.zeros((*there.shape, 2), dtype=np.float32)
-    moved = there
-    for window, reach, smooth in ((5.0, 1.2, 2.5), (4.0, 0.5, 1.5), (3.0, 0.3, 1.2)):
-        chosen = DisparitySettings(window_mm=window, least_peak=0.35, least_lead=0.03)
-        found = disparity(seen, moved, known, pitch, reach, chosen)
-        field += warp_field(found, there.shape, pitch, smooth)
-        moved = read(np.ascontiguousarray(there), column + field[..., 0], row + field[..., 1], held=True)
-    apart = float(np.sqrt((field[known] ** 2).sum(axis=1).mean())) * pitch
-    return moved, round(apart, 3)
+def _surface_error(rolled: Rolled, truth: dict[str, Any]) -> float:
+    """Root mean square distance of the smooth surface from the true one, mm."""
+    points = truth["body_shape_mm"].astype(np.float64)
+    every = 8
+    length = rolled.chart.length_mm[::every]
+    some = rolled.blended.known[::every, ::every] & ((length <= CAP_MM) & (length >= -BASE_MM))[:, None]
+    places = rolled.points_mm[::every, ::every][some].astype(np.float64)
+    _, index = cKDTree(points.reshape(-1, 3)).query(places)
+    normals = truth["body_normals"].reshape(-1, 3)[index]
+    off = ((places - points.reshape(-1, 3)[index]) * normals).sum(axis=1)
+    return round(float(np.sqrt((off**2).mean())), 3)
 
 
 def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float | None]:

@@ -22,7 +22,7 @@ class BlendSettings:
 
     steepest_deg: float = 72.0
     """Slant, as a view sees it, from which it counts for nothing."""
-    power: float = 3.0
+    power: float = 8.0
     """Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
     fade_mm: float = 0.8
     """Width over which a view fades in from the outline of what it shows."""

@@ -37,6 +37,10 @@ class SearchSettings:
     """Of the mirror along its normal."""
     turn_deg: tuple[float, float] = (1.4, 0.2)
     """Of the mirror about the axis that moves its view along the finger."""
+    doubt: float = 0.02
+    """Correlation that a pose must gain to be believed one standard deviation from where the outlines have it."""
+    deviations: tuple[float, float] = (0.25, 0.4)
+    """Standard deviations of the outlines' pose: shift (mm) and turn (deg)."""
     least: float = 0.2
     """Correlation below which nothing is changed."""
 
@@ -45,6 +49,8 @@ class SearchSettings:
             reach, step = getattr(self, name)
             require(0.0 <= reach <= 5.0 and step > 0.0, f"rolled.search.{name} must be (reach, step), both small.")
         require(0.0 <= self.least < 1.0, "rolled.search.least must lie in [0, 1).")
+        require(self.doubt >= 0.0, "rolled.search.doubt must not be negative.")
+        require(min(self.deviations) > 0.0, "rolled.search.deviations must be positive.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,20 +112,26 @@ def search(  # noqa: PLR0917
         power = float((seen**2).sum()) * float((there**2).sum())
         return float((seen * there).sum()) / float(np.sqrt(max(power, 1e-24)))
 
+    spread = np.array([chosen.deviations[0], *np.deg2rad([chosen.deviations[1]] * 2)])
+
+    def worth(values: Array, some: slice = slice(None)) -> float:
+        return score(values, some) - chosen.doubt * float(((values[1:4] / spread) ** 2).sum())
+
     turn = np.deg2rad(chosen.turn_deg[0]), np.deg2rad(chosen.turn_deg[1])
     best, at = -1.0, np.zeros(5)
     few = slice(None, None, max(1, rows.size // FEW))
     for values in itertools.product(*(_range(*pair) for pair in (chosen.bulge_mm, chosen.shift_mm, turn))):
         trial = np.array([*values, 0.0, 0.0])
-        here = score(trial, few)
+        here = worth(trial, few)
         if here > best:
             best, at = here, trial
     scale = np.array([0.03, 0.06, 0.002, 0.004, 0.05])
     simplex = np.vstack([np.zeros(5), np.eye(5)])
     options: Any = {"initial_simplex": simplex, "maxfev": 300, "xatol": 0.02, "fatol": 1e-4}
     minimize: Any = optimize.minimize
-    done = minimize(lambda x: -score(at + x * scale), np.zeros(5), method="Nelder-Mead", options=options)
-    at, best = at + done.x * scale, -float(done.fun)
+    done = minimize(lambda x: -worth(at + x * scale), np.zeros(5), method="Nelder-Mead", options=options)
+    at = at + done.x * scale
+    best = score(at)
     if best < chosen.least:
         return Found(nothing.radius_mm, nothing.pose, best)
     there = (

@@ -67,6 +67,8 @@ class Rolled:
     """Of the views, in the order of ``blended.shares``."""
     view_reliefs: FloatArray
     """(V, n, m) relief of each view after registration, along the skin's normal; zero where it shows nothing."""
+    places: FloatArray
+    """(V, n, m, 2) column and row of the image at which each view shows each point."""
     glasses: tuple[Glass, ...]
     """Mirrors where the ridges have them."""
     facts: Mapping[str, object]
@@ -215,7 +217,7 @@ def _fused(work: _Work) -> Rolled:
         _, deviation, trust, known = work.seen(name, points, normals)
         cosine = sights[name].cosine(normals)
         weights[name] = view_weight(cosine, known, deviation, pitch, chosen.blend) * trust
-    reliefs, deviations, finals = [], [], []
+    reliefs, deviations, finals, places = [], [], [], []
     column, row = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in chart.shape[::-1]))
     for name in names:
         at = points
@@ -224,6 +226,7 @@ def _fused(work: _Work) -> Rolled:
         relief, deviation, trust, known = work.seen(name, at, normals)
         cosine = sights[name].cosine(normals)
         reliefs.append(relief)
+        places.append(np.stack(sights[name].pixels(at), axis=-1))
         deviations.append(deviation)
         finals.append(view_weight(cosine, known, deviation, pitch, chosen.blend) * trust)
     stacked = np.stack(reliefs).astype(np.float32)
@@ -236,7 +239,7 @@ def _fused(work: _Work) -> Rolled:
     }
     return Rolled(
         chart, points.astype(np.float32), normals.astype(np.float32), blended, names, stacked,
-        tuple(work.glasses.values()), facts,
+        np.stack(places), tuple(work.glasses.values()), facts,
     )  # fmt: skip
 
 
