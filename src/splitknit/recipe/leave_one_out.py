@@ -16,9 +16,10 @@ from splitknit.match.voted_minutiae import VoteSettings, vote
 from splitknit.normals.left_out import left_out
 from splitknit.radiance import linear_stack
 from splitknit.recipe.coloured import as_lit, balanced
-from splitknit.recipe.finger import Finger, find_finger
+from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rays import as_modelled
+from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.types import Capture, FloatArray
 
@@ -71,7 +72,7 @@ def left_out_pictures(
     capture : Capture
     settings : of the mask and the orientation
     chosen : LeaveOneOutSettings, optional
-    finger : where the finger is, if that is known; it is found otherwise
+    finger : where the finger is, if that is known; otherwise it is found, and its motion undone, as for a surface
 
     Yields
     ------
@@ -90,7 +91,8 @@ def left_out_pictures(
     """
     chosen = chosen or LeaveOneOutSettings()
     capture, _ = as_lit(as_modelled(capture, settings), settings)
-    finger = find_finger(capture, settings, Stopwatch(None)) if finger is None else finger
+    if finger is None:
+        capture, finger = find_steady_finger(capture, settings, Stopwatch(None))
     white, window = capture.bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
     require(
