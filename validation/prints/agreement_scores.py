@@ -10,6 +10,7 @@ import numpy as np
 from agreement_compare import by_finger
 
 from splitknit.match.minutiae import minutiae_match
+from splitknit.match.minutiae_edge import EDGE_MM
 from splitknit.match.minutiae_record import Minutiae, unpack_minutiae
 
 Records = dict[tuple[str, int], dict[str, Any]]
@@ -53,7 +54,11 @@ def told_apart(
 
 
 def _minutiae(row: dict[str, Any], picture: str) -> Minutiae:
-    return _unpacked(row.get(picture, {}).get("minutiae", ""))
+    """Those of the print's inside; by the phase there are others, too."""
+    record = row.get(picture, {})
+    found = _unpacked(record.get("minutiae", ""))
+    inside = np.asarray(record.get("found_border", []), dtype=np.float64) >= EDGE_MM * 500.0 / 25.4
+    return found.taken(np.flatnonzero(inside)) if picture == "phase" and found.count else found
 
 
 @lru_cache(maxsize=4096)
