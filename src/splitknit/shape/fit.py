@@ -280,7 +280,7 @@ def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, A
     if from_tip:
         u = body.tip_mm - body.length_mm * np.linspace(0.0, 1.0, STATIONS) ** 2
         sections = body.sections(u)
-        reach = np.stack([sections.support(np.full(u.size, n[0]), np.full(u.size, n[2]))[0] + n[1] * u for n in normal])
+        reach = sections.support(normal[:, :1], normal[:, 2:])[0] + normal[:, 1:2] * u  # (n, STATIONS)
         return np.asarray(u[np.argmax(reach, axis=1)]), normal, point
     direction = body.to_frame(planes.direction, place=False)
     within = np.maximum(direction[:, 0] ** 2 + direction[:, 2] ** 2, 1e-6)

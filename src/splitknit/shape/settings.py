@@ -15,15 +15,10 @@ class ViewSettings:
     """Scale of the copy on which the outlines are found."""
     reach_mm: float = 3.0
     """A mirror's picture is looked for this far beyond its nominal outline."""
-    least_share: float = 0.3
-    """A mirror's view is no finger if it covers less than this share of what the front view's size promises."""
-    edge_mm: float = 0.35
-    """A view that follows a mirror's outer edge more closely than this is cut off by it."""
 
     def __post_init__(self) -> None:
-        for name in ("px_per_mm", "reach_mm", "edge_mm"):
+        for name in ("px_per_mm", "reach_mm"):
             require(getattr(self, name) > 0, f"shape.mirror.views.{name} must be positive.")
-        require(0 < self.least_share < 1, "shape.mirror.views.least_share must lie between 0 and 1.")
 
 
 @dataclass(frozen=True, slots=True)

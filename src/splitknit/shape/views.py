@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -70,7 +71,7 @@ def find_views(  # noqa: PLR0917
     BadInput
         If there are no mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
     """
-    settings = settings or ViewSettings()
+    settings = ViewSettings() if settings is None else settings
     require(bool(mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     px_per_mm = camera.px_per_mm / binning
     shape = (image.shape[0], image.shape[1])
@@ -82,16 +83,20 @@ def find_views(  # noqa: PLR0917
     _refuse_second(image, front, in_any, px_per_mm)
     found: dict[str, BoolArray] = {}
     near_front = _grown(front, 0.4 * px_per_mm)
-    for name in sorted(mirrors):
-        others = [area for other, area in nominal.items() if other != name]
+
+    def look(name: str) -> BoolArray | None:
         allowed = _grown(nominal[name], settings.reach_mm * px_per_mm) & ~near_front
-        for area in others:
-            allowed &= ~area
-        view = _largest_in(image, allowed, px_per_mm, find_finger, settings)
-        if view is None:
-            continue
-        _refuse_contact(name, view, front, px_per_mm)
-        found[name] = view
+        for other, area in nominal.items():
+            if other != name:
+                allowed &= ~area
+        return _largest_in(image, allowed, px_per_mm, find_finger, settings)
+
+    with ThreadPoolExecutor(2) as pool:
+        seen = dict(zip(sorted(mirrors), pool.map(look, sorted(mirrors)), strict=True))
+    for name, view in seen.items():
+        if view is not None:
+            _refuse_contact(name, view, front, px_per_mm)
+            found[name] = view
     require(
         bool(found),
         "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture, or take the shape "
