@@ -12,6 +12,7 @@ import argparse
 import ast
 import inspect
 import json
+import re
 import sys
 import textwrap
 from dataclasses import fields, is_dataclass
@@ -24,9 +25,11 @@ from splitknit.apps.printing import PrintingSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.pipeline import PRESETS
+from splitknit.recipe.matchable import MatchingSettings
 from splitknit.rig.circuit import CircuitSettings
 from splitknit.rig.part_settings import PartSettings
 from splitknit.simulate.device import TwinDeviceSettings
+from splitknit.simulate.population import PopulationSettings
 from splitknit.simulate.twin import TwinSettings
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "settings.md"
@@ -55,7 +58,8 @@ def field_words(settings: Any) -> dict[str, str]:
         is_field = isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
         is_text = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
         if is_field and is_text:
-            words[line.target.id] = " ".join(str(following.value.value).split()).replace("``", "`")
+            text = " ".join(str(following.value.value).split()).replace("``", "`")
+            words[line.target.id] = re.sub(r":\w+:`", "`", text)
     return words
 
 
@@ -104,6 +108,11 @@ def plain_table(settings: Any, prefix: str = "") -> str:
 
 SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
     ("`splitknit simulate`", "Ranges (low, high) are drawn from, finger by finger.", (("", TwinSettings()),)),
+    (
+        "`splitknit simulate population`",
+        "Where they come from: [population.md](population.md).",
+        (("", PopulationSettings()),),
+    ),
     ("`splitknit simulate --bench`", "How many photographs of what.", (("", BenchPhotos()),)),
     (
         "`splitknit capture`",
@@ -124,6 +133,11 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "`splitknit print`",
         "`ink.ppi` follows `--ppi`; what `quality.` has for each figure is in [prints.md](prints.md#quality).",
         (("", PrintingSettings()),),
+    ),
+    (
+        "`splitknit match`, `enroll` and `identify`",
+        "What each is: [matching.md](matching.md). Captures are reconstructed with `--preset` as it is.",
+        (("", MatchingSettings()),),
     ),
     ("`splitknit rig circuit`", "Names may begin with `circuit.`.", (("circuit.", CircuitSettings()),)),
 )
