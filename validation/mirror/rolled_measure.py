@@ -67,8 +67,9 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
 
 
 def front_alone(rolled: Rolled) -> Rolled:
-    """The same finger as its front shows it: the same relief, without the mirrors'."""
-    known = rolled.blended.known & (rolled.blended.shares[0] > 1e-3)
+    """The same finger as its front shows it, as far as any view is used: the same relief, without the mirrors'."""
+    facing = rolled.normals[..., 2] > np.cos(np.deg2rad(RolledSettings().blend.steepest_deg))
+    known = rolled.blended.known & (rolled.view_reliefs[0] != 0) & facing
     relief = np.where(known, rolled.view_reliefs[0], np.float32(0.0)).astype(np.float32)
     shares = np.stack([known.astype(np.float32)])
     blended = Blended(relief, rolled.blended.deviation_mm, known, shares)

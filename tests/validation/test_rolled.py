@@ -1,0 +1,90 @@
+"""The scripts that measure rolled fingers: against the truth of a drawn finger, and their tables."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from script_folder import scripts_of
+from splitknit.fuse import plane_of
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.rolled import MirrorView, rolled_finger
+from splitknit.recipe.rolled_light import Glass
+from splitknit.recipe.rolled_settings import RolledSettings, SearchSettings
+
+TESTS = Path(__file__).resolve().parents[1]
+FOLDER = TESTS.parent / "validation" / "mirror"
+QUICK = RolledSettings(
+    pitch_mm=0.07,
+    exponent=2.0,
+    elastic=False,
+    search=SearchSettings(bulge_mm=(0.12, 0.06), shift_mm=(0.0, 0.1), turn_deg=(0.0, 0.1)),
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    sys.path.insert(0, str(TESTS / "recipe"))
+    import rolled_scene
+
+    sys.path.pop(0)
+    return rolled_scene
+
+
+def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
+    capture, masks = scene.capture(("right",))
+    mirror = capture.rig.mirrors[0]
+    glass = Glass("right", plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
+    views = [MirrorView("front", masks["front"]), MirrorView("right", masks["right"], glass)]
+    rolled = rolled_finger(capture, views, preset_settings("metric"), QUICK)
+    x = (np.arange(scene.SIZE[1]) - (scene.SIZE[1] - 1) / 2) / scene.PX
+    y = ((scene.SIZE[0] - 1) / 2 - np.arange(scene.SIZE[0])) / scene.PX
+    x, y = np.meshgrid(x, y - 2.0)
+    truth = {"mask": masks["front"], "view_right_mask": masks["right"]}
+    for name, lines, axis in (("relief_um", x, "z"), ("view_right_relief_um", x - scene.LEAN, "+x")):
+        truth[name] = 1e3 * scene.ridges(scene.on_finger(lines, y, axis)[0])
+    with scripts_of(FOLDER) as script:
+        measured = script("rolled_measure")
+        front = measured.front_alone(rolled)
+        found = measured._against_truth(rolled, front, truth)
+        wrong = measured._against_truth(
+            rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]}
+        )
+    assert front.blended.known.sum() < 0.85 * rolled.blended.known.sum()
+    assert found["rolled"]["0-30"] > 0.9
+    assert found["rolled"]["60-90"] > 0.8
+    assert found["seams"]["right"]["faded_um"] < 10
+    assert wrong["rolled"]["60-90"] < 0.5  # the mirror's truth counts there
+    assert wrong["front"] == found["front"]
+
+
+def test_tables_of_rolls_and_captures() -> None:
+    pairs = []
+    for k in range(4):
+        row = {"front_ridge": 0.5 - 0.1 * k, "front_minutiae": 20.0, "rolled_ridge": 0.8, "rolled_minutiae": 60.0}
+        pairs.append({"genuine": True, "fingers": [k, k], "apart_deg": 20 if k < 2 else 40, **row})
+        pairs.append(
+            {"genuine": False, "fingers": [k, k + 1], "apart_deg": 20, **{name: 0.1 * v for name, v in row.items()}}
+        )
+    seam = {"length_mm": 14.0, "faded_um": 6.0, "cut_um": 9.0, "no_seam_um": 7.0}
+    bands = {"0-30": 0.9, "30-60": None}
+    captures = [
+        {"seed": k, "coverage_deg": 200.0 + k, "coverage_front_deg": 140.0, "seams": {"left": seam, "right": None},
+         "rolled": bands, "front": bands, "surface_rms_mm": 0.2}
+        for k in range(3)
+    ]  # fmt: skip
+    with scripts_of(FOLDER) as script:
+        module = script("rolled")
+        table, whole = module.roll_table(pairs), module.summary(captures)
+    front = table["front_ridge"]
+    assert front["genuine 20 deg"]["pairs"] == 2
+    assert front["genuine 20 deg"]["mean [95 %]"] == pytest.approx([0.45, 0.4, 0.5])
+    assert front["genuine 40 deg"]["min"] == pytest.approx(0.2)
+    assert front["impostor"]["max"] == pytest.approx(0.05)
+    assert table["rolled_minutiae"]["genuine 40 deg"]["above every impostor"] == 1.0
+    assert whole["coverage_deg"] == [201.0, 200.0, 202.0]
+    assert whole["seam_step_um"] == [6.0, 6.0, 6.0]
+    assert whole["rolled"] == {"0-30": [0.9, 0.9, 0.9], "30-60": None}
