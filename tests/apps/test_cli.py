@@ -189,7 +189,7 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
         "from splitknit.apps import cli, commands; "
-        "commands.simulate_capture = lambda *_: os.kill(os.getpid(), signal.SIGTERM); "
+        "commands.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
         "sys.exit(cli.main())"
     )
     run = subprocess.run(
