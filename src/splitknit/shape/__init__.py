@@ -1,9 +1,9 @@
 """The finger's shape from one image: its outlines in front view and in mirrors beside it."""
 
-from splitknit.shape.fit import Slopes
 from splitknit.shape.mirror import MirrorShape, mirror_shape
 from splitknit.shape.outline import medial_line
 from splitknit.shape.settings import MirrorShapeSettings, ViewSettings
+from splitknit.shape.state import Slopes
 from splitknit.shape.views import Views, find_views, mirror_outline, view_binning, without_mirrors
 
 __all__ = [

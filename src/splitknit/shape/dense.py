@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.shape.body import Body
-from splitknit.shape.fit import Slopes
+from splitknit.shape.state import Slopes
 from splitknit.types import BoolArray, Camera, FloatArray
 from splitknit.view import view_of
 

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from splitknit.check import BadInput, require
 from splitknit.shape.body import Body
 from splitknit.shape.dense import heights_on, nearest
-from splitknit.shape.fit import Fit, Pose, SeenIn, Slopes, fit_body, touched
+from splitknit.shape.first import cap, first_body, turn_of_tips
+from splitknit.shape.fit import fit_body
 from splitknit.shape.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.shape.planes import MirrorPlane, Touching, touching
 from splitknit.shape.settings import MirrorShapeSettings
+from splitknit.shape.state import Fit, Pose, SeenIn, Slopes, touched
 from splitknit.shape.thesis import Ellipses, ellipses
+from splitknit.shape.verdict import facts_of, refuse_misfit
 from splitknit.shape.views import Views
 from splitknit.types import BoolArray, Camera, FloatArray, Mirror
 from splitknit.view import pixels_of
@@ -30,11 +33,6 @@ TURN_DEG = 0.2
 
 EVERY = 2
 """Of the rows, that many make one point of an outline in the fit."""
-MOST_TURN_RAD = 0.12
-THICKNESS = (0.4, 1.4)
-"""Of fingers, over their breadth."""
-MOST_DEG = 7.0
-"""A mirror that would be further off than this is not believed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,8 +198,8 @@ def _by_outlines(  # noqa: PLR0917
     )
     poses = {name: Pose() for name in seen}
     for name in lateral:
-        caps = [_cap(mask, camera, views.binning, axis, settings) for mask in (views.front, views.mirrors[name])]
-        turn = _turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
+        caps = [cap(mask, camera, views.binning, axis, settings) for mask in (views.front, views.mirrors[name])]
+        turn = turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
         if turn is None:
             raise BadInput(
                 f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the one in front; "
@@ -209,138 +207,17 @@ def _by_outlines(  # noqa: PLR0917
             )
         poses[name] = Pose(turn_rad=turn)
         seen[name] = replace(seen[name], turn_rad=turn, turn_sd_rad=np.deg2rad(TURN_DEG))
-    body = _first_body(front, lateral, seen, poses, settings)
+    body = first_body(front, lateral, seen, poses, settings)
     front = front.beyond(body.tip_mm - body.length_mm)
     front_planes = _touching(camera, front, ("left", "right"))
     fit = fit_body(body, front_planes, seen, poses, settings, slopes)
-    _refuse_misfit(fit, seen, settings)
+    refuse_misfit(fit, seen, settings)
     beside = {"front": front_planes, **{name: seen[name].touching for name in lateral}}
-    return MirrorShape(camera, fit.body, {**_facts(fit, settings, slopes), "views_cut_off": cut}, outlines, fit, beside)
+    return MirrorShape(
+        camera, fit.body, {**facts_of(fit, settings, slopes), "views_cut_off": cut}, outlines, fit, beside
+    )
 
 
 def _touching(camera: Camera, rows: Rows, sides: tuple[str, ...]) -> Touching:
     parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in sides]
     return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
-
-
-def _cap(mask: BoolArray, camera: Camera, binning: int, axis: Array, settings: MirrorShapeSettings) -> Array:
-    """(n, 2) points of the outline's tip, on the finger plane."""
-    sideways = rows_of(mask, camera, binning, np.array([axis[1], -axis[0]]), settings.row_mm, trust_ends=True)
-    places, _, _ = sideways.places("left")
-    return places
-
-
-def _turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, axis: Array) -> float | None:
-    """How far a mirror is turned about the camera's axis, from the tips of two views.
-
-    The line that joins a point with its mirror image touches both views' outlines at the tip (a frontier point). None:
-    no turn within reason makes it so.
-    """
-    about = np.array([0.0, 0.0, 0.0])
-
-    def apart(turn: float) -> float:
-        moved = plane.moved(turn, 0.0, 0.0, about)
-        joint = moved.normal[:2] / np.hypot(*moved.normal[:2])
-        upward = np.array([-joint[1], joint[0]])
-        upward = upward if float(upward @ axis) > 0 else -upward
-        epipole = moved.epipole(camera)
-        if epipole is None:
-            return float(np.max(side @ upward) - np.max(front @ upward))
-        far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
-        return float(far[0] - far[1]) * float(np.hypot(*epipole))
-
-    low, high = -MOST_TURN_RAD, MOST_TURN_RAD
-    values = apart(low), apart(high)
-    if values[0] * values[1] > 0:
-        return None
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        if (apart(middle) > 0) == (values[0] > 0):
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-def _slopes_about(points: Array, joint: Array, upward: Array) -> float:
-    return float(np.max((points @ upward) / np.abs(points @ joint)))
-
-
-def _first_body(
-    front: Rows,
-    lateral: Mapping[str, Rows],
-    seen: Mapping[str, SeenIn],
-    poses: Mapping[str, Pose],
-    settings: MirrorShapeSettings,
-) -> Body:
-    """Ellipses from the front view's rows, and heights from the first mirror's."""
-    known = np.isfinite(front.width_mm)
-    along = front.along_mm[known]
-    seen_mm = max(rows.tip_mm - float(rows.along_mm[np.isfinite(rows.width_mm)][0]) for rows in lateral.values())
-    length = min(front.tip_mm - float(along[0]), seen_mm) + 0.3
-    origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known]))
-    body = Body(origin * front.across, front.axis, front.tip_mm, length, np.zeros((4, settings.knots + 3)))
-    name = next(iter(lateral))
-    rays = poses[name].of(seen[name]).reflect(seen[name].touching)
-    point, direction = body.to_frame(rays.point, place=True), body.to_frame(rays.direction, place=False)
-    far = -point[:, 0] / direction[:, 0]
-    heights = point[:, 2] + far * direction[:, 2]  # where the rays cross the plane through the finger's axis
-    low, high = (float(v) for v in np.quantile(heights, (0.15, 0.85)))
-    z, rise = 0.5 * (low + high), 0.5 * (high - low)
-    width = 0.5 * float(np.nanquantile(front.width_mm, 0.8))
-    coefficients = np.zeros((4, settings.knots + 3))
-    coefficients[1], coefficients[2], coefficients[3] = z, width, rise
-    squareness = 0.0 if settings.section == "ellipse" else settings.squareness
-    return replace(body, coefficients=coefficients, squareness=squareness)
-
-
-def _refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn], settings: MirrorShapeSettings) -> None:
-    """Refuse views that no finger explains."""
-    for name, misfit in fit.misfit_mm.items():
-        if name in seen and seen[name].from_tip:
-            continue
-        size = float(np.median(np.abs(misfit)))
-        require(
-            size < settings.misfit_mm,
-            f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
-            "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
-        )
-    thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
-    require(
-        THICKNESS[0] < thickness < THICKNESS[1],
-        f"the views do not fit one finger: in the mirrors it would be {thickness:.2f} times as thick as it is broad in "
-        "front; check that one finger alone is in view.",
-    )
-    for name, pose in fit.poses.items():
-        worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
-        require(
-            worst < MOST_DEG,
-            f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
-            "file; check that one finger alone is in view, or correct the rig file.",
-        )
-
-
-def _facts(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:
-    rms = {}
-    for name, misfit in fit.misfit_mm.items():
-        weight = fit.weights[name]
-        rms[name] = float(np.sqrt(np.sum(weight * misfit**2) / max(float(weight.sum()), 1e-9)))
-    body = fit.body
-    return {
-        "method": "outlines",
-        "mirrors": sorted(fit.poses),
-        "section": settings.section,
-        "section_seen_by": "slopes" if slopes is not None else "expectation",
-        "squareness": body.squareness,
-        "shear": body.shear,
-        "poses": {
-            name: {
-                "turn_deg": float(np.rad2deg(pose.turn_rad)),
-                "lean_deg": float(np.rad2deg(pose.lean_rad)),
-                "shift_mm": pose.shift_mm,
-            }
-            for name, pose in fit.poses.items()
-        },
-        "outline_rms_mm": rms,
-        "outline_used": {name: float(np.mean(weight > 0)) for name, weight in fit.weights.items()},
-    }
