@@ -55,8 +55,9 @@ def test_ridges_are_found_around_the_finger_the_right_way_round(finger: Rolled) 
     for low, high in ((-90, -60), (-60, -30), (-30, 0), (0, 30), (30, 60), (60, 90)):
         where = known & straight & (slant > low) & (slant < high)
         assert where.sum() > 1000, (low, high)
-        # a mirror image read the wrong way round would not correlate at all
-        assert np.corrcoef(seen[where], there[where])[0, 1] > 0.75, (low, high)
+        # places count, too: a tenth of a millimetre beside its place a ridge of 0.6 mm correlates by a half; a mirror
+        # image read the wrong way round would not correlate at all
+        assert np.corrcoef(seen[where], there[where])[0, 1] > 0.6, (low, high)
 
 
 def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
@@ -80,9 +81,17 @@ def test_the_surface_is_the_finger(finger: Rolled) -> None:
 
 
 def test_one_mirror_is_enough_and_none_is_refused() -> None:
-    capture, masks = scene.capture(("right",))
+    capture, masks = scene.capture()
     settings = preset_settings("metric")
-    one = rolled_finger(capture, views_of(capture, masks), settings, replace(QUICK, elastic=False))
+    # the left mirror's light counts, its view does not
+    views = [replace(view, mask=None) if view.name == "left" else view for view in views_of(capture, masks)]
+    one = rolled_finger(capture, views, settings, replace(QUICK, elastic=False))
+    assert one.names == ("front", "right")
+    truth, slant = truth_of(one)
+    pitch, known = one.chart.pitch_mm, one.blended.known
+    seen, there = (ridge_band(f.astype(np.float32), known, pitch) for f in (one.blended.relief_mm, truth))
+    left = known & (slant > -55) & (slant < -20) & (one.chart.length_mm[:, None] < 0)
+    assert np.corrcoef(seen[left], there[left])[0, 1] > 0.75
     degrees = np.rad2deg(one.chart.angle_rad)
     seen = one.blended.known[(one.chart.length_mm < 0) & (one.chart.length_mm > -12)].mean(axis=0) > 0.9
     assert seen[np.abs(degrees - 95).argmin()]

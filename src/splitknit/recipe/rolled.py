@@ -47,8 +47,8 @@ class MirrorView:
 
     name: str
     """``front``, ``left``, ``right`` or ``tip``."""
-    mask: BoolArray
-    """(H, W) where the view shows the finger."""
+    mask: BoolArray | None
+    """(H, W) where the view shows the finger; None for a mirror whose light counts, but not its view."""
     glass: Glass | None = None
     """The mirror; None for the front."""
 
@@ -81,8 +81,10 @@ class _Work:
         self, capture: Capture, views: Sequence[MirrorView], settings: PipelineSettings, rolled: RolledSettings
     ) -> None:
         self.capture, self.settings, self.rolled = capture, settings, rolled
-        self.masks = {view.name: view.mask for view in views}
-        self.glasses = {view.name: view.glass for view in views if view.glass is not None}
+        self.masks = {view.name: view.mask for view in views if view.mask is not None}
+        used = {view.name: view.glass for view in views if view.glass is not None}
+        self.glasses = {name: glass for name, glass in used.items() if name in self.masks}
+        self.lamps = [glass for name, glass in used.items() if name not in self.masks]
         self.shape: Shape = first_shape(
             {name: (sight, self.masks[name]) for name, sight in self.sights().items()},
             {name: glass.corners_mm for name, glass in self.glasses.items()},
@@ -101,7 +103,7 @@ class _Work:
         return found
 
     def find_ridges(self) -> None:
-        glasses = tuple(self.glasses.values())
+        glasses = (*self.glasses.values(), *self.lamps)
         for name, sight in self.sights().items():
             self.reliefs[name] = view_relief(
                 self.capture,

@@ -68,9 +68,15 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> list[Mirr
     shape = mirror_shape(views, camera, mirrors, tip_direction_deg=capture.tip_direction_deg or 0.0)
     front = _enlarged(views.front, capture.shape, binning)
     found = [MirrorView("front", _above_crease(front, views.front, mean, capture, settings, binning))]
-    for name, mask in views.mirrors.items():
-        normal, offset = shape.plane(mirrors[name])
-        found.append(MirrorView(name, _enlarged(mask, capture.shape, binning), _glass(mirrors[name], normal, offset)))
+    cut = shape.facts.get("views_cut_off", ())
+    for name, mirror in mirrors.items():
+        usable = name in seen and name not in cut
+        mask = _enlarged(views.mirrors[name], capture.shape, binning) if usable else None
+        found.append(MirrorView(name, mask, _glass(mirror, *shape.plane(mirror))))
+    require(
+        any(view.glass is not None and view.mask is not None for view in found),
+        "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle.",
+    )
     return found
 
 
