@@ -67,3 +67,7 @@ def test_it_measures(script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert one["pairs"] == [3, 9]
         assert one["least_and_median_genuine"][1] > one["median_and_largest_impostor"][0]
         assert one["d_prime"][1] <= one["d_prime"][0] <= one["d_prime"][2]
+    assert features.main(["table", "--out", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 + len(figures["methods"])
+    assert lines[2].startswith("| kumar | tuned, 3 | minutiae | ")

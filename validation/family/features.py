@@ -3,6 +3,7 @@
     python validation/family/features.py make --population people --work work --part tuned
     python validation/family/features.py make --population people --work work --part reported
     python validation/family/features.py report --work work
+    python validation/family/features.py table
 
 `people` is a folder of ``splitknit simulate population --seed 680 --scale 0.4``. The features of each capture are kept
 in `work`, so that a run that was stopped goes on. The tolerances of the matchers were chosen on the part `tuned`
@@ -176,10 +177,30 @@ def report(folder: Path, part: str, replicates: int = 1000) -> dict[str, Any]:
     }
 
 
+def table(known: dict[str, Any]) -> list[str]:
+    """Lines of Markdown: one for each case, part and method."""
+    head = "| case | fingers | method | d' | GAR at FAR 1 % | genuine: least / median | others: median / largest | ms |"
+    lines = [head, "| --- " * 8 + "|"]
+    for case, parts in known.items():
+        for part, found in parts.items():
+            for method, one in found["methods"].items():
+                gar = [f"{100 * value:.1f}" for value in one["gar@0.01"]]
+                prime = [f"{value:.1f}" for value in one["d_prime"]]
+                low, high = one["least_and_median_genuine"], one["median_and_largest_impostor"]
+                cost = found["ms_per_comparison"].get(method)
+                cells = [
+                    case, f"{part}, {one['pairs'][0]}", method, f"{prime[0]} [{prime[1]}, {prime[2]}]",
+                    f"{gar[0]} [{gar[1]}, {gar[2]}]", f"{low[0]:.3g} / {low[1]:.3g}", f"{high[0]:.3g} / {high[1]:.3g}",
+                    "" if cost is None else f"{cost:.1f}",
+                ]  # fmt: skip
+                lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("make", "report"))
-    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("what", choices=("make", "report", "table"))
+    parser.add_argument("--work", type=Path, default=Path("work"))
     parser.add_argument("--population", type=Path)
     parser.add_argument("--store", type=Path, help="take the surfaces from a store of splitknit batch")
     parser.add_argument("--case", default="kumar")
@@ -187,6 +208,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--replicates", type=int, default=1000)
     options = parser.parse_args(arguments)
+    if options.what == "table":
+        print("\n".join(table(json.loads(options.out.read_text()))))
+        return 0
     parts = options.part or list(PARTS)
     folder = options.work / options.case
     if options.what == "make":
