@@ -175,7 +175,7 @@ def surface_code_match(
         best = min(best, _counted(left, right, (turn, row, column), least), key=lambda found: found.distance)
     if not swapped:
         return best
-    return SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, -best.rotation_deg, best.compared)
+    return SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
 
 
 def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> list[tuple[float, float, float]]:
