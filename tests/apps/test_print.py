@@ -65,9 +65,11 @@ def test_all_files_are_written(result: Path, tmp_path: Path, capsys, method: str
     assert 0.35 < facts["ridge_period_mm"]["median"] < 0.6
 
 
-def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys) -> None:
-    """The stored map takes the true minutiae to the print; most of what mindtct finds lies on one of them."""
-    pytest.importorskip("nbis")
+@pytest.mark.parametrize("way", ["print", "phase"])
+def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys, way: str) -> None:
+    """The stored map takes the true minutiae to the print; most of what is found lies on one of them."""
+    if way == "print":
+        pytest.importorskip("nbis")
     from scipy.spatial import cKDTree
 
     from splitknit.apps.printing import make_print
@@ -76,8 +78,9 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     from splitknit.io.minutiae3d import read_minutiae3d
 
     out = tmp_path / "out"
-    facts = facts_of(capsys, result, "--out", out)
+    facts = facts_of(capsys, result, "--set", f"minutiae={way}", "--out", out)
     view = read_iso19794(out / "minutiae.iso").views[0]
+    assert set(view.type.tolist()) == {1, 2}
     assert view.size == tuple(facts["size"])
     found = np.stack([view.x_px, view.y_px], axis=1).astype(float)
     made = make_print(read_source(result, photo=False, surface=True), "unroll")
@@ -157,11 +160,16 @@ def test_without_the_finder_of_minutiae(result: Path, tmp_path: Path, capsys, mo
     from splitknit.match import minutiae
 
     minutiae._extractor.cache_clear()
-    facts = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "out")
+    words = ("--method", "relief", "--set", "minutiae=print")
+    facts = facts_of(capsys, result, *words, "--out", tmp_path / "out")
     assert not facts["minutiae"]["written"]
     assert "pip install" in facts["minutiae"]["missing"]
     assert (tmp_path / "out" / "enhanced.png").is_file()
     assert not (tmp_path / "out" / "minutiae.iso").exists()
+    assert "minutiae=phase" in facts["minutiae"]["missing"]
+    without = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "phase")
+    assert without["minutiae"]["written"] and without["minutiae"]["count"] > 30
+    assert (tmp_path / "phase" / "minutiae.iso").is_file()
 
 
 def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Path, capsys) -> None:

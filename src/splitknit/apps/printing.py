@@ -65,8 +65,8 @@ class PrintingSettings:
     curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
     enhance: Literal["gabor", "stft"] = "gabor"
     """How ``enhanced.png`` is made."""
-    minutiae: Literal["print", "enhanced"] = "print"
-    """In which picture minutiae are sought."""
+    minutiae: Literal["phase", "print", "enhanced"] = "phase"
+    """``phase``: minutiae are read off the phase of the enhanced ridges; else the picture in which mindtct seeks."""
     gabor: GaborSettings = field(default_factory=GaborSettings)
     stft: StftSettings = field(default_factory=StftSettings)
     quality: PrintQualitySettings = field(default_factory=PrintQualitySettings)
@@ -269,7 +269,9 @@ def print_to_folder(
         nfiq2 = nfiq2_of(pictures, ppi)
         facts["quality"] = quality_facts(quality, nfiq2)
         sought = settings.minutiae
-        facts["minutiae"] = write_minutiae(target, pictures, sought, made.map, source, origin, round(quality.score))
+        facts["minutiae"] = write_minutiae(
+            target, pictures, enhanced, sought, made.map, source, origin, round(quality.score)
+        )
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin

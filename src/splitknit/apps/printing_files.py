@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from splitknit.apps.pictures import ColourArray, colour, on_paper
 from splitknit.apps.printing_sources import Source
 from splitknit.check import BadInput
-from splitknit.flatten import PrintMap, Unrolled
+from splitknit.flatten import Enhanced, PrintMap, Unrolled, phase_minutiae
 from splitknit.flatten.print_map import NOWHERE
 from splitknit.io.finger_codes import FINGER_CODES
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.provenance import JsonValue
+from splitknit.match.minutiae_record import Minutiae
 from splitknit.recipe.space_minutiae import in_space
 from splitknit.types import FloatArray
 
@@ -28,9 +29,20 @@ AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
 """Ends of the colour bars of the distortion picture."""
 
 
+def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:
+    """Minutiae of a print by the phase of its ridges, on the grid of 500 ppi as mindtct's."""
+    found = phase_minutiae(image, enhanced, ppi)
+    scale = 500.0 / ppi
+    place = np.rint((found.place_px + 0.5) * scale - 0.5).astype(np.int32)
+    size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
+    column, row = (np.clip(place[:, k], 0, size[1 - k] - 1) for k in (0, 1))
+    return Minutiae(column, row, found.direction_rad, found.kind, found.quality, size)
+
+
 def write_minutiae(  # noqa: PLR0917
     target: Path,
     pictures: Mapping[str, NDArray[np.uint8]],
+    enhanced: Enhanced,
     sought_in: str,
     print_map: PrintMap,
     source: Source,
@@ -39,17 +51,21 @@ def write_minutiae(  # noqa: PLR0917
 ) -> dict[str, Any]:
     """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them.
 
-    Minutiae are sought in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``) says;
-    `finger_quality` (0 to 100) goes into the record.
+    Minutiae are sought by mindtct in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``)
+    says, or by the phase of the ridges (``phase``), which needs no package; `finger_quality` (0 to 100) goes into the
+    record.
 
-    Without the package that finds minutiae, nothing is written and the facts say what to install.
+    Without the package that mindtct comes with, nothing is written and the facts say what to install.
     """
     from splitknit.match.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 
     try:
-        found = extract(pictures[f"{sought_in}.png"], print_map.ppi)
+        if sought_in == "phase":
+            found, where = by_phase(pictures["print.png"], enhanced, print_map.ppi), "print.png, by the phase"
+        else:
+            found, where = extract(pictures[f"{sought_in}.png"], print_map.ppi), f"{sought_in}.png"
     except BadInput as error:
-        return {"written": False, "missing": " ".join(str(error).split())}
+        return {"written": False, "missing": f"{' '.join(str(error).split())} Or find them with --set minutiae=phase."}
     finger = source.subject.get("finger", "unknown")
     finger = finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
     view = FingerView(
@@ -66,7 +82,7 @@ def write_minutiae(  # noqa: PLR0917
     write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))
     facts: dict[str, Any] = {
         "written": True,
-        "sought_in": f"{sought_in}.png",
+        "sought_in": where,
         "count": len(found.x_px),
         "finger": finger,
     }

@@ -4,6 +4,7 @@ from splitknit.flatten.curvature import Curvature, CurvatureSettings, curvature
 from splitknit.flatten.enhance import Enhanced, GaborSettings, gabor_enhance
 from splitknit.flatten.enhance_stft import StftSettings, stft_enhance
 from splitknit.flatten.ink import ink
+from splitknit.flatten.phase_minutiae import PhaseMinutiae, PhaseMinutiaeSettings, phase_minutiae
 from splitknit.flatten.print_map import PrintMap, plane_map, unrolled_map
 from splitknit.flatten.print_quality import Part, PrintQuality, PrintQualitySettings, print_quality, score_of
 from splitknit.flatten.print_quality_figures import QualityFigures, quality_figures
@@ -23,6 +24,8 @@ __all__ = [
     "GaborSettings",
     "GridSettings",
     "Part",
+    "PhaseMinutiae",
+    "PhaseMinutiaeSettings",
     "PrintMap",
     "PrintQuality",
     "PrintQualitySettings",
@@ -39,6 +42,7 @@ __all__ = [
     "distortion",
     "gabor_enhance",
     "ink",
+    "phase_minutiae",
     "plane_map",
     "print_quality",
     "quality_figures",
