@@ -33,8 +33,8 @@ def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
             cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
     caption = (
         "The finger itself and its mirror images. Orange: the outline found in each view. Pale blue: medial lines. "
-        "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the rig "
-        "file has the mirrors. Good: the dots lie on the orange lines."
+        "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
+        "rig file has the mirrors. Good: the dots lie on the orange lines."
     )
     return [titled("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale)]
 

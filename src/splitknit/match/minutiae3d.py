@@ -23,6 +23,7 @@ from splitknit.match.space_alignment import (
     Index,
     best_agreement,
     close_points,
+    nearest,
     share_of_both,
 )
 
@@ -69,11 +70,8 @@ class PreparedMinutiae3D(Framed):
     def pairs(self) -> Index:
         """(P, 2) each minutia and one of its nearest."""
         places = self.places[0]
-        count = min(self.settings.neighbours, len(places) - 1)
-        apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
-        np.fill_diagonal(apart2, np.inf)
-        near = np.argsort(apart2, axis=1, kind="stable")[:, :count]
-        return np.stack([np.repeat(np.arange(len(places)), count), near.ravel()], axis=1)
+        near, _ = nearest(places, min(self.settings.neighbours, len(places) - 1))
+        return np.stack([np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()], axis=1)
 
     @cached_property
     def looks(self) -> Array:

@@ -208,6 +208,13 @@ def share_of_both(count: int, a: int, b: int) -> float:
     return count * count / (a * b) if a and b else 0.0
 
 
+def nearest(places: Array, count: int) -> tuple[Index, Array]:
+    """Each of N points' `count` nearest others (N, count), nearest first, and all squared distances (N, N)."""
+    apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    np.fill_diagonal(apart2, np.inf)
+    return np.argsort(apart2, axis=1, kind="stable")[:, :count], apart2
+
+
 def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
     """Points of `a` and `b` that differ by one at most in every coordinate, ordered by both."""
     found = a.sparse_distance_matrix(b, 1.0, p=np.inf, output_type="ndarray")

@@ -25,6 +25,7 @@ from splitknit.match.space_alignment import (
     Index,
     best_agreement,
     close_points,
+    nearest,
     share_of_both,
 )
 
@@ -76,9 +77,7 @@ class PreparedTetrahedra(Framed):
     def corners(self) -> Index:
         """(T, 4) minutiae of each tetrahedron, its apex first; none with an edge below what is told apart."""
         places = self.places[0]
-        apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
-        np.fill_diagonal(apart2, np.inf)
-        near = np.argsort(apart2, axis=1, kind="stable")[:, : self.settings.neighbours]
+        near, apart2 = nearest(places, self.settings.neighbours)
         triples = np.array(list(combinations(range(near.shape[1]), 3)), dtype=np.intp)
         others = near[:, triples].reshape(-1, 3)
         corners = np.column_stack([np.repeat(np.arange(len(places)), len(triples)), others])
