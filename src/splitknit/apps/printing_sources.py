@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,11 +128,14 @@ def _of_capture(path: Path, photo: bool, surface: bool, preset: str, tell: Progr
     light = _photograph(capture) if photo else None
     if surface:
         result = reconstruct(capture, preset, progress=lambda stage, share: tell(stage, 0.1 + 0.6 * share))
-        source = source_of(result)
-        return Source(
-            "capture", source.mask, source.pitch_mm, source.input_from_upright, source.upright_size, source.height_mm,
-            source.ridge_mm, source.shape_mm, source.x_mm, source.y_mm, light, preset, capture.hashes, capture.subject,
-        )  # fmt: skip
+        return replace(
+            source_of(result),
+            kind="capture",
+            photo=light,
+            preset=preset,
+            hashes=capture.hashes,
+            subject=capture.subject,
+        )
     if "white" not in capture.bands:
         raise BadInput("the capture has no band 'white', in which fingers are photographed.")
     finger = find_finger(capture, preset_settings(preset), Stopwatch(None))

@@ -136,5 +136,5 @@ def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.r
             half / half_mm, 0, 1
         )
     level = cv2.GaussianBlur(displacement, (0, 0), 0.5 / pitch)
-    lift = cv2.GaussianBlur(lift, (0, 0), 0.1 / pitch)
-    return Weathered((1.0 - share) * displacement + share * level + lift, share)
+    smooth = cv2.GaussianBlur(lift, (0, 0), 0.1 / pitch)
+    return Weathered((1.0 - share) * displacement + share * level + smooth, share)
