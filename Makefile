@@ -1,5 +1,6 @@
 # make demo: simulate a finger, reconstruct it, compare it with the truth, write ./demo/
 # make test: lint, types, import rules, tests
+# make examples: run every example and write docs/examples.md
 # make clean: remove what these made
 
 PYTHON ?= python3
@@ -13,7 +14,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_BUILD_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test clean
+.PHONY: demo test examples clean
 
 demo: $(VENV)/.ready
 	$(BIN)/splitknit demo --out demo
@@ -24,6 +25,9 @@ test: $(VENV)/.ready-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+examples: $(VENV)/.ready
+	$(BIN)/python tools/build_examples.py
 
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splitknit needs Python 3.11 or later: make PYTHON=python3.11 ...")'

@@ -2,7 +2,7 @@
 
 python examples/plot_reconstruct.py                     # prints the figures, a few seconds
 python examples/plot_reconstruct.py --preset ea         # the plain method of the thesis's comparison
-python examples/plot_reconstruct.py --out finger.png    # relief and shaded surface as a picture
+python examples/plot_reconstruct.py --out pictures      # a photograph, relief and shaded surface as pictures
 python examples/plot_reconstruct.py --capture DIR       # a capture folder of your own
 """
 
@@ -18,6 +18,7 @@ from splitknit.apps.compare import compare
 from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import grey, on_paper, to_frame, upright_frame
 from splitknit.io import write_image
+from splitknit.radiance import linear_image
 from splitknit.simulate.twin import TwinSettings, simulate_capture
 
 
@@ -38,15 +39,17 @@ def describe(result: splitknit.Reconstruction) -> None:
         print(f"please note: {warning}")
 
 
-def picture(result: splitknit.Reconstruction, path: Path) -> None:
-    """Save the relief beside the shaded surface."""
+def pictures(capture: splitknit.Capture, result: splitknit.Reconstruction, folder: Path) -> None:
+    """Save one of the photographs, and the relief beside the shaded surface."""
+    light = linear_image(capture.bands["white"].pixels[1], capture.encoding)
+    shown = np.clip(light / np.percentile(light[result.mask], 99.5), 0.0, 1.0) ** (1 / 2.2)
+    write_image(folder / "photograph.png", np.round(255 * shown).astype(np.uint8))
     frame = upright_frame(result, 900)
     relief, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
     shaded = render_views(result, frame).above
     flat = on_paper(grey(relief, -40.0, 40.0), weight)
     rows = min(flat.shape[0], shaded.shape[0])
-    write_image(path, np.hstack([flat[:rows], shaded[:rows]]))
-    print(f"written: {path}")
+    write_image(folder / "relief-and-surface.png", np.hstack([flat[:rows], shaded[:rows]]))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -55,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--preset", choices=["metric", "snk", "pr", "ea"], default="metric")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scale", type=float, default=0.2)
-    parser.add_argument("--out", type=Path, help="picture to write")
+    parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     truth = None
     if options.capture is None:
@@ -71,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"{figures['ridge_correlation']:.2f}, ridge gain {figures['ridge_gain']:.2f}"
         )
     if options.out is not None:
-        picture(result, options.out)
+        pictures(capture, result, options.out)
     return 0
 
 

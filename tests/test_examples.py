@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("plot_*.py"))
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -20,3 +23,10 @@ def test_example_runs(example: Path, tmp_path: Path) -> None:
     assert done.stderr == ""
     assert done.stdout.strip()
     assert list(tmp_path.iterdir()) == []  # an example cleans up after itself
+
+
+def test_the_page_shows_the_examples_as_they_are() -> None:
+    """`make examples` was run after the last change of any of them."""
+    page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    shown = dict(re.findall(r"<!-- (plot_\w+\.py) ([0-9a-f]{64}) -->", page))
+    assert shown == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in EXAMPLES}

@@ -1,0 +1,65 @@
+"""From 3D to 2D: one finger as a print in four ways, enhanced and thinned.
+
+    python examples/plot_prints.py --out pictures
+
+The relief as ink; the surface unrolled at equal distances; its curvature; and the plain photograph as the baseline. The
+upper row shows the prints, the lower row their enhancement.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from splitknit.apps.printing import enhance, make_print
+from splitknit.apps.printing_sources import read_source
+from splitknit.flatten import as_print, ridge_mask, thin
+from splitknit.io import write_capture, write_image
+from splitknit.match.minutiae import extract, nfiq2
+from splitknit.simulate.twin import TwinSettings, simulate_capture
+
+METHODS = ("relief", "unroll", "curvature", "photo")
+
+
+def beside(panels: list[np.ndarray]) -> np.ndarray:
+    """Pictures in a row on white paper."""
+    tall = max(panel.shape[0] for panel in panels)
+    paper = [np.pad(p, ((0, tall - p.shape[0]), (0, 12)), constant_values=255) for p in panels]
+    return np.hstack(paper)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--scale", type=float, default=0.35)
+    parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
+    options = parser.parse_args(arguments)
+    capture, _ = simulate_capture(options.seed, "right_loop", TwinSettings(scale=options.scale))
+    with tempfile.TemporaryDirectory() as folder:
+        write_capture(capture, Path(folder) / "capture")
+        source = read_source(Path(folder) / "capture", photo=True, surface=True)
+    upper, lower = [], []
+    for method in METHODS:
+        made = make_print(source, method)
+        better = enhance(made, 500.0)
+        upper.append(made.image)
+        lower.append(better.image)
+        found = extract(made.image, 500.0)
+        rows, columns = made.image.shape
+        print(
+            f"{method:10s} {columns} x {rows} px at 500 ppi = {columns / 500 * 25.4:.1f} x {rows / 500 * 25.4:.1f} mm, "
+            f"{found.count} minutiae, NFIQ 2 {nfiq2(made.image)}"
+        )
+    lines = thin(ridge_mask(enhance(make_print(source, "unroll"), 500.0)))
+    print(f"thinned: {int(lines.sum())} pixels of ridge lines")
+    if options.out is not None:
+        write_image(options.out / "prints.png", np.vstack([beside(upper), beside(lower)]))
+        write_image(options.out / "thinned.png", as_print(lines))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
