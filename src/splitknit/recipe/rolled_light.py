@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.fuse import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
-from splitknit.types import Led, Rig, Shade
+from splitknit.types import FloatArray, Led, Rig, Shade
 
 Array = NDArray[np.float64]
 EDGE_BAND_MM = 0.3
@@ -130,7 +130,7 @@ def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: Skin) -> Led:
 
 
 def skin_points(  # noqa: PLR0917
-    heights_mm: Array, x_mm: Array, y_mm: Array, normals: Array, sight: Sight, origin_mm: Array
+    heights_mm: FloatArray, x_mm: Array, y_mm: Array, normals: FloatArray, sight: Sight, origin_mm: Array
 ) -> Skin:
     """Points and normals of a surface in a view's moved frame (heights (h, w) over x (w,), y (h,)), in the rig's."""
     place = np.stack([*np.broadcast_arrays(x_mm[None, :], y_mm[:, None]), heights_mm], axis=-1).astype(np.float64)

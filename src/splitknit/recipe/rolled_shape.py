@@ -77,8 +77,9 @@ def first_shape(
     sides = outline(mask, front.pixel_of(middle, axes[0], axes[1]), (-REACH_MM, REACH_MM), places)
     centre = 0.5 * (sides[0] + sides[1])
     require(bool(np.isfinite(centre).any()), "the front view shows nothing of the finger.")
-    middle = middle + float(np.nanmedian(centre)) * axes[0]
-    sides = tuple(side - float(np.nanmedian(centre)) for side in sides)
+    off = float(np.nanmedian(centre))
+    middle = middle + off * axes[0]
+    sides = sides[0] - off, sides[1] - off
     heights = []
     for name in ("left", "right"):
         if name in views:
