@@ -25,6 +25,7 @@ from splitknit.match.space_alignment import (
     close_points,
     nearest,
     share_of_both,
+    two_sides,
 )
 
 Array = NDArray[np.float64]
@@ -115,12 +116,10 @@ def minutiae3d_match(
     37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta and phi; the
     score is m^2 / (M_P M_Q).
     """
-    left, right = (_prepared(side, settings) for side in (a, b))
-    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
-    if not (left.minutiae.acquired and right.minutiae.acquired):
+    sides = two_sides(a, b, PreparedMinutiae3D, settings, Minutiae3DSettings())
+    if sides is None:
         return Minutiae3DMatch(0.0, 0, compared=False)
-    if left.key > right.key:
-        left, right = right, left
+    left, right = sides
     found = best_agreement(left, right, alike_pairs(left, right), left.settings.agreement)
     count = len(found.a)
     return Minutiae3DMatch(share_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
@@ -130,12 +129,3 @@ def alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, In
     """Correspondences (K, 2) of pairs that look alike."""
     i, j = close_points(a.tree, b.tree)
     return a.pairs[i], b.pairs[j]
-
-
-def _prepared(side: SpaceMinutiae | PreparedMinutiae3D, settings: Minutiae3DSettings | None) -> PreparedMinutiae3D:
-    if isinstance(side, PreparedMinutiae3D):
-        require(
-            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
-        )
-        return side
-    return PreparedMinutiae3D(side, settings or Minutiae3DSettings())

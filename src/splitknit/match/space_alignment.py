@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from splitknit.match.minutiae3d_record import SpaceMinutiae, pack_space_minutiae
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Side = TypeVar("Side", bound="Framed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +207,34 @@ def one_to_one(i: Index, j: Index, cost: Array) -> Index:
 def share_of_both(count: int, a: int, b: int) -> float:
     """Score of `count` agreeing minutiae of `a` and `b`: count squared over their product, 0 to 1."""
     return count * count / (a * b) if a and b else 0.0
+
+
+def two_sides(
+    a: SpaceMinutiae | Side, b: SpaceMinutiae | Side, kind: type[Side], settings: Any, usual: Any
+) -> tuple[Side, Side] | None:
+    """Both sides prepared as `kind`, in an order of their own; None where one has too few minutiae.
+
+    Raises
+    ------
+    BadInput
+        If a side was prepared with other settings than the other, or than `settings`.
+    """
+    sides = []
+    for side in (a, b):
+        if isinstance(side, kind):
+            require(
+                settings is None or side.settings == settings,
+                "a side was prepared with other settings; prepare it again.",
+            )
+            sides.append(side)
+        else:
+            assert isinstance(side, SpaceMinutiae)
+            sides.append(kind(side, settings or usual))
+    left, right = sides
+    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
+    if not (left.minutiae.acquired and right.minutiae.acquired):
+        return None
+    return (right, left) if left.key > right.key else (left, right)
 
 
 def nearest(places: Array, count: int) -> tuple[Index, Array]:

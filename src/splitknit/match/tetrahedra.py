@@ -27,6 +27,7 @@ from splitknit.match.space_alignment import (
     close_points,
     nearest,
     share_of_both,
+    two_sides,
 )
 
 Array = NDArray[np.float64]
@@ -144,12 +145,10 @@ def tetrahedra_match(
     C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
     Trans. PAMI 40(12), 2018. The paper does not print its tolerances where we could read them: those here are ours.
     """
-    left, right = (_prepared(side, settings) for side in (a, b))
-    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
-    if not (left.minutiae.acquired and right.minutiae.acquired):
+    sides = two_sides(a, b, PreparedTetrahedra, settings, TetrahedraSettings())
+    if sides is None:
         return TetrahedraMatch(0.0, 0, 0, compared=False)
-    if left.key > right.key:
-        left, right = right, left
+    left, right = sides
     corners = alike_tetrahedra(left, right)
     total = len(corners[0])
     found = best_agreement(left, right, corners, left.settings.agreement)
@@ -180,12 +179,3 @@ def _best_order(a: PreparedTetrahedra, b: PreparedTetrahedra, i: Index, j: Index
     all_of[k, order] = difference
     best = all_of.argmin(axis=1)
     return best, all_of[np.arange(len(i)), best] <= angle
-
-
-def _prepared(side: SpaceMinutiae | PreparedTetrahedra, settings: TetrahedraSettings | None) -> PreparedTetrahedra:
-    if isinstance(side, PreparedTetrahedra):
-        require(
-            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
-        )
-        return side
-    return PreparedTetrahedra(side, settings or TetrahedraSettings())
