@@ -99,12 +99,20 @@ def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
             results.close()
 
 
+def _client(distributed: Any, address: str) -> Any:
+    """Connect; on a machine under load the client's own thread may not start in its ten seconds, so try again."""
+    try:
+        return distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+    except AssertionError:
+        return distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+
+
 def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], address: str) -> Iterator[Done]:
     """Tasks of a worker that dies are done by another; a task's result is yielded once."""
     distributed = load("distributed", "cluster")
     version = load("splitknit", "batch").__version__
     try:
-        client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+        client = _client(distributed, address)
     except (OSError, ValueError, TypeError) as error:
         raise BadInput(
             f"the cluster '{address}' cannot be reached; start a scheduler and workers (dask scheduler, dask worker) "
