@@ -7,8 +7,6 @@ without any minutiae is zero bytes.
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +14,11 @@ from numpy.typing import NDArray
 
 from splitknit.check import require
 from splitknit.match.minutiae_record import LEAST_MINUTIAE, MOST_MINUTIAE
+from splitknit.match.packed import Packing
 
 MINUTIAE3D_VERSION = 1
 """Of the packed bytes; a reader refuses others."""
-_MAGIC = b"SKM3"
-_HEAD = struct.Struct("<4sHHI")
+_PACKING = Packing("minutiae in space", b"SKM3", MINUTIAE3D_VERSION, "H", "make them from the surface again.")
 _ROW = np.dtype([(name, "<f4") for name in ("x", "y", "z", "theta", "phi")] + [("type", "u1"), ("quality", "u1")])
 
 
@@ -87,7 +85,7 @@ def pack_space_minutiae(minutiae: SpaceMinutiae) -> bytes:
     table["theta"], table["phi"] = minutiae.theta_rad, minutiae.phi_rad
     table["type"], table["quality"] = minutiae.type, minutiae.quality
     body = table.tobytes()
-    return _HEAD.pack(_MAGIC, MINUTIAE3D_VERSION, minutiae.count, zlib.crc32(body)) + body
+    return _PACKING.pack((minutiae.count,), body)
 
 
 def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
@@ -105,19 +103,7 @@ def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
     """
     if not data:
         return no_space_minutiae()
-    remedy = "make them from the surface again."
-    require(
-        len(data) > _HEAD.size and data[:4] == _MAGIC,
-        f"these {len(data)} bytes are no packed minutiae in space (they begin with 'SKM3'); {remedy}",
-    )
-    _, version, count, sum_ = _HEAD.unpack_from(data)
-    require(
-        version == MINUTIAE3D_VERSION,
-        f"these minutiae are of version {version}, but this program reads version {MINUTIAE3D_VERSION}; {remedy}",
-    )
-    body = data[_HEAD.size :]
-    whole = count > 0 and len(body) == count * _ROW.itemsize and zlib.crc32(body) == sum_
-    require(whole, f"the packed minutiae in space are damaged (their length or checksum does not fit); {remedy}")
+    _, body = _PACKING.unpack(data, lambda count: count * _ROW.itemsize)
     table = np.frombuffer(body, dtype=_ROW)
     places = np.stack([table[name] for name in "xyz"], axis=1).astype(np.float64)
     return SpaceMinutiae(

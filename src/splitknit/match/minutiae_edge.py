@@ -45,15 +45,7 @@ def edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
 
 def inside_by(minutiae: Minutiae, distance_mm: FloatArray, least_mm: float) -> Minutiae:
     """The minutiae whose pixel has a `distance_mm` (H, W) of at least `least_mm`."""
-    kept = distance_mm[minutiae.y_px, minutiae.x_px] >= least_mm
-    return Minutiae(
-        minutiae.x_px[kept],
-        minutiae.y_px[kept],
-        minutiae.direction_rad[kept],
-        minutiae.type[kept],
-        minutiae.quality[kept],
-        minutiae.size,
-    )
+    return minutiae.taken(distance_mm[minutiae.y_px, minutiae.x_px] >= least_mm)
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -7,14 +7,13 @@ minutiae (uint16 each), CRC-32 of all that follows (uint32); for each minutia co
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
+from splitknit.match.packed import Packing
 
 PPI = 500.0
 """Of the grid on which minutiae lie, whatever the print's resolution was."""
@@ -27,8 +26,7 @@ LEAST_MINUTIAE = 10
 MOST_MINUTIAE = 200
 """bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE)."""
 LARGEST_SIDE_PX = 8192
-_MAGIC = b"SKMI"
-_HEAD = struct.Struct("<4sHHHHI")
+_PACKING = Packing("minutiae", b"SKMI", MINUTIAE_VERSION, "HHH", "extract them from the print again.")
 _ROW = np.dtype([("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")])
 _STEP_RAD = 2 * np.pi / 256
 
@@ -119,7 +117,7 @@ def pack_minutiae(minutiae: Minutiae) -> bytes:
     table["direction"] = np.round(minutiae.direction_rad / _STEP_RAD).astype(np.int64) % 256
     table["type"], table["quality"] = minutiae.type, minutiae.quality
     body = table.tobytes()
-    return _HEAD.pack(_MAGIC, MINUTIAE_VERSION, *minutiae.size, minutiae.count, zlib.crc32(body)) + body
+    return _PACKING.pack((*minutiae.size, minutiae.count), body)
 
 
 def unpack_minutiae(data: bytes) -> Minutiae:
@@ -137,19 +135,7 @@ def unpack_minutiae(data: bytes) -> Minutiae:
     """
     if not data:
         return no_minutiae()
-    remedy = "extract them from the print again."
-    require(
-        len(data) > _HEAD.size and data[:4] == _MAGIC,
-        f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}",
-    )
-    _, version, rows, columns, count, sum_ = _HEAD.unpack_from(data)
-    require(
-        version == MINUTIAE_VERSION,
-        f"the minutiae are of version {version}, but this program reads version {MINUTIAE_VERSION}; {remedy}",
-    )
-    body = data[_HEAD.size :]
-    whole = count > 0 and len(body) == count * _ROW.itemsize and zlib.crc32(body) == sum_
-    require(whole, f"the packed minutiae are damaged (their length or checksum does not fit); {remedy}")
+    (rows, columns, _), body = _PACKING.unpack(data, lambda rows, columns, count: count * _ROW.itemsize)
     table = np.frombuffer(body, dtype=_ROW)
     return Minutiae(
         table["x"].astype(np.int32),

@@ -9,14 +9,13 @@ all that follows (uint32); the mask and the four planes in bits. A finger withou
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, require
+from splitknit.match.packed import Packing
 from splitknit.types import BoolArray, FloatArray
 
 SURFACE_CODE_VERSION = 1
@@ -26,8 +25,9 @@ NATURAL = np.arange(ZONES, dtype=np.uint8)
 GRAY = NATURAL ^ (NATURAL >> 1)
 CODINGS = {"gray": GRAY, "binary": NATURAL}
 LARGEST_SIDE_PX = 4096
-_MAGIC = b"SKSC"
-_HEAD = struct.Struct("<4sHHHHI")
+_PACKING = Packing(
+    "surface code", b"SKSC", SURFACE_CODE_VERSION, "HHH", "make it from the surface again.", plural=False
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +134,13 @@ def pack_surface_code(surface_code: SurfaceCode) -> bytes:
     planes = [surface_code.mask, *((surface_code.code >> plane) & 1 for plane in range(PLANES))]
     body = b"".join(np.packbits(plane.astype(np.bool_)).tobytes() for plane in planes)
     pitch_um = round(1000 * surface_code.pitch_mm)
-    head = _HEAD.pack(_MAGIC, SURFACE_CODE_VERSION, *surface_code.code.shape, pitch_um, zlib.crc32(body))
-    return head + body
+    rows, columns = surface_code.code.shape
+    return _PACKING.pack((rows, columns, pitch_um), body)
+
+
+def _body_size(rows: int, columns: int, pitch_um: int) -> int:
+    """Bytes of mask and planes; none where there is no scale."""
+    return (1 + PLANES) * ((rows * columns + 7) // 8) if pitch_um > 0 else 0
 
 
 def unpack_surface_code(data: bytes) -> SurfaceCode:
@@ -153,20 +158,8 @@ def unpack_surface_code(data: bytes) -> SurfaceCode:
     """
     if not data:
         return SurfaceCode(np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.bool_), SurfaceCodeSettings().pitch_mm)
-    remedy = "make it from the surface again."
-    require(
-        len(data) > _HEAD.size and data[:4] == _MAGIC,
-        f"these {len(data)} bytes are no packed surface code (they begin with 'SKSC'); {remedy}",
-    )
-    _, version, rows, columns, pitch_um, sum_ = _HEAD.unpack_from(data)
-    require(
-        version == SURFACE_CODE_VERSION,
-        f"the surface code is of version {version}, but this program reads version {SURFACE_CODE_VERSION}; {remedy}",
-    )
-    body = data[_HEAD.size :]
-    size = (rows * columns + 7) // 8
-    whole = size > 0 and pitch_um > 0 and len(body) == (1 + PLANES) * size and zlib.crc32(body) == sum_
-    require(whole, f"the packed surface code is damaged (its length or checksum does not fit); {remedy}")
+    (rows, columns, pitch_um), body = _PACKING.unpack(data, _body_size)
+    size = len(body) // (1 + PLANES)
     words = np.frombuffer(body, np.uint8).reshape(1 + PLANES, size)
     mask, *planes = np.unpackbits(words, axis=1, count=rows * columns).reshape(1 + PLANES, rows, columns)
     code = sum((plane << number for number, plane in enumerate(planes)), np.zeros((rows, columns), np.uint8))
