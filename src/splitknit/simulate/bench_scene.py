@@ -14,7 +14,7 @@ from splitknit.check import require
 from splitknit.simulate.bench_sight import Array, Plane, Sight, sight
 from splitknit.simulate.defocus import blur_sigma_px, defocus
 from splitknit.simulate.lens import fall_off, px_per_mm_at
-from splitknit.simulate.lighting import _towards
+from splitknit.simulate.lighting import towards
 from splitknit.types import Camera, FloatArray, Led
 
 Window = tuple[slice, slice]
@@ -166,7 +166,7 @@ def switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
 def irradiance(led: Led, points: Sequence[Array | FloatArray] | Array, normal: Sequence[Array] | Array) -> Array:
     """Irradiance (h, w) of a surface at x, y, z (h, w) in mm with the unit normal (or normals: x, y, z), unshadowed."""
     x, y, z = (np.asarray(axis, dtype=np.float32) for axis in points)
-    lx, ly, lz, strength = _towards(led, x, y, z)
+    lx, ly, lz, strength = towards(led, x, y, z)
     cosine = lx * normal[0] + ly * normal[1] + lz * normal[2]
     return np.asarray(strength * np.maximum(cosine, 0.0), dtype=np.float64)
 

@@ -12,7 +12,7 @@ from splitknit.simulate.coat import WATER, Coat, Film, Grains
 from splitknit.simulate.coat_gloss import Values, Vectors, dot, reflected
 from splitknit.simulate.diffusion import REFRACTIVE_INDEX, WalkTable, diffuse_transmittance, fresnel
 from splitknit.simulate.grains import sphere_brightness, stamp
-from splitknit.simulate.lighting import Patch, _towards, cut_out
+from splitknit.simulate.lighting import Patch, cut_out, towards
 from splitknit.simulate.renderer import BandLight, Diffusion, RenderSettings, relief_gains
 from splitknit.simulate.skin import BAND_CHANNELS, ChannelOptics
 from splitknit.simulate.surface import Surface
@@ -57,7 +57,7 @@ def render_coated(
     def one(k: int) -> None:
         entering, extra = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
         for led in (leds[k], *leds[k].also):
-            lx, ly, lz, strength = _towards(led, patch.x, patch.y, patch.z)
+            lx, ly, lz, strength = towards(led, patch.x, patch.y, patch.z)
             size = 0.0 if led.position_mm is None else settings.led_radius_mm / (2.0 * _norm(led.position_mm))
             parts = coat.lit((lx, ly, lz), np.asarray(strength), size, glare)
             entering += parts[0]

@@ -100,7 +100,7 @@ def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> F
         y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
     total = np.zeros((rows.size, columns.size))
     for one in (led, *led.also):
-        _, _, lz, strength = _towards(one, x, y, np.full_like(total, z_mm))
+        _, _, lz, strength = towards(one, x, y, np.full_like(total, z_mm))
         total += strength * np.maximum(lz, 0.0)
     # bilinear between the centres of the coarse grid, which include the frame's corners
     at_rows = np.linspace(0, rows.size - 1, height)
@@ -120,7 +120,7 @@ def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> 
     entering = np.zeros(patch.mask.shape, dtype=np.float32)
     gloss = np.zeros(patch.mask.shape, dtype=np.float32)
     for one in (led, *led.also):
-        lx, ly, lz, strength = _towards(one, patch.x, patch.y, patch.z)
+        lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
         cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
         entering += strength * cosine * (1.0 - fresnel(cosine))
         alpha = roughness
@@ -157,7 +157,7 @@ def _ggx(
     return np.where(lit, distribution * shadowing * fresnel(vh) / (4.0 * nv), 0.0)
 
 
-def _towards(
+def towards(
     led: Led, x: NDArray[np.floating], y: NDArray[np.floating], z: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
     """Unit vector from each point to the light, and the irradiance of a surface that faces it."""
