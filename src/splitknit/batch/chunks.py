@@ -80,3 +80,9 @@ def chunk_files(folder: Path) -> list[Path]:
 
 def _damaged(path: Path) -> BadInput:
     return BadInput(f"'{path}' is damaged; {_REMEDY}.")
+
+
+def write_timings(folder: Path, name: str, facts: Mapping[str, Any]) -> None:
+    """Write how long the work of a chunk took."""
+    with atomic_file(folder / f"{name}.json") as stream:
+        stream.write((canonical_json(facts) + "\n").encode("ascii"))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, write_chunk
+from splitknit.batch.chunks import SUFFIX, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.population import CaptureRef
@@ -19,7 +19,7 @@ from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_solids
 from splitknit.batch.surfaces import pack_surface
 from splitknit.check import BadInput
-from splitknit.io import atomic_file, canonical_json, provenance, read_capture, settings_hash
+from splitknit.io import canonical_json, provenance, read_capture, settings_hash
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.match import pack
 from splitknit.pipeline import reconstruct
@@ -120,9 +120,7 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
         origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
         origin |= {"population_sha256": task.population_sha256, "matching_sha256": features_hash(task.matching)}
-        timings = task.store / "timings" / case.name / f"{name}.json"
-        with atomic_file(timings) as stream:
-            stream.write((canonical_json(seconds[case.name]) + "\n").encode("ascii"))
+        write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         for kind in task.solids:  # before the features, by which a later run knows what is finished
             file = task.store / kind / case.name / f"{name}{SUFFIX}"
             write_solids(file, kind, columns["capture"], [row.get(kind, b"") for row in rows[case.name]], origin)

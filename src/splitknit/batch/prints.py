@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk
+from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.check import require
-from splitknit.io import atomic_file, canonical_json
 from splitknit.io.png import decode_png
 from splitknit.match.minutiae import extract
-from splitknit.match.minutiae_record import no_minutiae, pack_minutiae
+from splitknit.match.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 
 VERSION = 2
 """1: with the ends at the outline."""
@@ -60,16 +60,22 @@ def extract_minutiae(task: MinutiaeTask) -> MinutiaeDone:
         started = time.perf_counter()
         found.append(no_minutiae() if data is None else extract(_image(data, f"{file}: {capture}")))
         seconds[capture] = round(time.perf_counter() - started, 3)
+    write_timings(task.store / "timings" / task.case / "extraction", task.name, seconds)
+    write_minutiae(file, task.store / "minutiae" / task.case, captures, found, ("minutiae", VERSION))
+    return MinutiaeDone(len(captures), peak_memory_mb())
+
+
+def write_minutiae(
+    features: Path, folder: Path, captures: Sequence[str], found: Sequence[Minutiae], kind: tuple[str, int]
+) -> None:
+    """Write a chunk of minutiae, of a kind and its version, under the name of its chunk of `features`."""
     columns = {
         "capture": captures,
         "acquired": [one.acquired for one in found],
         "minutiae": [pack_minutiae(one) for one in found],
     }
-    origin = read_origin(file) | {"kind": "minutiae", "kind_version": VERSION}
-    with atomic_file(task.store / "timings" / task.case / "extraction" / f"{task.name}.json") as stream:
-        stream.write((canonical_json(seconds) + "\n").encode("ascii"))
-    write_chunk(task.store / "minutiae" / task.case / f"{task.name}{SUFFIX}", columns, minutiae_schema(), origin)
-    return MinutiaeDone(len(captures), peak_memory_mb())
+    origin = read_origin(features) | {"kind": kind[0], "kind_version": kind[1]}
+    write_chunk(folder / features.name, columns, minutiae_schema(), origin)
 
 
 def _image(data: bytes, name: str) -> Any:

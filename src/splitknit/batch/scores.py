@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, write_chunk
+from splitknit.batch.chunks import SUFFIX, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.packages import load
 from splitknit.batch.reading import Place, small_column
-from splitknit.io import atomic_file, canonical_json, provenance
+from splitknit.io import canonical_json, provenance
 from splitknit.recipe.matchable import MatchingSettings
 
 VERSION = 1
@@ -101,8 +101,7 @@ def score_block(task: ScoreTask) -> ScoreDone:
     name = chunk_name(task, using.document())
     seconds = time.thread_time() - started
     facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
-    with atomic_file(task.store / "timings" / task.case / task.matcher / f"{name}.json") as stream:
-        stream.write((canonical_json(facts) + "\n").encode("ascii"))
+    write_timings(task.store / "timings" / task.case / task.matcher, name, facts)
     columns = {column: [row[column] for row in rows] for column in schema.names}
     write_chunk(task.store / "scores" / task.case / task.matcher / f"{name}{SUFFIX}", columns, schema, origin)
     return ScoreDone(len(rows), seconds, peak_memory_mb())

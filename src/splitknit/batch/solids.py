@@ -13,13 +13,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk
+from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.prints import MinutiaeDone
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.check import BadInput, require
-from splitknit.io import atomic_file, canonical_json
 from splitknit.match.minutiae3d_record import pack_space_minutiae
 from splitknit.match.surface_code import pack_surface_code
 from splitknit.recipe.matchable import MatchingSettings, Surface
@@ -90,8 +89,7 @@ def extract_solids(task: SolidTask) -> MinutiaeDone:
             raise BadInput(f"'{file}': {error}") from error
         payloads.append(solid_payload(task.kind, surface, task.matching))
         seconds[capture] = round(time.perf_counter() - started, 3)
-    with atomic_file(task.store / "timings" / task.case / f"{task.kind}-making" / f"{task.name}.json") as stream:
-        stream.write((canonical_json(seconds) + "\n").encode("ascii"))
+    write_timings(task.store / "timings" / task.case / f"{task.kind}-making", task.name, seconds)
     target = task.store / task.kind / task.case / f"{task.name}{SUFFIX}"
     write_solids(target, task.kind, captures, payloads, read_origin(file))
     return MinutiaeDone(len(captures), peak_memory_mb())

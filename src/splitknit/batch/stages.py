@@ -54,22 +54,13 @@ def feature_tasks(store: Store, population: Population, settings: BatchSettings)
 
 def minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
     """Chunks of features without their minutiae."""
-    there = {file.stem for file in store.files("minutiae", case.name)}
-    return [
-        MinutiaeTask(store.folder, case.name, file.stem)
-        for file in store.files("features", case.name)
-        if file.stem not in there
-    ]
+    return [MinutiaeTask(store.folder, case.name, chunk) for chunk in _without(store, case, "minutiae")]
 
 
 def voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[VotedTask]:
     """Chunks of features without their voted minutiae."""
-    there = {file.stem for file in store.files("voted", case.name)}
-    return [
-        VotedTask(store.folder, population.folder.resolve(), case, file.stem, settings.matching)
-        for file in store.files("features", case.name)
-        if file.stem not in there
-    ]
+    folder = population.folder.resolve()
+    return [VotedTask(store.folder, folder, case, chunk, settings.matching) for chunk in _without(store, case, "voted")]
 
 
 def wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
@@ -80,12 +71,13 @@ def wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
 
 def solid_tasks(store: Store, case: Case, kind: str, settings: BatchSettings) -> list[SolidTask]:
     """Chunks of features without their features in space of one kind."""
+    return [SolidTask(store.folder, case.name, chunk, kind, settings.matching) for chunk in _without(store, case, kind)]
+
+
+def _without(store: Store, case: Case, kind: str) -> list[str]:
+    """Names of the chunks of features beside which there is none of `kind`."""
     there = {file.stem for file in store.files(kind, case.name)}
-    return [
-        SolidTask(store.folder, case.name, file.stem, kind, settings.matching)
-        for file in store.files("features", case.name)
-        if file.stem not in there
-    ]
+    return [file.stem for file in store.files("features", case.name) if file.stem not in there]
 
 
 def score_tasks(

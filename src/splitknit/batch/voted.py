@@ -6,13 +6,13 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk
+from splitknit.batch.chunks import SUFFIX, read_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
-from splitknit.batch.prints import MinutiaeDone, minutiae_schema
+from splitknit.batch.prints import MinutiaeDone, write_minutiae
 from splitknit.batch.settings import Case
 from splitknit.check import BadInput
-from splitknit.io import atomic_file, canonical_json, read_capture
-from splitknit.match.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit.io import read_capture
+from splitknit.match.minutiae_record import Minutiae, no_minutiae
 from splitknit.pipeline import PipelineSettings
 from splitknit.recipe.leave_one_out import voted_minutiae
 from splitknit.recipe.matchable import MatchingSettings
@@ -42,15 +42,8 @@ def extract_voted(task: VotedTask) -> MinutiaeDone:
         started = time.perf_counter()
         found.append(_voted(task.population / capture, settings, task.matching) if acquired else no_minutiae())
         seconds[capture] = round(time.perf_counter() - started, 3)
-    columns = {
-        "capture": captures,
-        "acquired": [one.acquired for one in found],
-        "minutiae": [pack_minutiae(one) for one in found],
-    }
-    origin = read_origin(file) | {"kind": "voted", "kind_version": VERSION}
-    with atomic_file(task.store / "timings" / case / "voting" / f"{task.name}.json") as stream:
-        stream.write((canonical_json(seconds) + "\n").encode("ascii"))
-    write_chunk(task.store / "voted" / case / f"{task.name}{SUFFIX}", columns, minutiae_schema(), origin)
+    write_timings(task.store / "timings" / case / "voting", task.name, seconds)
+    write_minutiae(file, task.store / "voted" / case, captures, found, ("voted", VERSION))
     return MinutiaeDone(len(captures), peak_memory_mb())
 
 
