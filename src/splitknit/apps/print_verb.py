@@ -39,7 +39,7 @@ def add_print(verbs: Any) -> None:
 def run_print(options: argparse.Namespace) -> Outcome:
     """Print."""
     from splitknit.apps.options import read_changes  # noqa: PLC0415 - verbs import what they need
-    from splitknit.apps.printing import print_to_folder  # noqa: PLC0415
+    from splitknit.apps.printing_folder import print_to_folder  # noqa: PLC0415
 
     changes = read_changes(options.settings, options.assignments)
     with Progress(options) as progress:
