@@ -24,6 +24,7 @@ from splitknit.apps.calibration.calibrated_lights import LightSettings
 from splitknit.apps.printing import PrintingSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
+from splitknit.match.search import SearchSettings
 from splitknit.pipeline import PRESETS
 from splitknit.recipe.matchable import MatchingSettings
 from splitknit.rig.circuit import CircuitSettings
@@ -64,7 +65,13 @@ def field_words(settings: Any) -> dict[str, str]:
 
 
 def rows(settings: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
-    """Name, value and words of every single setting, groups opened."""
+    """Name, value and words of every single setting, groups opened.
+
+    Raises
+    ------
+    ValueError
+        If a setting has no docstring below it.
+    """
     words = field_words(settings)
     found: list[tuple[str, Any, str]] = []
     for field in fields(settings):
@@ -72,7 +79,9 @@ def rows(settings: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
         if is_dataclass(value):
             found += rows(value, f"{prefix}{field.name}.")
         else:
-            found.append((prefix + field.name, value, words.get(field.name, "")))
+            if not words.get(field.name):
+                raise ValueError(f"{type(settings).__qualname__}.{field.name} needs a docstring below it.")
+            found.append((prefix + field.name, value, words[field.name]))
     return found
 
 
@@ -126,7 +135,8 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
     ),
     (
         "`splitknit rig cad`",
-        "Names may begin with `part.`; what follows from the rig file cannot be set.",
+        "Names may begin with `part.`; what follows from the rig file cannot be set. Numbers are 0.05 to 1000; "
+        "clearances, gaps and distances from a middle may be 0.",
         (("part.", PartSettings()),),
     ),
     (
@@ -138,6 +148,11 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "`splitknit match`, `enroll` and `identify`",
         "What each is: [matching.md](matching.md). Captures are reconstructed with `--preset` as it is.",
         (("", MatchingSettings()),),
+    ),
+    (
+        "`splitknit identify`",
+        "Besides `band.`, `template.` and `ridge.` of the table above. How it searches: [gallery.md](gallery.md).",
+        (("search.", SearchSettings()),),
     ),
     ("`splitknit rig circuit`", "Names may begin with `circuit.`.", (("circuit.", CircuitSettings()),)),
 )

@@ -167,6 +167,7 @@ def test_impossible_rigs_are_refused():
     refused("the cylinder is", ring(height=260))
     refused("LEDs 0 and 1 are", ring(count=40))
     refused("LED 0 is 15.0 mm from the camera's axis, where the camera sits", ring(radius=15))
+    refused("LED 0 is 40.0 mm from the camera's axis, where the camera sits", ring(), camera__board_y_mm=60.0)
     refused("too low over the hand's niche", ring(height=50, radius=30))
     refused("lower the LEDs against the camera", ring(camera=110))
     refused("opening", ring(radius=30, height=80, camera=130))

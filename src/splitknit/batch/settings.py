@@ -60,6 +60,7 @@ class BatchSettings:
     """What is reconstructed and compared."""
 
     cases: tuple[Case, ...] = field(default_factory=preset_cases)
+    """Ways to reconstruct, at least one, each by its own name; as shipped `metric`, `snk`, `pr` and `ea`."""
     matchers: tuple[str, ...] = ("ridge",)
     """Of :data:`MATCHERS`; none: reconstruct only."""
     impostors: float = 1.0

@@ -29,6 +29,7 @@ class ExposureSettings:
     percentile: float = 99.9
     """... in this percentile of its pixels, of the brightest channel."""
     start_s: float = 0.01
+    """Exposure time of the first preview, at gain 1; above 0."""
     longest_s: float = 0.066
     """Longer times would spoil the seven seconds (see ``docs/capture.md``); above this the gain is raised."""
     clipped: float = 0.97

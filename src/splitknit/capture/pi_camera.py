@@ -41,6 +41,7 @@ class PiCameraSettings:
     nir_gains: tuple[float, float] = (1.0, 1.0)
     """The same under NIR, where the colour filters are transparent."""
     longest_s: float = 0.2
+    """Longest exposure time that the camera is asked for, 0.001 to 5 s."""
     highest_gain: float = 10.6
     """Largest analogue gain of the IMX219."""
     most_frames: int = 30
@@ -48,6 +49,8 @@ class PiCameraSettings:
     preview_columns: int = 800
     """Width of a preview, about."""
     tuning_file: str = "imx219_noir.json"
+    """Libcamera's tuning of the sensor, by file name; what would bend light (tone curve, colours, shading) is left
+    out of it."""
 
     def __post_init__(self) -> None:
         rows, columns = self.image_size

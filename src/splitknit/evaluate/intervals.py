@@ -28,7 +28,9 @@ class BootstrapSettings:
     replicates: int = 1000
     """Resampled sets of comparisons."""
     confidence: float = 0.95
+    """Share of the resampled figures that an interval spans, between 0 and 1."""
     seed: int = 0
+    """What the sets are drawn from, 0 or more."""
     targets: tuple[float, ...] = TARGETS
     """FARs at which the GAR is given."""
     curve_points: int = 41

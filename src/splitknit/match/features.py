@@ -31,10 +31,13 @@ class FeatureSettings:
     hog_bins: int = 9
     """Directions of gradients, over 180 deg."""
     gabor_directions: int = 6
+    """Directions of the Gabor filters, evenly over 180 deg; at least 2."""
     gabor_periods_px: tuple[float, ...] = (24.0, 33.0, 45.0)
     """Ridge periods that the filters answer to, at 75.7 px/mm."""
     context_radii: int = 5
+    """Rings of a shape context, whose radii double; at least 2."""
     context_angles: int = 12
+    """Sectors of a shape context, evenly over 360 deg; at least 2."""
     context_reach_px: float = 192.0
     """Radius of a shape context at 75.7 px/mm."""
 

@@ -33,7 +33,9 @@ class ScryptSettings:
     log2_n: int = 17
     """2^17 with r = 8 takes 128 MB and a third of a second a guess (the usual advice for stored passwords)."""
     r: int = 8
+    """scrypt's size of a block, 1 to 32; memory grows with it."""
     p: int = 1
+    """scrypt's number of rounds, 1 to 16; time grows with it."""
 
     def __post_init__(self) -> None:
         sound = 10 <= self.log2_n <= _MOST_COST and 1 <= self.r <= 32 and 1 <= self.p <= 16

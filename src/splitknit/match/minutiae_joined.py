@@ -18,9 +18,13 @@ class JoinedSettings:
     """
 
     minutiae_mean: float = 12.7902
+    """Mean of bozorth3's score."""
     minutiae_deviation: float = 23.7006
+    """Standard deviation of bozorth3's score, positive."""
     ridge_mean: float = 0.2081
+    """Mean of the ridges' similarity."""
     ridge_deviation: float = 0.0874
+    """Standard deviation of the ridges' similarity, positive."""
 
     def __post_init__(self) -> None:
         require(self.minutiae_deviation > 0 and self.ridge_deviation > 0, "joined deviations must be positive.")

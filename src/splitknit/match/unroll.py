@@ -20,8 +20,11 @@ class GridSettings:
     """What the grid needs of :class:`splitknit.match.ridge_band.RidgeBandSettings`, with the same meaning."""
 
     pitch_mm: float
+    """Side of a pixel of the band."""
     slant_deg: float
+    """Slopes count as steep as this at most when distances along the skin are summed."""
     unroll: bool
+    """Whether distances across the finger are measured along the skin."""
 
 
 def band_places(  # noqa: PLR0917

@@ -70,6 +70,7 @@ class BuildSettings:
     """What all candidates share."""
 
     leds_per_band: int = 7
+    """LEDs on the circle for each of the bands, 3 to 64."""
     half_angle_deg: float = 30.0
     """Angle from the beam's axis at which an LED is half as bright: 60 for a bare chip, 30 and less with a lens; 90
     stands for equal light all around."""

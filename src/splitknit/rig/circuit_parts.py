@@ -44,6 +44,7 @@ class LedPart:
     """A light-emitting diode at the current it is meant for."""
 
     name: str
+    """What parts list and netlist call it."""
     forward_v: float
     """Typical forward voltage."""
     spread_v: float
@@ -59,6 +60,7 @@ class Transistor:
     """An NPN transistor."""
 
     name: str
+    """What parts list, netlist and drawing call it."""
     gain: tuple[float, float]
     """Smallest and largest DC current gain near 100 mA."""
     base_v: tuple[float, float]
@@ -66,6 +68,7 @@ class Transistor:
     saturation_v: tuple[float, float]
     """Smallest and largest collector-emitter voltage when it is fully on at 100 mA and a tenth of that in the base."""
     limit_a: float
+    """Largest continuous collector current."""
     limit_w: float
     """Dissipation at 50 degrees Celsius around it."""
 

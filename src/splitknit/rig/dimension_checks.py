@@ -119,7 +119,8 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
     camera = dimensions.settings.camera
     own = hole.pocket_radius_mm + dimensions.settings.joint.wall_mm
     away = min(float(np.hypot(*hole.at(s)[:2])) for s in (0.0, hole.back_mm))
-    board = math.hypot(camera.board_x_mm / 2, max(camera.hole_y_mm + 4.0, camera.lens_to_connector_mm))
+    ends = camera.lens_to_connector_mm, camera.board_y_mm - camera.lens_to_connector_mm, camera.hole_y_mm + 4.0
+    board = math.hypot(camera.board_x_mm / 2, max(ends))
     needed = max(dimensions.lens_hole_mm, board) + own
     require(
         away >= needed,

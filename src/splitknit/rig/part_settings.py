@@ -18,13 +18,17 @@ class LedSettings:
     """The LEDs: round, with a flange that rests on a shoulder of the hole."""
 
     white_diameter_mm: float = 5.0
+    """Of the white LEDs' body; the hole is wider by the clearance."""
     nir_diameter_mm: float = 5.0
-    """3 for the small NIR LEDs (then also `nir_flange_mm` 3.8, `nir_flange_to_light_mm` 2.9)."""
+    """Of the NIR LEDs' body; 3 for the small ones (then also `nir_flange_mm` 3.8, `nir_flange_to_light_mm` 2.9)."""
     white_flange_mm: float = 5.9
+    """Diameter of the white LEDs' flange, which rests on the shoulder."""
     nir_flange_mm: float = 5.9
+    """Diameter of the NIR LEDs' flange."""
     white_flange_to_light_mm: float = 5.2
     """From the flange's front to the middle of the dome, which is the LED's `position_mm` in the rig file."""
     nir_flange_to_light_mm: float = 5.2
+    """The same of the NIR LEDs."""
     clearance_mm: float = 0.1
     """Of the hole, on each side."""
     pocket_mm: float = 3.0
@@ -55,6 +59,7 @@ class FingerSettings:
     pad_height_mm: float = 14.0
     """Thickness of the last phalanx: the groove's bottom lies this far below the finger plane."""
     groove_depth_mm: float = 6.0
+    """From the groove's rim to its bottom; less than `finger.stop_height_mm`."""
     reach_mm: float = 45.0
     """From the finger's stop to where the hand must stay outside: the little finger of most women is as long."""
     hand_width_mm: float = 80.0
@@ -74,9 +79,13 @@ class CameraSettings:
     """The camera's board (Raspberry Pi camera v2: 25 x 24 mm, holes 21 x 12.5 mm, M2) and its lens."""
 
     board_x_mm: float = 25.0
+    """Size of the camera's board along x: no LED may stand where it is."""
     board_y_mm: float = 24.0
+    """The same along y."""
     hole_x_mm: float = 21.0
+    """Distance of the board's holes along x."""
     hole_y_mm: float = 12.5
+    """Distance of its two lines of holes along y."""
     lens_to_holes_mm: float = 0.0
     """From the lens's axis to the line of the nearer two holes; the other two lie `hole_y_mm` further."""
     lens_to_connector_mm: float = 9.5
@@ -89,6 +98,7 @@ class CameraSettings:
     barrel_front_mm: float = 8.0
     """How far the lens reaches below its centre of projection, towards the finger."""
     post_mm: float = 5.0
+    """Diameter of the posts that carry the board."""
     post_hole_mm: float = 1.7
     """For self-tapping M2 screws."""
 
@@ -98,20 +108,29 @@ class BoardSettings:
     """Raspberry Pi 4B (85 x 56 mm, holes 58 x 49 mm, M2.5) and the LED circuit's board above it."""
 
     pi_x_mm: float = 85.0
+    """Size of the Pi's board along x, without what stands out."""
     pi_y_mm: float = 56.0
+    """Size of the Pi's board along y."""
     pi_hole_x_mm: float = 58.0
+    """Distance of the Pi's holes along x."""
     pi_hole_y_mm: float = 49.0
+    """Distance of the Pi's holes along y."""
     pi_hole_edge_mm: float = 3.5
+    """From the middle of the Pi's first holes to the edge of its board, along x."""
     pi_overhang_mm: float = 3.0
     """How far the USB sockets stand out."""
     pi_post_height_mm: float = 6.0
+    """From the box's floor up to the Pi's board."""
     pi_post_hole_mm: float = 2.1
     """For self-tapping M2.5 screws."""
     pcb_x_mm: float = 90.0
+    """Size of the circuit's board along x."""
     pcb_y_mm: float = 70.0
-    """A common size of prototype board."""
+    """Size of the circuit's board along y: 90 x 70 is a common size of prototype board."""
     pcb_hole_x_mm: float = 84.0
+    """Distance of the circuit's holes along x."""
     pcb_hole_y_mm: float = 64.0
+    """Distance of the circuit's holes along y."""
     pcb_over_pi_mm: float = 22.0
     """From the Pi's board to the circuit's board: over the USB sockets."""
     pcb_post_hole_mm: float = 2.5
@@ -119,11 +138,13 @@ class BoardSettings:
     pcb_parts_mm: float = 16.0
     """Room above the circuit's board."""
     post_mm: float = 7.0
+    """Diameter of the posts that carry both boards."""
     cable_hole_mm: float = 16.0
     """Passes a USB-C plug and the LEDs' supply."""
     slot_x_mm: float = 24.0
+    """Length, along x, of the floor's openings for flat cable and LED wires."""
     slot_y_mm: float = 8.0
-    """Openings of the floor for flat cable and LED wires."""
+    """Width of these openings."""
     wire_room_mm: float = 10.0
     """Above the camera's board and the LEDs, for their wires."""
 
@@ -133,8 +154,11 @@ class CalibrationSettings:
     """Calibration disc and nail."""
 
     dot_mm: float = 1.5
+    """Diameter of the disc's dots."""
     dot_spacing_mm: float = 10.0
+    """From dot to dot, along x and along y; one dot is in the middle."""
     dot_depth_mm: float = 0.6
+    """Depth of recessed dots; the disc stays at least `printer.least_wall_mm` thick below them."""
     disc_mm: float = 2.4
     """Thickness of the disc."""
     nail_offset_mm: float = 6.0
@@ -142,6 +166,7 @@ class CalibrationSettings:
     nail_margin_mm: float = 2.0
     """Between the farthest shadow tip and the border of the picture."""
     nail_radius_mm: float = 2.5
+    """Radius of the nail's foot: every shadow's tip must fall outside it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +174,11 @@ class MirrorSettings:
     """First-surface mirrors beside the finger, at 45 deg."""
 
     long_mm: float = 30.0
+    """Of a mirror, along its lower edge."""
     wide_mm: float = 20.0
+    """Of a mirror, up its slope."""
     thick_mm: float = 2.0
+    """Of a mirror's glass."""
     gap_mm: float = 1.0
     """Between the groove's block and a holder."""
     lip_mm: float = 0.8

@@ -46,6 +46,7 @@ class PhotonSettings:
     nir: LampSettings = field(default_factory=lambda: LampSettings(0.40, 850.0, 0.20))
     """Data sheets of 850 nm emitters; the camera without infrared filter."""
     f_number: float = 4.0
+    """The lens's focal length over its pupil; positive."""
     transmission: float = 0.9
     """Of the lens."""
     pixel_um: float = 1.12
@@ -53,18 +54,23 @@ class PhotonSettings:
     full_px_per_mm: float = 75.7
     """At full resolution on the finger plane; with `pixel_um` it fixes the magnification."""
     full_well_e: float = 4700.0
+    """Electrons at full scale of a pixel at full resolution; positive."""
     read_noise_e: float = 2.5
+    """Standard deviation of the noise of reading out, electrons, a pixel at full resolution."""
     target: float = 0.7
     """Share of full scale that the brightest skin shall reach."""
     least_level: float = 0.1
     """Below this share a picture is too dark to be used."""
     shortest_s: float = 1.0 / 4000.0
+    """Shortest exposure time, positive."""
     longest_s: float = 0.2
     """14 pictures in 7 s leave half a second each for light, settling and reading out."""
     largest_gain: float = 8.0
+    """Of the camera, 1 to 40: beyond it a picture stays dark."""
     tremor_um: float = 30.0
     """Amplitude of a resting finger's tremor (Growdon et al. 2000: about 30 um)."""
     tremor_hz: float = 9.0
+    """Frequency of the tremor."""
 
     def __post_init__(self) -> None:
         for name in (

@@ -87,8 +87,11 @@ class TrainSettings:
     start_fraction: float = 0.0
     """The untrained network gives this fraction of its image: a shorter way to go than from noise. 0 = all random."""
     epochs: int = 50
+    """How often every patch is seen, 1 to 100,000."""
     batch: int = 32
+    """Patches a step, 1 to 4096."""
     learning_rate: float = 1e-3
+    """Step of the optimiser Adam; positive."""
     decay: float = 0.0
     """Over this last part of the training the learning rate falls to zero along a cosine; the thesis keeps it."""
     enhanced_share: float = 0.5
@@ -97,6 +100,7 @@ class TrainSettings:
     border_px: int = 0
     """Pixels at a patch's border that the loss leaves out: there the network sees zeros where an image would go on."""
     seed: int = 0
+    """What weights, order and dropout are drawn from, 0 or more."""
     device: str = "cpu"
     """``cpu`` or ``cuda``."""
     threads: int = 1

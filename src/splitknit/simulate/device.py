@@ -56,8 +56,11 @@ class TwinDeviceSettings:
     sensitivity_per_s: float = 500.0
     """Share of full scale that light of radiance one (rig's units) gives in a second at gain one."""
     shortest_s: float = 4 * 18.904e-6
+    """Shortest exposure time: four rows of the IMX219. Above 0."""
     longest_s: float = 0.2
+    """Longest exposure time, above the shortest, 10 at most."""
     highest_gain: float = 10.6
+    """Largest gain, 1 to 40; the smallest is 1."""
     line_s: float = 18.904e-6
     """Time to read a row; exposures are whole numbers of it."""
     readout_s: float = 0.0466
@@ -71,6 +74,7 @@ class TwinDeviceSettings:
     settle_s: float = 0.02
     """Until an LED has its full brightness."""
     preview_columns: int = 800
+    """Width of a preview in pixels, about: it is reduced by a whole number. At least 50."""
 
     def __post_init__(self) -> None:
         require(self.sensitivity_per_s > 0, "device.sensitivity_per_s must be positive.")

@@ -24,6 +24,7 @@ class MirrorParts:
     wide_mm: float = 30.0
     """Of a mirror, up its slope."""
     thick_mm: float = 2.0
+    """Of a mirror's glass."""
     gap_mm: float = 1.0
     """Between the groove's block and a holder."""
     lip_mm: float = 0.8
@@ -31,14 +32,17 @@ class MirrorParts:
     clearance_mm: float = 0.2
     """Of all joints."""
     wall_mm: float = 2.4
+    """Of the printed walls: the groove's, the stop's, and the holder's top behind the mirror."""
     pad_height_mm: float = 21.2
     """Of the finger plane over the groove's bottom."""
     widest_mm: float = 22.0
     """Of the fingers."""
     finger_clearance_mm: float = 2.0
+    """Between the widest finger and the walls of the groove, both sides together."""
     tip_margin_mm: float = 27.0
     """From the fingertip's stop to the picture's upper border."""
     phalanx_mm: float = 30.0
+    """Of the last phalanx, tip to crease: in a large picture its middle lies in the picture's."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -65,9 +69,11 @@ class MirrorViews:
     """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder, a mirror that
     rocks in its seat."""
     turn_most_deg: float = 3.0
+    """Turns beyond this, about any axis, are cut off to it; 0 to 10."""
     shift_sd_mm: float = 0.7
-    """Standard deviation along each axis."""
+    """Standard deviation of the true mirrors' places against the drawing, along each axis; 0 to 10."""
     shift_most_mm: float = 2.0
+    """Shifts beyond this, along any axis, are cut off to it; 0 to 10."""
     pose_seed: int | None = None
     """Of the true poses; None: they follow from the finger's seed, and are the same in all its impressions."""
     px_per_mm: float = 43.0

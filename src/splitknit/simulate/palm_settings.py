@@ -28,9 +28,11 @@ class PalmSettings:
     principal: tuple[int, int] = (0, 3)
     """Principal lines in the patch, inclusive."""
     principal_depth_um: tuple[float, float] = (90.0, 280.0)
+    """Of the principal lines, 0 to 300."""
     wrinkles: tuple[int, int] = (10, 60)
     """Finer lines, inclusive."""
     wrinkle_depth_um: tuple[float, float] = (18.0, 50.0)
+    """Of the finer lines, 0 to 100."""
     darkening: tuple[float, float] = (0.05, 0.25)
     """Loss of diffuse reflectance at the bottom of a line of 0.2 mm."""
     mottling: tuple[float, float] = (0.01, 0.06)

@@ -24,9 +24,11 @@ class PeopleRanges:
     width_sex_ratio: float = 1.14
     """Men's over women's breadth."""
     length_sex_ratio: float = 1.09
+    """Men's over women's length from tip to first crease; 0.8 to 1.4."""
     width_spread: float = 0.055
     """Relative standard deviation of the breadth between people of one sex."""
     length_spread: float = 0.05
+    """Relative standard deviation of that length between people of one sex; 0 to 0.12."""
     person_share: float = 0.8
     """Share of the variance of breadth and length, within a sex, that all ten fingers have in common."""
     period_mm: float = 0.435
@@ -46,8 +48,9 @@ class PeopleRanges:
     optics: SkinRanges = field(default_factory=SkinRanges)
     """Skin of a person; the fingers differ little."""
     blood_own_spread: float = 0.10
+    """Logarithmic standard deviation of the blood content between the fingers of a person; 0 to 0.5."""
     relief_gain_own_spread: float = 0.05
-    """Logarithmic standard deviations between the fingers of a person."""
+    """The same for the relief gain; 0 to 0.5."""
     habit_roll_sd_deg: float = 3.0
     """How far a finger is rolled whenever its owner lays it down."""
 

@@ -38,6 +38,7 @@ class PopulationSettings:
     """A whole population; how many people, fingers and sessions of it are simulated is not part of it."""
 
     seed: int = 0
+    """What all people, fingers and captures are drawn from: the same number gives the same bytes. 0 or more."""
     scale: float = 0.5
     """Size of the images relative to the full frame of 2200 x 3200 pixels."""
     rig_seed: int | None = 0

@@ -17,8 +17,11 @@ class PoseRanges:
     """Ranges from which a finger's pose is drawn, evenly."""
 
     yaw_deg: tuple[float, float] = (-10.0, 10.0)
+    """Turn about the camera's axis, counter-clockwise in the image (the tip turns to the left); 34 deg at most."""
     pitch_deg: tuple[float, float] = (-4.0, 4.0)
+    """Turn about the x axis, positive lifts the tip towards the camera; 34 deg at most."""
     roll_deg: tuple[float, float] = (-8.0, 8.0)
+    """Turn about the finger's own axis, positive turns the pad to the right; 34 deg at most."""
     x_mm: tuple[float, float] = (-2.5, 2.5)
     """Where the middle of the distal phalanx lies beside the image centre."""
     insertion_mm: tuple[float, float] = (25.0, 28.0)

@@ -45,6 +45,7 @@ class PressSettings:
     pitch_deg: float = 6.0
     """Mean of its pitch; positive lifts the tip towards the glass."""
     pitch_sd_deg: float = 3.0
+    """Its standard deviation; 0 to 8."""
     shift_mm: float = 0.35
     """Largest smooth shift of the skin on the glass."""
     smooth_mm: float = 5.0
@@ -68,6 +69,7 @@ class PressSettings:
     dark_grey: float = 45.0
     """Where skin touches."""
     ppi: float = 500.0
+    """Pixels per inch of the print, 250 to 2000."""
     margin_mm: float = 1.0
     """Around the contact patch."""
 

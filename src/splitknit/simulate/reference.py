@@ -41,6 +41,7 @@ class ReferenceSettings:
     batches: int = 8
     """Independent parts of the walks, from which the standard errors come; they share `samples` evenly."""
     seed: int = 0
+    """What the walks are drawn from."""
     binning: int = 2
     """Pixels of the surface's map along each side of one pixel of the result."""
     margin_mm: float = 4.0

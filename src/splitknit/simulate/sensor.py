@@ -36,7 +36,9 @@ class SensorSettings:
     full_well_e: float = 4700.0
     """Electrons at full scale, a pixel of the full frame."""
     read_noise_e: float = 2.5
+    """Standard deviation of the noise of reading out, electrons, a pixel of the full frame; 0 or more."""
     raw_bits: int = 10
+    """Bits of the sensor's own levels, before they are brought to `bits`; 8 to 16."""
     bits: int = 8
     """Bits of the stored files: 8 or 16."""
     encoding: str = "linear"

@@ -21,9 +21,11 @@ class SessionRanges:
     """From what impressions are drawn; sources and reasons: ``docs/population.md``."""
 
     yaw_sd_deg: float = 5.0
+    """Standard deviation of the finger's turn about the camera's axis; no turn is beyond twice that. 0 to 10."""
     pitch_sd_deg: float = 2.0
+    """The same for the lift of the tip towards the camera; 0 to 4."""
     roll_sd_deg: float = 6.0
-    """Standard deviations, cut off at twice their value; roll comes on top of the finger's habit."""
+    """The same for the turn about the finger's own axis, on top of the finger's habit; 0 to 12."""
     x_mm: Range = (-3.0, 3.0)
     """Where the middle of the finger lies beside the image centre."""
     insertion_mm: Range = (26.0, 28.4)
@@ -31,6 +33,7 @@ class SessionRanges:
     partial_share: float = 0.1
     """Share of impressions that are laid down too short."""
     partial_insertion_mm: Range = (18.0, 22.0)
+    """From the lower image border to the tip of those; 12 to 40."""
     height_mm: Range = (-0.5, 0.5)
     """z of the pad's highest point."""
     swelling_sd: float = 0.015
@@ -42,6 +45,7 @@ class SessionRanges:
     deformation_mm: Range = (0.2, 0.5)
     """Largest shift of the skin against the body."""
     deformation_smooth_mm: float = 5.0
+    """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
     moisture_common: float = 0.6
     """Share of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
     glare: Range = (0.5, 1.3)
@@ -55,17 +59,21 @@ class SessionRanges:
     blood_common: float = 0.8
     """Share of its variance that a person's fingers have in common."""
     oxygenation: Range = (0.6, 0.85)
+    """Oxygenated share of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
     exposure: Range = (0.5, 0.8)
     """Share of full scale that the brightest skin reaches."""
     full_well_e: Range = (2500.0, 4700.0)
     """Electrons at full scale: fewer with a higher gain."""
     read_noise_e: Range = (2.5, 4.0)
+    """Standard deviation of the noise of reading out, electrons; 0 to 50."""
     led_drift_sd: float = 0.007
     """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
     ambient: Range = (0.0005, 0.004)
     """Room light relative to one LED."""
     hand_shadow: Range = (0.0, 0.15)
+    """Share of the light that the hand takes away at the finger's base; 0 to 1."""
     dust_per_cm2: Range = (0.0, 0.6)
+    """Bright specks on the background, for each square centimetre; 0 to 20."""
 
     def __post_init__(self) -> None:
         for name, least, most in (

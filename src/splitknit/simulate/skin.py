@@ -145,8 +145,11 @@ class SkinRanges:
     blood: tuple[float, float] = (0.003, 0.012)
     """Log-uniform."""
     oxygenation: tuple[float, float] = (0.6, 0.85)
+    """Oxygenated share of the haemoglobin, 0 to 1; even."""
     roughness: tuple[float, float] = (0.18, 0.35)
+    """GGX alpha of the skin's surface, 0.05 (polished) to 1 (matt); even."""
     glare: tuple[float, float] = (0.5, 1.3)
+    """Weight of the surface reflection, 0 to 5: 1 bare skin, 0 polarised away, above 1 oily; even."""
     relief_gain: tuple[float, float] = (0.55, 1.55)
     """Log-uniform: the boundary model changes this term by 0.7 to 2 times."""
 

@@ -41,8 +41,11 @@ class BenchPhotos:
     """How many photographs of what."""
 
     boards: int = 15
+    """Photographs of the checkerboard that is held in the hand, at least 3."""
     nails: int = 4
+    """Places of the nail, 1 to 4; at each it is photographed under every LED."""
     dark: int = 2
+    """Dark frames, photographs without any light, at least 1."""
 
     def __post_init__(self) -> None:
         require(

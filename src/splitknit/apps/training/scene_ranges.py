@@ -31,15 +31,19 @@ class SceneRanges:
     blood: Range = (0.002, 0.015)
     """Log-uniform volume fraction."""
     oxygenation: Range = (0.5, 0.9)
+    """Oxygenated share of the haemoglobin, 0 to 1."""
     yellow_per_mm: Range = (0.05, 0.2)
     """Absorption in the blue channel beside blood and melanin."""
     baseline_per_mm: Range = (0.005, 0.02)
     """Log-uniform absorption of bloodless skin."""
     roughness: Range = (0.12, 0.45)
+    """GGX alpha of the skin's surface, 0.05 to 1."""
     glare: Range = (0.0, 1.6)
+    """Weight of the surface reflection, 0 to 5; 1 is bare skin."""
     relief_gain: Range = (0.4, 2.0)
     """Log-uniform."""
     ridge_depth_um: Range = (40.0, 105.0)
+    """Mean height of ridges over valleys, positive."""
     aperture_mm: Range = (1.0, 4.0)
     """Of a part of the cameras, which are out of focus where the finger falls away."""
     aperture_share: float = 0.3
@@ -47,6 +51,7 @@ class SceneRanges:
     other_rig_share: float = 0.5
     """Part of the fingers whose lights stand elsewhere than on the thesis's rig, within the following ranges."""
     led_radius_mm: Range = (42.0, 62.0)
+    """Of the circle of lights, positive."""
     led_height_mm: Range = (120.0, 165.0)
     """Of lights and camera."""
     led_twist_rad: Range = (-0.45, 0.45)
