@@ -6,6 +6,8 @@ EXPLAINED = {
     "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
     "ridge_contrast_per_image": "The same for every image. Good: all alike.",
     "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",
+    "dark_specks": "Share of the finger under dark specks, as dust makes them. Good: below 0.002.",
+    "bright_specks": "Share of the finger under bright specks, as scales of dry skin make them. Good: below 0.005.",
     "saturated_per_image": "Share of the finger that is too bright to measure, for every image. Good: below 0.02.",
     "brightness": "Median brightness of the finger, 1 = full scale. Good: 0.1 to 0.6.",
     "brightness_per_image": "The same for every image.",

@@ -1,13 +1,13 @@
 """How good a capture is, in numbers and in words.
 
-Ridge contrast is measured on a copy of about 24 px/mm, everything else on whatever stack is given (a reduced one will
-do; saturation is best counted at full resolution).
+Ridge contrast is measured on a copy of about 24 px/mm, specks on one of 12 px/mm, everything else on whatever stack is
+given (a reduced one will do; saturation is best counted at full resolution).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.check import check_image, check_mask, check_stack, require
 from splitknit.preprocess.mask import touched_borders
+from splitknit.preprocess.quality_specks import SpeckSettings, speck_shares
 from splitknit.preprocess.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask, reduction
 from splitknit.types import BoolArray, FloatArray
 
@@ -40,6 +41,8 @@ class QualitySettings:
     """Relative brightness below which an LED is called dead."""
     least_length_mm: float = 12.0
     """Visible length of the finger."""
+    specks: SpeckSettings = field(default_factory=SpeckSettings)
+    """Dust, and the scales of dry skin."""
 
     def __post_init__(self) -> None:
         for name in ("saturation", "least_ridge_contrast", "most_ambient", "least_length_mm"):
@@ -81,7 +84,8 @@ def capture_quality(
     -------
     dict
         Plain numbers, strings and lists (JSON): ``ridge_contrast`` (relative, mean of the images),
-        ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness),
+        ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and
+        ``bright_specks`` (shares of the finger; None where the stack is too coarse),
         ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
         ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
         median one; or None).
@@ -103,6 +107,7 @@ def capture_quality(
     ceilings = np.broadcast_to(np.asarray(settings.saturation if saturation is None else saturation), (len(stack),))
     saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
+    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm, settings.specks)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")
@@ -113,6 +118,8 @@ def capture_quality(
         "ridge_contrast": float(np.mean(contrast)),
         "ridge_contrast_per_image": contrast,
         "sharpness": sharpness,
+        "dark_specks": dark_specks,
+        "bright_specks": bright_specks,
         "saturated_per_image": saturated,
         "brightness": brightness,
         "brightness_per_image": [float(v) for v in medians],
@@ -146,6 +153,7 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
             f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
             "clean the lens, dry a wet finger, or moisten a worn one."
         )
+    words += _speck_words(quality, settings.specks)
     if quality["ambient_share"] is not None and quality["ambient_share"] > settings.most_ambient:
         words.append(
             f"ambient light is {100 * quality['ambient_share']:.0f} % of the LEDs' light: close the box, dim the room."
@@ -166,6 +174,19 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
     if opposite:
         words.append("the finger crosses the whole image, so its tip is not in view: move it back.")
     return tuple(words)
+
+
+def _speck_words(quality: Mapping[str, Any], settings: SpeckSettings) -> list[str]:
+    """At most one sentence: dust has bright grains too."""
+    dark, bright = quality["dark_specks"], quality["bright_specks"]
+    if dark is not None and dark > settings.most_dark:
+        return [f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or its cover."]
+    if bright is not None and bright > settings.most_bright:
+        return [
+            f"bright specks cover {100 * bright:.1f} % of the finger: wipe it if it is dusty, moisten it if its skin "
+            "is dry."
+        ]
+    return []
 
 
 def _ridge_contrast(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[list[float], float]:

@@ -17,6 +17,7 @@ LATER = (
     "motion.most_mm",
     "motion.most_left",
     "motion.registration",
+    "quality.specks",
 )
 """Settings of later cases: at their defaults they change nothing, so the documents, hashes and files of earlier cases
 stay what they were."""

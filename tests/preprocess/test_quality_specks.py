@@ -1,0 +1,126 @@
+"""Specks are found whatever the camera's scale; valleys, wrinkles, hairs, pores, glare and scars are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, zoom
+
+from splitknit.check import BadInput
+from splitknit.preprocess import QualitySettings, capture_quality, quality_warnings
+from splitknit.preprocess.quality_specks import SpeckSettings, short_marks_filled, speck_shares
+
+SIZE_MM = (14.0, 12.0)
+FINE = 48.0
+
+
+def skin(px_per_mm: float, seed: int = 0) -> np.ndarray:
+    """Four images of a patch of ridges, 0.45 mm apart, with pores on them; the flanks' shading turns with the light."""
+    rng = np.random.default_rng(seed)
+    y, x = (np.arange(round(side * FINE)) / FINE for side in SIZE_MM)
+    bend = 1.5 * np.sin(x / 3.0)[None, :]
+    phase = 2 * np.pi * (y[:, None] + bend) / 0.45
+    pores = np.zeros(phase.shape)
+    pores[rng.integers(0, len(y), 300), rng.integers(0, len(x), 300)] = 1.0
+    pores = 0.1 * gaussian_filter(pores, 0.05 * FINE)
+    pores *= 2 * np.pi * (0.05 * FINE) ** 2
+    images = [0.4 * (1 + 0.05 * np.cos(phase) + 0.06 * np.sin(phase + turn) - pores) for turn in (-0.3, 0.3, 2.8, 3.4)]
+    return np.stack([at_scale(image, px_per_mm) for image in images]).astype(np.float32)
+
+
+def at_scale(image: np.ndarray, px_per_mm: float) -> np.ndarray:
+    return zoom(gaussian_filter(image, 0.35 * FINE / px_per_mm), px_per_mm / FINE, order=1)
+
+
+def marked(px_per_mm: float, number: int, diameter_mm: float, factor: float) -> np.ndarray:
+    """The patch with discs of `factor` times its brightness, the same in every image."""
+    rng = np.random.default_rng(3)
+    rows, columns = (round(side * FINE) for side in SIZE_MM)
+    cover = np.ones((rows, columns))
+    reach = int(0.5 * diameter_mm * FINE) + 1
+    at = np.arange(-reach, reach + 1)
+    disc = np.hypot(*np.meshgrid(at, at)) <= 0.5 * diameter_mm * FINE
+    for _ in range(number):
+        row, column = rng.integers(reach, rows - reach), rng.integers(reach, columns - reach)
+        cover[row - reach : row + reach + 1, column - reach : column + reach + 1][disc] = factor
+    return skin(px_per_mm) * at_scale(cover, px_per_mm).astype(np.float32)
+
+
+def shares(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
+    dark, bright = speck_shares(stack, np.ones(stack.shape[1:], bool), px_per_mm)
+    assert dark is not None and bright is not None
+    return dark, bright
+
+
+@pytest.mark.parametrize("px_per_mm", [12.0, 17.0, 26.0, 44.0])
+def test_dark_specks_at_every_scale(px_per_mm):
+    clean = shares(skin(px_per_mm), px_per_mm)
+    assert max(clean) < 0.0005
+    little = shares(marked(px_per_mm, 300, 0.1, 0.3), px_per_mm)
+    more = shares(marked(px_per_mm, 900, 0.1, 0.3), px_per_mm)
+    assert little[0] > 0.01
+    assert 1.7 * little[0] < more[0] < 0.1
+    assert little[1] < 0.0005
+
+
+def test_scales_agree():
+    found = [shares(marked(px, 600, 0.12, 0.3), px)[0] for px in (12.0, 18.0, 26.0, 44.0)]
+    assert max(found) < 1.35 * min(found)
+
+
+def test_bright_specks():
+    dark, bright = shares(marked(24.0, 120, 0.25, 1.5), 24.0)
+    assert bright > 0.01
+    assert dark < 0.001
+
+
+def test_long_marks_and_glare_are_no_specks():
+    y, x = (np.arange(round(side * 24.0)) / 24.0 for side in SIZE_MM)
+    stack = skin(24.0)
+    for slope, offset, width, depth in ((0.3, 2.0, 0.05, 0.8), (-1.2, 9.0, 0.06, 0.8), (0.02, 7.0, 0.3, 0.5)):
+        away = np.abs(y[:, None] - offset - slope * x[None, :]) / np.hypot(1.0, slope)
+        stack = stack * (1 - depth * np.clip(1.5 - away / width, 0, 1)).astype(np.float32)
+    assert shares(stack, 24.0)[0] < 0.002
+    glints = np.random.default_rng(1).random(stack.shape) < 0.01  # another place in every image
+    glary = stack + 0.5 * gaussian_filter(glints.astype(np.float32), (0, 1, 1))
+    assert shares(glary, 24.0)[1] < 0.001
+
+
+def test_coarse_images_are_not_measured():
+    assert speck_shares(skin(11.0), np.ones((154, 132), bool), 11.0) == (None, None)
+    quality = capture_quality(skin(11.0), np.ones((154, 132), bool), 11.0)
+    assert quality["dark_specks"] is None
+    assert not any("specks" in text for text in quality_warnings(quality))
+
+
+def test_brightness_does_not_matter():
+    stack = marked(24.0, 300, 0.1, 0.3)
+    uneven = stack * np.array([0.2, 1.0, 0.5, 0.8], np.float32)[:, None, None]
+    assert shares(uneven, 24.0) == pytest.approx(shares(stack, 24.0), abs=1e-5)
+
+
+def test_one_sentence_says_what_to_do():
+    dusty = quality_warnings(capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0))
+    assert sum("specks" in text for text in dusty) == 1
+    assert any(text.startswith("dark specks cover ") and "wipe the finger" in text for text in dusty)
+    scaly = quality_warnings(capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0))
+    assert any(text.startswith("bright specks cover ") and "moisten" in text for text in scaly)
+    patient = QualitySettings(specks=SpeckSettings(most_dark=0.5, most_bright=0.5))
+    quality = capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0, settings=patient)
+    assert not any("specks" in text for text in quality_warnings(quality, patient))
+
+
+def test_lines_survive_and_dots_do_not():
+    image = np.ones((40, 40), np.float32)
+    image[20, 5:30] = 0.5
+    image[8:10, 8:10] = 0.5
+    filled = short_marks_filled(image, 6.0)
+    assert filled[20, 8:27].max() == 0.5
+    assert filled[8:10, 8:10].min() == 1.0
+
+
+def test_bad_input():
+    with pytest.raises(BadInput, match=r"quality\.specks\.dark_mm must be positive"):
+        SpeckSettings(dark_mm=0.0)
+    with pytest.raises(BadInput, match=r"quality\.specks\.darker must lie between 0 and 1, but it is 1"):
+        SpeckSettings(darker=1)
