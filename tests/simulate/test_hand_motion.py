@@ -107,9 +107,25 @@ def test_a_smear_is_as_long_as_the_path():
     assert (smear_kernel(np.zeros(2)) == np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]])).all()
 
 
-def test_coloured_leds_and_mirrors_are_refused():
-    with pytest.raises(BadInput, match="coloured"):
-        simulate_capture(5, None, replace(twin(amplitude_mm=0.2), rig=coloured_rig(0.12, 0)))
+def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
+    rig = coloured_rig(0.12, 0)
+    rig = replace(rig, leds=rig.leds[:6])
+    (still, _), (moved, truth) = (
+        simulate_capture(5, None, replace(twin(amplitude_mm=a, tremor_share=0.0), rig=rig)) for a in (0.0, 0.5)
+    )
+    assert truth["motion_shift_mm"].shape == (2, 2) and int(truth["motion_reference"]) == 1
+    assert np.hypot(*truth["motion_shift_mm"][0]) == pytest.approx(0.5)
+    first, second = still.bands["white"], moved.bands["white"]
+    assert second.leds == first.leds and second.colours == first.colours
+    inside = cv2.erode(truth["mask"].astype(np.uint8), np.ones((5, 5))) > 0
+    changed = [
+        np.abs(b.astype(float) - a)[inside].mean(axis=0) for a, b in zip(first.pixels, second.pixels, strict=True)
+    ]
+    assert changed[1].max() < 1.5  # the reference: noise
+    assert changed[0].min() > 1.8 * changed[1].max()  # every colour has moved
+
+
+def test_mirrors_are_refused():
     with pytest.raises(BadInput, match="mirrors"):
         simulate_capture(5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorViews(names=("left",))))
 

@@ -19,9 +19,5 @@ def coloured_lights(lights: str, settings: TwinSettings) -> Rig:
         If something else is asked for that has LEDs of its own, or takes them one by one.
     """
     require(settings.rig is None, "a rig file says which LEDs there are; leave out --lights, or --rig.")
-    require(
-        settings.motion.amplitude_mm == 0,
-        "the twin moves the finger between single LEDs; coloured ones share exposures: leave out --motion or --lights.",
-    )
     require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out --mirrors or --lights.")
     return coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -79,7 +80,7 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
     return replace(plain, camera=camera, leds=(*leds, *invisible))
 
 
-def exposures_of(leds: list[Led]) -> list[tuple[int, ...]]:
+def exposures_of(leds: Sequence[Led]) -> list[tuple[int, ...]]:
     """Which of `leds` share an exposure: the k-th of each colour; a white one has its own."""
     groups: dict[int, list[int]] = {}
     seen = dict.fromkeys(COLOURS, 0)
@@ -109,10 +110,8 @@ def photograph_coloured(
         scene.surface, leds, optics, roughness=skin.roughness, glare=skin.glare, walks=scene.walks,
         settings=settings.render,
     )  # fmt: skip
-    mixing = np.eye(3) if rig.camera.crosstalk is None else np.asarray(rig.camera.crosstalk)
     groups = exposures_of(leds)
-    fallen = 1.0 if scene.fall_off is None else scene.fall_off[light.window][::4, ::4]
-    bright = max(_brightest(light, group, leds, mixing, fallen) for group in groups)
+    bright = max(brightest_of(scene, light, group, leds) for group in groups)
     exposure = np.float32(settings.sensor.exposure / bright)
     ambient = scene.ambient(name, leds)
     seeds = seed.spawn(len(groups) + 1)
@@ -120,17 +119,9 @@ def photograph_coloured(
     glare = np.zeros((len(leds), height, width), dtype=np.float16)
 
     def shoot(e: int) -> PixelArray:
-        frame = ambient.copy()
         for k in groups[e]:
-            card = white_card(rig.camera, leds[k], -settings.background.depth_mm)
-            lit = scene.frame(light, k, card)
             glare[k][light.window] = light.glare[k] * scene.shade[light.window[0]] * exposure
-            if leds[k].colour:
-                c = COLOURS.index(leds[k].colour)
-                frame += lit[..., c : c + 1] * mixing[:, c].astype(np.float32)
-            else:
-                frame += lit
-        return scene.record(frame * exposure, "coloured", seeds[e])
+        return scene.record(exposed(scene, light, groups[e], leds, ambient) * exposure, "coloured", seeds[e])
 
     with ThreadPoolExecutor(settings.render.workers) as pool:
         images = list(pool.map(shoot, range(len(groups))))
@@ -150,10 +141,40 @@ def photograph_coloured(
     return band, glare, np.array(float(exposure))
 
 
-def _brightest(
-    light: BandLight, group: tuple[int, ...], leds: list[Led], mixing: NDArray[np.float64], fallen: FloatArray | float
-) -> float:
+def exposed(
+    scene: Scene, light: BandLight, group: tuple[int, ...], leds: Sequence[Led], ambient: FloatArray
+) -> FloatArray:
+    """(H, W, 3) what the sensor's pixels see while the LEDs of a group are lit together, and the room's light.
+
+    Parameters
+    ----------
+    scene : what is photographed
+    light : of every one of `leds`
+    group : which of them share the exposure
+    leds : white or coloured
+    ambient : (H, W, 3) or what broadcasts to it
+    """
+    camera = scene.rig.camera
+    mixing = _mixing(scene.rig)
+    frame = ambient.copy()
+    for k in group:
+        lit = scene.frame(light, k, white_card(camera, leds[k], -scene.settings.background.depth_mm))
+        if leds[k].colour:
+            c = COLOURS.index(leds[k].colour)
+            frame += lit[..., c : c + 1] * mixing[:, c].astype(np.float32)
+        else:
+            frame += lit
+    return frame
+
+
+def _mixing(rig: Rig) -> NDArray[np.float64]:
+    return np.eye(3) if rig.camera.crosstalk is None else np.asarray(rig.camera.crosstalk)
+
+
+def brightest_of(scene: Scene, light: BandLight, group: tuple[int, ...], leds: Sequence[Led]) -> float:
     """99.9th percentile of the diffuse light of an exposure, in the channel where it is highest."""
+    mixing = _mixing(scene.rig)
+    fallen = 1.0 if scene.fall_off is None else scene.fall_off[light.window][::4, ::4]
     total = np.zeros((3, *light.diffuse[0, 0, ::4, ::4].shape))
     for k in group:
         sample = light.diffuse[k, :, ::4, ::4] * fallen

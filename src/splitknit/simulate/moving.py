@@ -103,6 +103,7 @@ def moving_finger(  # noqa: PLR0917
     motion: HandMotion,
     shots: int,
     workers: int,
+    reference: int | None = None,
 ) -> MovingFinger:
     """Draw the motion of a finger that lies in `pose` in its reference shot.
 
@@ -113,10 +114,11 @@ def moving_finger(  # noqa: PLR0917
     motion : how far and how it moves
     shots : taken one after the other
     workers : threads; the result does not depend on them
+    reference : see :func:`splitknit.simulate.motion.draw_path`
     """
     master = finger.master()
     path_seed, slip_seed = seed.spawn(2)
-    path = draw_path(np.random.default_rng(path_seed), shots, motion)
+    path = draw_path(np.random.default_rng(path_seed), shots, motion, reference)
     rng = np.random.default_rng(slip_seed)
     unit_mm = 0.1 * motion.slip_smooth_mm
     first, second = (_scaled(draw_deformation(rng, master, unit_mm, motion.slip_smooth_mm), 1 / unit_mm) for _ in "12")

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.simulate.coloured import brightest_of, exposed, exposures_of
 from splitknit.simulate.diffusion import WalkTable, load_walks
-from splitknit.simulate.lighting import white_card
 from splitknit.simulate.moving import MovingFinger
 from splitknit.simulate.renderer import BandLight, render_band
 from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulate.truth import optics_truth, surface_truth
 from splitknit.simulate.twin_scene import Scene, brightest
-from splitknit.types import Band, Capture, FloatArray, PixelArray, Rig
+from splitknit.types import Band, Capture, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulate.twin import TwinSettings
@@ -30,24 +30,21 @@ def photograph_moving(
 
     Arguments and results as those of :func:`splitknit.simulate.twin.photograph`. The truth is that of the reference
     shot, ``motion_reference``; ``motion_*`` tell the motion, and ``glare_*`` lie where each shot shows the finger.
-    The ambient frame of a band shows the finger where its first shot does.
+    The ambient frame of a band shows the finger where its first shot does. Coloured LEDs of one exposure show the
+    finger at one place.
     """
-    require(
-        not any(led.colour for led in rig.leds),
-        "a moving finger is photographed with one LED an exposure in the twin; leave out motion or the coloured LEDs.",
-    )
     walks = load_walks()
     background_seed, noise_seed = seed.spawn(2)
-    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
-    shots = [(name, k) for name in names for k, led in enumerate(rig.leds) if led.band == name]
-    lit: dict[str, list[tuple[Scene, BandLight, int]]] = {name: [] for name in names}
+    shots = shots_of(rig)
+    names = list(dict.fromkeys(name for name, _ in shots))
+    lit: dict[str, list[Shot]] = {name: [] for name in names}
     truth: dict[str, NDArray[Any]] = {}
-    for number, ((name, k), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
+    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
         # the same dust in every shot
         scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
-        lit[name].append((scene, _light(scene, name, k, walks), k))
+        lit[name].append(Shot(scene, _light(scene, name, leds, walks), leds))
     bands = {}
     start = 0
     for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
@@ -63,11 +60,48 @@ def photograph_moving(
     return capture, truth
 
 
-def _light(scene: Scene, name: str, led: int, walks: WalkTable) -> BandLight:
+def shots_of(rig: Rig) -> list[tuple[str, tuple[int, ...]]]:
+    """Band and LEDs of every shot, in the order in which they are taken: the white band first."""
+    found = []
+    for name in BAND_CHANNELS:
+        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+        groups = exposures_of([rig.leds[k] for k in members])
+        found += [(name, tuple(members[k] for k in group)) for group in groups]
+    return found
+
+
+def reference_of(rig: Rig) -> int:
+    """Number of the reference shot: the middle one of the first band."""
+    shots = shots_of(rig)
+    return sum(name == shots[0][0] for name, _ in shots) // 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """The finger at one place under one exposure's LEDs."""
+
+    scene: Scene
+    light: BandLight
+    """Of every LED of the exposure."""
+    leds: tuple[int, ...]
+    """Their numbers in the rig."""
+
+    @property
+    def members(self) -> list[Led]:
+        """The exposure's LEDs."""
+        return [self.scene.rig.leds[k] for k in self.leds]
+
+    @property
+    def whole(self) -> tuple[int, ...]:
+        """Their numbers in `light`."""
+        return tuple(range(len(self.leds)))
+
+
+def _light(scene: Scene, name: str, leds: Sequence[int], walks: WalkTable) -> BandLight:
     optics = [scene.skin.channel(channel) for channel in BAND_CHANNELS[name]]
     return render_band(
         scene.surface,
-        [scene.rig.leds[led]],
+        [scene.rig.leds[k] for k in leds],
         optics,
         roughness=scene.skin.roughness,
         glare=scene.skin.glare,
@@ -77,36 +111,48 @@ def _light(scene: Scene, name: str, led: int, walks: WalkTable) -> BandLight:
 
 
 def _band(
-    name: str, lit: Sequence[tuple[Scene, BandLight, int]], seed: np.random.SeedSequence, smears: Sequence[FloatArray]
+    name: str, lit: Sequence[Shot], seed: np.random.SeedSequence, smears: Sequence[FloatArray]
 ) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
-    """Images of one band, their glare, and their exposure, as :meth:`Scene.photograph` gives them."""
-    first = lit[0][0]
+    """Images of one band, the glare of each of its LEDs, and their exposure, as :meth:`Scene.photograph` gives them."""
+    first = lit[0].scene
     rig, settings = first.rig, first.settings
-    fallen = first.fall_off
-    bright = max(brightest(light.diffuse, None if fallen is None else fallen[light.window]) for _, light, _ in lit)
+    used = [k for shot in lit for k in shot.leds]
+    colours = rig.colours_of(tuple(shot.leds for shot in lit))
+    seen_by = "coloured" if colours else name
+    bright = max(_brightest(shot) for shot in lit)
     exposure = np.float32(settings.sensor.exposure / bright)
     seeds = seed.spawn(len(lit) + 1)
-    leds = [rig.leds[k] for _, _, k in lit]
-    ambient = first.ambient(name, leds)
+    ambient = first.ambient(name, [rig.leds[k] for k in used])
     height, width = rig.camera.image_size
-    glare = np.zeros((len(lit), height, width), dtype=np.float16)
+    glare = np.zeros((len(used), height, width), dtype=np.float16)
     images: list[PixelArray] = []
-    for number, (scene, light, k) in enumerate(lit):
-        card = white_card(rig.camera, rig.leds[k], -settings.background.depth_mm)
-        frame = (ambient + scene.frame(light, 0, card)) * exposure
-        images.append(scene.record(_smeared(frame, smears[number]), name, seeds[number]))
-        glare[number][light.window] = light.glare[0] * scene.shade[light.window[0]] * exposure
-    dark = first.record(np.broadcast_to(ambient, (height, width, 3)) * exposure, name, seeds[-1])
+    place = {led: number for number, led in enumerate(sorted(used))}
+    for number, shot in enumerate(lit):
+        frame = exposed(shot.scene, shot.light, shot.whole, shot.members, ambient) * exposure
+        images.append(shot.scene.record(_smeared(frame, smears[number]), seen_by, seeds[number]))
+        shade = shot.scene.shade[shot.light.window[0]]
+        for k, led in enumerate(shot.leds):
+            glare[place[led]][shot.light.window] = shot.light.glare[k] * shade * exposure
+    dark = first.record(np.broadcast_to(ambient, (height, width, 3)) * exposure, seen_by, seeds[-1])
     band = Band(
         name=name,
         pixels=np.stack(images),  # type: ignore[arg-type]
-        leds=tuple((k,) for _, _, k in lit),
+        leds=tuple(shot.leds for shot in lit),
         exposure=np.ones(len(lit)),
         black_level=np.zeros(len(lit)),
         ambient=dark,
         shading=rig.camera.shading,
+        colours=colours,
+        crosstalk=rig.camera.crosstalk if colours else None,
     )
     return band, glare, np.array(float(exposure))
+
+
+def _brightest(shot: Shot) -> float:
+    if any(led.colour for led in shot.members):
+        return brightest_of(shot.scene, shot.light, shot.whole, shot.members)
+    fallen = shot.scene.fall_off
+    return brightest(shot.light.diffuse, None if fallen is None else fallen[shot.light.window])
 
 
 def _smears(moving: MovingFinger, settings: TwinSettings, start: int, count: int) -> list[FloatArray]:

@@ -17,7 +17,7 @@ from splitknit.simulate.mirror_settings import MirrorViews
 from splitknit.simulate.mirror_twin import has_mirrors, mirror_pose, photograph_between_mirrors, rig_with_mirrors
 from splitknit.simulate.motion import HandMotion
 from splitknit.simulate.moving import MovingFinger, moving_finger
-from splitknit.simulate.moving_scene import photograph_moving
+from splitknit.simulate.moving_scene import photograph_moving, reference_of, shots_of
 from splitknit.simulate.pose_ranges import PoseRanges
 from splitknit.simulate.renderer import RenderSettings
 from splitknit.simulate.rig import default_rig
@@ -181,9 +181,10 @@ def _set_in_motion(
     """Draw the same finger in the same pose as :func:`lay_down` does, and its motion from there."""
     finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
     motion_seed = np.random.SeedSequence([seed, impression, 0x53])
-    shots = sum(led.band in BAND_CHANNELS for led in rig.leds)
-    workers = settings.render.workers
-    moving = moving_finger(finger, pose, rig.camera, motion_seed, settings.motion, shots, workers)
+    shots, workers = len(shots_of(rig)), settings.render.workers
+    moving = moving_finger(
+        finger, pose, rig.camera, motion_seed, settings.motion, shots, workers, reference_of(rig)
+    )  # fmt: skip
     return moving, rig, skin, photo_seed
 
 
