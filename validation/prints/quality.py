@@ -4,7 +4,8 @@ For captures of a population that are reconstructed in a store (``splitknit batc
 each of its figures, and of NFIQ 2 with the mean ridge-template similarity with the same finger's other sessions, and
 with the share of the true minutiae that mindtct finds on the unrolled print (within 5 pixels, half a ridge period).
 The 95 % intervals are those of a bootstrap over captures. ``--faults FOLDER`` (made by ``quality_faults.py``) adds what
-is said of fingers with one known fault. Writes ``validation/prints/quality.json``.
+is said of fingers with one known fault; without it, what ``quality.json`` says of them stays. Writes
+``validation/prints/quality.json``.
 
 What the thresholds were chosen on is left out: subjects 1 and 9, nine single captures, fingers 9101 and 9102.
 """
@@ -137,6 +138,8 @@ def main() -> None:
     }
     if options.faults:
         result["faults"] = fault_rows(options.faults)
+    elif OUT.is_file() and "faults" in (before := json.loads(OUT.read_text())):
+        result["faults"] = before["faults"]
     OUT.write_text(json.dumps({**result, "rows": rows}, indent=1) + "\n")
     print(json.dumps(result, indent=1))
 
