@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
@@ -11,19 +13,21 @@ from splitknit.preprocess import QualitySettings, capture_quality, quality_warni
 from splitknit.preprocess.quality_specks import SpeckSettings, short_marks_filled, speck_shares
 
 SIZE_MM = (14.0, 12.0)
-FINE = 48.0
+FINE = 44.0
 
 
-def skin(px_per_mm: float, seed: int = 0) -> np.ndarray:
-    """Four images of a patch of ridges, 0.45 mm apart, with pores on them; the flanks' shading turns with the light."""
-    rng = np.random.default_rng(seed)
+@lru_cache
+def skin(px_per_mm: float) -> np.ndarray:
+    """Four images of ridges, 0.45 mm apart, with two ends and with pores; the flanks' shading turns with the light."""
+    rng = np.random.default_rng(0)
     y, x = (np.arange(round(side * FINE)) / FINE for side in SIZE_MM)
     bend = 1.5 * np.sin(x / 3.0)[None, :]
     phase = 2 * np.pi * (y[:, None] + bend) / 0.45
+    for row, column, sense in ((5.0, 4.0, 1), (10.0, 8.0, -1)):
+        phase = phase + sense * np.arctan2(y[:, None] - row, x[None, :] - column)
     pores = np.zeros(phase.shape)
     pores[rng.integers(0, len(y), 300), rng.integers(0, len(x), 300)] = 1.0
-    pores = 0.1 * gaussian_filter(pores, 0.05 * FINE)
-    pores *= 2 * np.pi * (0.05 * FINE) ** 2
+    pores = 0.1 * 2 * np.pi * (0.05 * FINE) ** 2 * gaussian_filter(pores, 0.05 * FINE)
     images = [0.4 * (1 + 0.05 * np.cos(phase) + 0.06 * np.sin(phase + turn) - pores) for turn in (-0.3, 0.3, 2.8, 3.4)]
     return np.stack([at_scale(image, px_per_mm) for image in images]).astype(np.float32)
 
