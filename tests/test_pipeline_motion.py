@@ -138,16 +138,15 @@ def test_shots_that_do_not_fit_together_are_refused(moved):
 
 @pytest.mark.slow
 def test_photographs_of_coloured_leds_are_brought_together():
-    capture = simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0)))[0]
-    white = capture.bands["white"]
-    pixels = white.pixels.copy()
-    pixels[0] = np.roll(pixels[0], (2, -3), axis=(0, 1))
-    moved = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
-    _, finger = steadied(moved, correct="on")
+    motion = HandMotion(amplitude_mm=0.8)
+    capture, truth = simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion))
+    _, finger = steadied(capture, correct="on")
     told = finger.facts["motion_white"]
-    assert len(told["moved_mm"]) == len(pixels)
-    pitch = capture.rig.camera.pitch_mm
-    np.testing.assert_allclose(told["shift_mm"][0], [-3 * pitch, -2 * pitch], atol=0.08)
+    count = len(capture.bands["white"].pixels)
+    assert len(told["moved_mm"]) == count == 2
+    flow = np.nanmean(truth["motion_flow_px"][:count], axis=(2, 3)) * capture.rig.camera.pitch_mm
+    assert np.hypot(*flow[0]) > 0.15
+    np.testing.assert_allclose(told["shift_mm"], flow * [1, -1], atol=0.06)
 
 
 def test_few_shots_are_left_alone(moved):
