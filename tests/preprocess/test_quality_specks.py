@@ -78,16 +78,28 @@ def test_bright_specks():
     assert dark < 0.001
 
 
-def test_long_marks_and_glare_are_no_specks():
+def test_long_marks_are_no_specks():
     y, x = (np.arange(round(side * 24.0)) / 24.0 for side in SIZE_MM)
     stack = skin(24.0)
     for slope, offset, width, depth in ((0.3, 2.0, 0.05, 0.8), (-1.2, 9.0, 0.06, 0.8), (0.02, 7.0, 0.3, 0.5)):
         away = np.abs(y[:, None] - offset - slope * x[None, :]) / np.hypot(1.0, slope)
         stack = stack * (1 - depth * np.clip(1.5 - away / width, 0, 1)).astype(np.float32)
     assert shares(stack, 24.0)[0] < 0.002
-    glints = np.random.default_rng(1).random(stack.shape) < 0.01  # another place in every image
-    glary = stack + 0.5 * gaussian_filter(glints.astype(np.float32), (0, 1, 1))
+
+
+def test_glare_that_turns_with_the_light_is_no_speck():
+    glints = np.random.default_rng(1).random(skin(24.0).shape) < 0.003  # other places in every image
+    glary = skin(24.0) + 3.0 * gaussian_filter(glints.astype(np.float32), (0, 1, 1))
     assert shares(glary, 24.0)[1] < 0.001
+    same = skin(24.0) + 3.0 * gaussian_filter(glints[:1].astype(np.float32), (0, 1, 1))
+    assert shares(same, 24.0)[1] > 0.01
+
+
+def test_finer_images_are_seen_at_one_scale():
+    fine = marked(24.0, 300, 0.1, 0.3)
+    rows, columns = fine.shape[1] // 2, fine.shape[2] // 2
+    binned = fine.reshape(4, rows, 2, columns, 2).mean(axis=(2, 4), dtype=np.float32)
+    assert shares(fine, 24.0) == pytest.approx(shares(binned, 12.0), abs=1e-4)
 
 
 def test_coarse_images_are_not_measured():
