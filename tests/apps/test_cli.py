@@ -168,7 +168,7 @@ def test_results_do_not_replace_a_capture(
     out = (capture_folder.parent / where).resolve()
     assert main(["reconstruct", str(capture_folder), "--out", str(out)]) == 2
     assert sorted(path.name for path in capture_folder.iterdir()) == before
-    assert "holds the capture itself" in capsys.readouterr().err
+    assert "holds the input itself" in capsys.readouterr().err
     assert seen == {}  # refused before the work
 
 

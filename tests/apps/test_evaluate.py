@@ -299,7 +299,7 @@ def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> N
         "replicates": ["--scores", hand, "--out", out, "--replicates", "3"],
         "finger_a and finger_b": ["--scores", hand, "--out", out, "--exclude", str(tmp_path / "list.csv")],
         "sessions are needed": ["--scores", hand, "--out", out, "--average-sessions"],
-        "did not write": ["--scores", hand, "--out", str(tmp_path)],
+        "is not an earlier evaluation": ["--scores", hand, "--out", str(tmp_path)],
     }
     (tmp_path / "list.csv").write_text("finger\nx\n")
     for words, request in requests.items():

@@ -206,7 +206,7 @@ def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.C
     assert "not a folder" in refusal(capsys, out, tmp_path / "none")
     (tmp_path / "empty").mkdir()
     assert "holds no PNG, TIFF or JPEG" in refusal(capsys, out, tmp_path / "empty")
-    assert "holds the capture itself" in refusal(capsys, boards, boards)
+    assert "holds the input itself" in refusal(capsys, boards, boards)
 
 
 @pytest.mark.parametrize(

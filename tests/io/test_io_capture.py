@@ -265,8 +265,9 @@ def test_documents_that_are_refused(change: Change, words: str, folder: Path) ->
     [
         (b"", "not valid JSON"),
         (b'{"format": ', "not valid JSON"),
-        (b"\xff\xfe", "not valid JSON"),
-        (b"[1]", "must be an object, but it is a list of 1"),
+        (b"\xff\xfe", "not valid JSON: it is no text in UTF-8"),
+        (b"[1]", r"must be an object, but it is \[1\]"),
+        (json.dumps(list(range(40))).encode(), "must be an object, but it is a list of 40"),
         (b"null", "must be an object, but it is null"),
         (b'{"version": NaN}', "contains NaN"),
         (b'{"version": -Infinity}', "contains -Infinity"),
@@ -413,7 +414,7 @@ RIG = {
 
 def test_rigs_round_trip(tmp_path: Path) -> None:
     matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
-    camera = Camera(75.7, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02))
+    camera = Camera(6.45, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02))
     leds = (
         Led("white", position_mm=(1 / 3, -52.5, 140.0), intensity=0.1, lobe_exponent=2.0),
         Led("nir", direction=(0.6, 0.0, 0.8)),
@@ -435,7 +436,7 @@ def test_rigs_round_trip(tmp_path: Path) -> None:
 def test_a_lens_without_distortion_is_written_with_zeros(tmp_path: Path) -> None:
     matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
     write_rig(
-        Rig(Camera(75.7, (22, 32), 139.5, "perspective", matrix), (Led("white", (0.0, 1.0, 2.0)),)), tmp_path / "r"
+        Rig(Camera(6.45, (22, 32), 139.5, "perspective", matrix), (Led("white", (0.0, 1.0, 2.0)),)), tmp_path / "r"
     )
     assert read_rig(tmp_path / "r").camera.distortion == (0.0,) * 5
 
@@ -473,6 +474,13 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
         (lambda d: d["camera"].update(distortion=[0] * 6), r"a list of 4 or 5"),
         (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0]]), "3 x 3"),
         (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0], [1, 0, 1]]), "last row"),
+        (
+            lambda d: d["camera"].update(
+                model="perspective", distortion=[0] * 5, matrix=[[1, 0, 16], [0, 1, 11], [0, 0, 1]]
+            ),
+            r"camera\.px_per_mm is .*, but camera\.matrix and camera\.height_mm make it",
+        ),
+        (lambda d: d.update(provenance=3), r"^[^:]*: provenance must be an object"),
         (lambda d: d.update(leds={}), "leds must be a list"),
         (lambda d: d.update(leds=[]), "at least one LED"),
         (lambda d: d.update(leds=[3]), r"leds\[0\] must be an object"),

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.capture_devices import DeviceSettings, Opened
-from splitknit.apps.commands import Progress, check_target, no_progress
+from splitknit.apps.commands import Progress, no_progress
+from splitknit.apps.targets import check_target
 from splitknit.apps.verb import Refused
 from splitknit.capture.enrolment import Enrolment, Place
 from splitknit.capture.session import Session, WatchFocus, run_session

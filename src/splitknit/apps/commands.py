@@ -13,6 +13,7 @@ import numpy as np
 
 from splitknit.apps.outputs import FILES, write_files
 from splitknit.apps.simulated_lights import coloured_lights
+from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder, read_capture, read_rig, with_rig, write_capture
 from splitknit.pipeline import preset_settings, reconstruct
@@ -88,24 +89,6 @@ def _shown_of(capture: Capture) -> Capture:
     return replace(capture, bands=bands)
 
 
-def check_target(out: Path, marker: str, words: str, keep: Path | None = None) -> None:
-    """Refuse to replace a folder that is not empty unless it holds `marker`, or to replace what is read from (`keep`).
-
-    :func:`splitknit.io.atomic_folder` refuses files that are not ours; this keeps one kind of ours from replacing
-    another, such as a result a capture.
-    """
-    out = out.expanduser()
-    try:
-        if keep is not None and out.exists():
-            source = keep.expanduser().resolve()
-            inside = out.resolve() in (source, *source.parents)
-            require(not inside, f"'{out}' holds the capture itself; name another folder to write into.")
-        if out.is_dir() and any(out.iterdir()):
-            require((out / marker).is_file(), f"'{out}' is not empty and holds not {words}; name another folder.")
-    except OSError as error:
-        raise BadInput(f"'{out}' cannot be written ({error.strerror}); name another folder.") from error
-
-
 def truth_of(capture: Capture) -> dict[str, Any] | None:
     """Read a simulator's truth, if the capture names one, and only what is compared."""
     if capture.truth is None:
@@ -114,7 +97,9 @@ def truth_of(capture: Capture) -> dict[str, Any] | None:
         with np.load(capture.truth, allow_pickle=False) as archive:  # reads only what is asked for: the rest is large
             return {name: archive[name] for name in TRUTH_ARRAYS if name in archive.files}
     except Exception as error:  # zipfile, zlib and numpy each have their own
-        raise BadInput(f"the truth '{capture.truth}' cannot be read ({error}); simulate the capture again.") from error
+        raise BadInput(
+            f"the truth '{capture.truth}' is damaged or no .npz file; simulate the capture again."
+        ) from error
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:

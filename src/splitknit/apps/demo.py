@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.commands import TRUTH_ARRAYS, Progress, check_target, no_progress, twin_settings
+from splitknit.apps.commands import TRUTH_ARRAYS, Progress, no_progress, twin_settings
 from splitknit.apps.outputs import PRINT_PPI, write_report, write_results
 from splitknit.apps.report import make_report
+from splitknit.apps.targets import check_target
 from splitknit.io import atomic_folder, read_capture, write_capture
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import surface_print

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from splitknit.apps.evaluation_facts import Result, difference_facts, notes_of, system_facts
 from splitknit.apps.evaluation_fusion import fused_system
 from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
+from splitknit.apps.targets import check_target
 from splitknit.check import require
 from splitknit.evaluate.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluate.pairing import pair_up
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from splitknit.apps.evaluation_gallery import GalleryScores
 
 Progress = Callable[[str, float], None]
+FORMAT = "splitknit-evaluation"
 FILES = ("report.html", "report.json")
 SCORES_FILE = "scores.csv"
 """Where the scores of a gallery are written, beside the report."""
@@ -79,6 +81,7 @@ def evaluate_to_folder(
         If a file cannot be used; nothing is written then.
     """
     started = time.perf_counter()
+    check_target(out, "report.json", "an earlier evaluation", form=FORMAT)
     progress("reading", 0.0)
     if gallery is None:
         systems, hashes, ignored = read_systems(files, turn=settings.dissimilarity)
@@ -197,7 +200,7 @@ def _facts(
     systems = {result.scores.name: system_facts(result, settings.bootstrap) for result in results}
     first = results[0]
     return {
-        "format": "splitknit-evaluation",
+        "format": FORMAT,
         "version": 1,
         "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

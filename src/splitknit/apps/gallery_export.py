@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.enrolling import gallery_facts
+from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder
 from splitknit.io.templates import encode_template, read_template
@@ -34,6 +35,7 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
     BadInput
         If the gallery or a row of it cannot be read, or the folder not be written; nothing is written then.
     """
+    check_target(out, TABLE_FILE, "an earlier export of a gallery")
     with Gallery.open(gallery, key) as opened:
         rows = opened.entries()
         templates = opened.templates()

@@ -24,6 +24,7 @@ from splitknit.apps.printing_files import distortion_picture, map_arrays, write_
 from splitknit.apps.printing_quality import nfiq2_of, quality_facts
 from splitknit.apps.printing_rolled import read_rolled, write_rolled
 from splitknit.apps.printing_sources import Source, read_source
+from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
 from splitknit.flatten import Enhanced, as_print, ridge_mask, thin
 from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
@@ -57,7 +58,7 @@ def print_to_folder(
     settings = override(PrintingSettings(), dict(changes or {}))
     place = checked_surface(method, surface, settings)
     require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
-    require(out.resolve() != path.resolve(), f"'{out}' is the input; name another folder.")
+    check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
         source, around = _read(path, method, place, preset, settings, tell)
         timings = {"reading": time.perf_counter() - started}

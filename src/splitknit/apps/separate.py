@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.commands import Progress, check_target, no_progress
+from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
 from splitknit.apps.pattern_light import PatternLight, read_light
 from splitknit.apps.separation_pictures import light_picture, phase_picture
+from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder, plain_json, provenance, write_image
 from splitknit.io.light import write_light_tiff

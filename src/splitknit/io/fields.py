@@ -44,14 +44,21 @@ def parse_json(data: bytes, name: str) -> Any:
         raise
     except RecursionError:
         raise BadInput(f"{name} is nested too deeply to be one of our files; correct the file.") from None
-    except ValueError as error:  # JSON, UTF-8, and integers of thousands of digits
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{name} is not valid JSON: it is no text in UTF-8 (byte {error.start}).") from error
+    except ValueError as error:  # JSON, and integers of thousands of digits
         raise BadInput(f"{name} is not valid JSON: {error}.") from error
 
 
 def shown(value: Any) -> str:
     """Return `value` short and printable."""
-    if isinstance(value, (dict, list)):
-        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    if isinstance(value, dict):
+        return f"an object of {len(value)}"
+    if isinstance(value, list):
+        words = [shown(item) for item in value[:17]]
+        text = f"[{', '.join(words)}]"
+        plain = not any(isinstance(item, (dict, list)) for item in value)
+        return text if plain and len(words) <= 16 and len(text) <= 60 else f"a list of {len(value)}"
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**20:
         return "a huge integer"
     text = "null" if value is None else json.dumps(value)

@@ -72,7 +72,9 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, np.ndarray[Any, Any]]:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except Exception as error:  # zipfile, zlib and numpy each have their own
-        raise BadInput(f"{os.fspath(path)} cannot be read as arrays: {error}; write it again.") from error
+        missing = isinstance(error, FileNotFoundError)
+        reason = "it does not exist" if missing else "it is damaged, or no .npz file of numbers"
+        raise BadInput(f"{os.fspath(path)} cannot be read as arrays: {reason}; write it again.") from error
 
 
 def _write_member(

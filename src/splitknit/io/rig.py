@@ -109,8 +109,9 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
         fields.refuse("leds", "a list of at least one LED")
     leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
     mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(_mirror_items(fields))]
+    told = fields.mapping("provenance")
     try:
-        return Rig(camera, leds, fields.mapping("provenance"), tuple(mirrors))
+        return Rig(camera, leds, told, tuple(mirrors))
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
 
@@ -154,6 +155,8 @@ def _camera(fields: Fields) -> Camera:
     height_mm = fields.number("height_mm", 1e-3, 1e6, None if perspective else 140.0)
     if perspective or fields.has("matrix"):
         matrix = _matrix(fields)
+    if perspective and matrix is not None:
+        _check_scale(fields.name, px_per_mm, height_mm, matrix)
     shading = fields.numbers("shading", (1, 2, 3, 4)) if fields.has("shading") else ()
     crosstalk = _numbers_3x3(fields, "crosstalk") if fields.has("crosstalk") else None
     try:
@@ -178,6 +181,16 @@ def _matrix(fields: Fields) -> np.ndarray[Any, np.dtype[np.float64]]:
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])):
         fields.refuse("matrix", "a camera matrix: positive focal lengths, last row 0 0 1")
     return matrix
+
+
+def _check_scale(name: str, px_per_mm: float, height_mm: float, matrix: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+    """Refuse a scale that another camera must have: focal length over height is the scale on the finger plane."""
+    seen = math.sqrt(matrix[0, 0] * matrix[1, 1]) / height_mm
+    require(
+        0.5 <= seen / px_per_mm <= 2.0,
+        f"{name}: camera.px_per_mm is {px_per_mm:g}, but camera.matrix and camera.height_mm make it {seen:.4g} on the "
+        f"finger plane; correct one of them, or calibrate the camera.",
+    )
 
 
 def _led(fields: Fields) -> Led:

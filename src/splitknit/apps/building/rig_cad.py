@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.building.rig_pictures import write_pictures
+from splitknit.apps.targets import check_target
 from splitknit.check import BadInput
 from splitknit.io import atomic_folder, plain_json, provenance, read_rig
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts, require_build123d
@@ -57,6 +58,7 @@ def cad_to_folder(
         In one sentence: a rig that cannot be built, a setting out of range, build123d not installed.
     """
     say: Progress = progress or (lambda what, share: None)
+    check_target(out, "parts.json", "an earlier set of parts")
     rig, hashes = _rig(rig_file)
     settings = override(PartSettings(), changes or {})
     try:

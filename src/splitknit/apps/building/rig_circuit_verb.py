@@ -35,6 +35,7 @@ def run(options: argparse.Namespace) -> Outcome:
     from splitknit import __version__  # noqa: PLC0415
     from splitknit.apps.building.schematic import schematic_svg  # noqa: PLC0415
     from splitknit.apps.options import read_changes  # noqa: PLC0415
+    from splitknit.apps.targets import check_target  # noqa: PLC0415
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.rig import read_rig, write_rig  # noqa: PLC0415
     from splitknit.rig.circuit import CircuitSettings  # noqa: PLC0415
@@ -42,6 +43,7 @@ def run(options: argparse.Namespace) -> Outcome:
     from splitknit.settings import override  # noqa: PLC0415
     from splitknit.simulate.rig import default_rig  # noqa: PLC0415
 
+    check_target(options.out, "circuit.net", "an earlier board")
     changes = dict(read_changes(options.settings, options.assignments))
     given = {"topology": options.topology, "supply_v": options.supply_v}
     settings = override(

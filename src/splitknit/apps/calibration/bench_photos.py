@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.commands import check_target
+from splitknit.apps.targets import check_target
 from splitknit.check import require
 from splitknit.io import write_capture, write_image, write_rig
 from splitknit.io.atomic import atomic_folder
