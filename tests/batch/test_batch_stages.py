@@ -236,6 +236,10 @@ def test_other_populations_versions_and_folders_are_refused(people: Path, store:
         ({"format_version": 2}, "version 2"),
         ({"version": "9.9"}, "made by splitknit 9.9"),
         ({"cases": 3}, "damaged"),
+        ({"cases": {"ea": 3}}, "damaged"),
+        ({"matchers": {"ridge": None}}, "damaged"),
+        ({"pairs": []}, "damaged"),
+        ({"pairs": {"impostors": "all"}}, "damaged"),
     ):
         (store / "store.json").write_text(json.dumps(json.loads(kept) | change))
         with pytest.raises(BadInput, match=words):

@@ -58,6 +58,7 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("label,score\n1,1e308\n0,-1e308\n", "line 2: a score is a finite number"),
         ("", "is empty"),
         ("  \n\n", "is empty"),
         (b"\xef\xbb\xbf", "is empty"),

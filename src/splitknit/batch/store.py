@@ -45,8 +45,11 @@ class Store:
             known = document["format"] == FORMAT
             version = document["format_version"]
             parts = [document[name] for name in ("population", "cases", "matchers", "matching")]
-            known = known and all(isinstance(part, dict) for part in parts)
-        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            entries = [*parts, *parts[1].values(), *parts[2].values()]
+            pairs = document.get("pairs", {})
+            known = known and all(isinstance(one, dict) for one in [*entries, pairs])
+            float(pairs.get("impostors", 0.0))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise BadInput(f"'{file}' is damaged; name another folder for the store.") from error
         require(known, f"'{file}' is damaged; name another folder for the store.")
         require(

@@ -25,6 +25,8 @@ from splitknit.io.images import ImageSettings, read_bytes
 
 IDS = ("finger", "subject", "session")
 COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")
+LARGEST = 1e150
+"""Of a score: its square is a number, too."""
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 _EXPECTED = "a line of column names and a line for each comparison are expected"
 _LIMIT = ImageSettings(max_bytes=2_000_000_000)
@@ -216,10 +218,10 @@ def _score(text: str, name: str, line: int) -> float:
         value = float("nan") if not text.strip() else None
         if value is not None:
             return value
-    if value is None or not np.isfinite(value):
+    if value is None or not abs(value) <= LARGEST:
         raise BadInput(
-            f"{name}, line {line}: a score is a finite number, or blank for a failure to acquire, but it is "
-            f"'{_short(text)}'."
+            f"{name}, line {line}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to "
+            f"acquire, but it is '{_short(text)}'."
         )
     return value
 
