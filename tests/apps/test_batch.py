@@ -36,6 +36,9 @@ def test_a_population_on_the_command_line(tmp_path: Path, capsys: pytest.Capture
     assert main([*words[:2], "--out", str(people), "--jobs", "1"]) == 2
     assert "is no store" in capsys.readouterr().err
     assert main([*words, "--impostors", "2"]) == 2
+    for option in ("--cases", "--matchers"):
+        assert main([*words, option, " , "]) == 2
+        assert f"{option} needs a name at least" in capsys.readouterr().err
 
 
 def test_cases_of_ones_own() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.verb import Outcome, Progress, natural, new_verb, share
-from splitknit.check import BadInput
+from splitknit.check import BadInput, require
 
 
 def add_batch(verbs: Any) -> None:
@@ -55,11 +55,11 @@ def run_verb(options: argparse.Namespace) -> Outcome:
 
     cases = tuple(_case(text) for text in options.case)
     if options.cases is not None:
-        cases = (*preset_cases(tuple(_names(options.cases))), *cases)
-    matchers = () if options.matchers == "none" else tuple(_names(options.matchers))
+        cases = (*preset_cases(tuple(_names(options.cases, "--cases", "such as metric,ea"))), *cases)
+    named = () if options.matchers == "none" else _names(options.matchers, "--matchers", "such as ridge, or none")
     settings = BatchSettings(
         cases=cases or preset_cases(),
-        matchers=matchers,
+        matchers=tuple(named),
         impostors=options.impostors,
         seed=options.seed,
         surfaces=not options.no_surfaces,
@@ -77,8 +77,10 @@ def run_verb(options: argparse.Namespace) -> Outcome:
     return facts, _words(facts)
 
 
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
+def _names(text: str, option: str, such: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    require(len(names) > 0, f"{option} needs a name at least, {such}, but it is '{text}'.")
+    return names
 
 
 def _case(text: str) -> Any:
