@@ -11,7 +11,7 @@ from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on
 from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.check import BadInput
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.features import COUNT, features
 from splitknit.metric.grid import Grid
 from splitknit.metric.learned import GLARE as GLARE_UNIT

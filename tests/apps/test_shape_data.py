@@ -14,7 +14,7 @@ from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.check import BadInput
 from splitknit.geometry import height_gradients
 from splitknit.metric import learned
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.facets import Facets
 from splitknit.metric.grid import Grid
 from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE

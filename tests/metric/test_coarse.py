@@ -10,8 +10,10 @@ from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene, ring, shape_
 
 from splitknit.check import BadInput
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.metric.coarse import BandImages, CoarsePrior, compare, integrate, lighting, start_shape, unit
+from splitknit.metric.bands import BandImages
+from splitknit.metric.coarse import CoarsePrior, compare, integrate, start_shape, unit
 from splitknit.metric.grid import coarsen
+from splitknit.metric.light import lighting
 from splitknit.radiance import bin_mean
 from splitknit.separate import SkinSettings, diffusion
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skin_scene import CUT_MM, make_scene
 
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.facets import Facets
 from splitknit.metric.features import COUNT, azimuth_waves, features
 from splitknit.metric.grid import Grid, coarsen

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skin_scene import ring
 
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
 from splitknit.metric.relief import (

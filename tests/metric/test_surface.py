@@ -9,8 +9,9 @@ from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, sh
 from splitknit.check import BadInput
 from splitknit.metric import MetricSettings, reconstruct_skin
 from splitknit.metric import shape as shape_module
+from splitknit.metric.bands import BandImages
 from splitknit.metric.by_colour import ColourSettings, with_relief
-from splitknit.metric.coarse import BandImages, compare
+from splitknit.metric.coarse import compare
 from splitknit.metric.grid import coarsen
 from splitknit.metric.light import fine_lighting
 from splitknit.metric.relief import Measured

@@ -7,7 +7,7 @@ import pytest
 
 import splitknit
 from splitknit.apps.compare import compare
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.recipe.finer import coarser, finer_grid, finer_images
 from splitknit.simulate.rig import default_rig

@@ -22,7 +22,7 @@ from measure import drift_mm, lights
 from scipy import ndimage
 
 from splitknit.metric import MetricSettings, reconstruct_skin
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.separate import SkinSettings as AssumedSkin
 from splitknit.simulate.rig import default_rig

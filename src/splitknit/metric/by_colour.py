@@ -9,7 +9,7 @@ import numpy as np
 
 from splitknit.check import require
 from splitknit.metric import relief as fine
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.estimate import ReliefEstimate
 from splitknit.metric.facets import spread_of
 from splitknit.metric.grid import Grid

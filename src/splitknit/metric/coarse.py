@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,44 +12,30 @@ from numpy.typing import NDArray
 from splitknit.check import require
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.integrate import poisson
-from splitknit.metric.facets import Facets, at, mean_glare
+from splitknit.metric.bands import BandImages
+from splitknit.metric.facets import Facets, mean_glare
+from splitknit.metric.gloss import MOST_GLARE, glare_by_colour, glare_by_lights
 from splitknit.metric.grid import Grid
-from splitknit.normals import light_vectors_at, pseudo_normals
-from splitknit.separate import (
-    Diffusion,
-    GlareFit,
-    fit_glare,
-    fresnel_transmission,
-    microfacet_glare,
-    unmixing_weights,
-)
-from splitknit.types import BoolArray, FloatArray, Rig
+from splitknit.metric.light import lighting, predict, reached_by_all
+from splitknit.normals import pseudo_normals
+from splitknit.separate import Diffusion, GlareFit, microfacet_glare, unmixing_weights
+from splitknit.types import BoolArray, FloatArray
+
+__all__ = [
+    "BandImages",
+    "CoarsePrior",
+    "CoarseStep",
+    "compare",
+    "integrate",
+    "lacking_coarse",
+    "lighting",
+    "predict",
+    "reached_by_all",
+    "start_shape",
+    "unit",
+]
 
 AnyFloat = NDArray[np.floating[Any]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandImages:
-    """Linear images of one band on one grid."""
-
-    channels: tuple[str, ...]
-    """Names of the channels: red, green, blue, nir."""
-    stack: FloatArray
-    """(C, L, h, w)."""
-    rig: Rig
-    """`rig.leds[k]` lights image k."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lighting:
-    """Lights of one band on the current surface."""
-
-    vectors: FloatArray
-    """(L, 3, h, w) direction towards the light times its irradiance."""
-    entering: FloatArray
-    """(L, h, w) light that enters the skin, over normal incidence (Fresnel)."""
-    trust: FloatArray
-    """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,28 +69,6 @@ class CoarseStep:
     """Diffuse brightness of each channel over the prediction for an albedo of one."""
     glare: Mapping[str, tuple[float, float]]
     """Roughness and strength of the glare by band."""
-
-
-def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
-    """Light vectors, Fresnel transmission and trust of every light at the surface."""
-    vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(height_mm)))
-    length = np.sqrt((vectors * vectors).sum(axis=1))
-    cosine = np.einsum("lihw,hwi->lhw", vectors, normals) / np.maximum(length, np.float32(1e-12))
-    trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
-    return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
-
-
-def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
-    """(h, w) pixels away from the outline that every light reaches; the whole mask where there are none."""
-    reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
-    return reached if reached.any() else grid.mask
-
-
-def predict(light: Lighting, grid: Grid, mean_normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
-    """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
-    irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
-    spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
-    return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
 
 
 def unit(normals: FloatArray) -> FloatArray:
@@ -176,10 +140,10 @@ def compare(  # noqa: PLR0917
             brightness[name] = _median_ratio(band.stack[c], expected[c], dull)
             expected[c] *= np.float32(brightness[name])
         if len(band.channels) > 1:
-            gloss = _fit_by_colour(band, expected, brightness, reached, light, shape_normals, facets)
+            gloss = glare_by_colour(band, expected, brightness, reached, light, shape_normals, facets)
             scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
         elif gloss is None:
-            gloss = _fit_by_lights(band, light, reached, shape_normals, facets)
+            gloss = glare_by_lights(band, light, reached, shape_normals, facets)
             scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
         gloss = replace(gloss, strength=min(gloss.strength, MOST_GLARE * float(np.pi) * scale))
         # the same surface mirrors both bands: their glare differs by exposure only, as their diffuse light shows
@@ -209,69 +173,6 @@ def compare(  # noqa: PLR0917
         for axis in range(2)
     )
     return CoarseStep(slope_x, slope_y, brightness, glare)
-
-
-MOST_GLARE = 1.0
-"""Most glare that is predicted, over that of a clean boundary with the skin's refractive index. What is left over is
-told by its colour; what is predicted in excess draws relief that is not there."""
-ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
-
-
-def _fit_by_colour(  # noqa: PLR0917
-    band: BandImages,
-    expected: FloatArray,
-    brightness: Mapping[str, float],
-    reached: BoolArray,
-    light: Lighting,
-    normals: FloatArray,
-    facets: Facets | None,
-) -> GlareFit:
-    """Glare of a colour band: what the images have beyond the expectation, and alike in all channels.
-
-    Per pixel and light the excess is split, by least squares over the channels, into a part with the skin's colour (the
-    shape is not right yet) and a white part; strength and roughness fit the white part.
-    """
-    some = _some(reached)
-    excess = (band.stack - expected)[:, :, some]
-    skin = np.array([brightness[name] for name in band.channels], dtype=np.float32)
-    n, sum_b, sum_bb = np.float32(len(skin)), skin.sum(), (skin * skin).sum()
-    tinted = np.einsum("c,cln->ln", skin, excess)
-    white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
-    vectors = light.vectors[:, :, some][:, :, None]
-    there = at(facets, some)
-    best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
-    total = float((white * white).sum(dtype=np.float64))
-    for roughness in ROUGHNESSES:
-        lobe = mean_glare(normals[some][None], there, vectors, roughness)[:, 0]
-        power = float((lobe * lobe).sum(dtype=np.float64))
-        product = max(float((lobe * white).sum(dtype=np.float64)), 0.0)
-        if power > 0 and product * product / power > best.explained * total:
-            best = GlareFit(roughness, product / power, product * product / power / max(total, 1e-30))
-    return best
-
-
-def _fit_by_lights(
-    band: BandImages, light: Lighting, reached: BoolArray, normals: FloatArray, facets: Facets | None
-) -> GlareFit:
-    """Glare of a grey band: what no matt surface explains."""
-    some = _some(reached)
-    vectors = light.vectors[:, :, some]
-    there = at(facets, some)
-
-    def model(roughness: float) -> FloatArray:
-        return mean_glare(normals[some][None], there, vectors[:, :, None], roughness)[:, 0]
-
-    lit = vectors * light.entering[:, None][:, :, some]
-    return fit_glare(band.stack[-1][:, some], lit, model, ROUGHNESSES)
-
-
-def _some(region: BoolArray) -> BoolArray:
-    """Every other row of a large region."""
-    if int(region.sum()) < 8000:
-        return region
-    chosen = region.copy()
-    chosen[::2] = False
-    return chosen
 
 
 def _dullest(mirrored: FloatArray, region: BoolArray) -> BoolArray:

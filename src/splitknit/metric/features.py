@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
 from splitknit.normals import pseudo_normals

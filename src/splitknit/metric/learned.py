@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.estimate import ReliefEstimate
 from splitknit.metric.facets import Facets
 from splitknit.metric.features import LEAST_LIGHTS, RIDGE_BAND_MM, azimuth_waves, features

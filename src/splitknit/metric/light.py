@@ -1,16 +1,30 @@
-"""The white lights on the fine grid, and where what they show can be trusted."""
+"""Lights on the current surface, on the coarse and on the fine grid, and where what they show can be trusted."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.metric.coarse import lighting
 from splitknit.metric.grid import Grid, smooth_step
-from splitknit.types import FloatArray, Rig
+from splitknit.normals import light_vectors_at
+from splitknit.separate import fresnel_transmission
+from splitknit.types import BoolArray, FloatArray, Rig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lighting:
+    """Lights of one band on the current surface."""
+
+    vectors: FloatArray
+    """(L, 3, h, w) direction towards the light times its irradiance."""
+    entering: FloatArray
+    """(L, h, w) light that enters the skin, over normal incidence (Fresnel)."""
+    trust: FloatArray
+    """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +37,28 @@ class FineLight:
     """(L, h, w) light that enters the skin, over normal incidence."""
     trust: FloatArray
     """(L, h, w) in [0, 1]."""
+
+
+def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
+    """Light vectors, Fresnel transmission and trust of every light at the surface."""
+    vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(height_mm)))
+    length = np.sqrt((vectors * vectors).sum(axis=1))
+    cosine = np.einsum("lihw,hwi->lhw", vectors, normals) / np.maximum(length, np.float32(1e-12))
+    trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
+    return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
+
+
+def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
+    """(h, w) pixels away from the outline that every light reaches; the whole mask where there are none."""
+    reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
+    return reached if reached.any() else grid.mask
+
+
+def predict(light: Lighting, grid: Grid, mean_normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
+    """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
+    irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
+    spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
+    return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
 
 
 def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid: Grid) -> FineLight:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid, smooth_step
 from splitknit.metric.light import FineLight, slant_of, trust_of
 from splitknit.normals import pseudo_normals

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from splitknit.geometry import height_gradients
-from splitknit.metric.coarse import BandImages, CoarsePrior, CoarseStep, compare, integrate, start_shape, unit
+from splitknit.metric.bands import BandImages
+from splitknit.metric.coarse import CoarsePrior, CoarseStep, compare, integrate, start_shape, unit
 from splitknit.metric.facets import Facets, ridged_normals
 from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.metric.learned import Network, slopes_by_network

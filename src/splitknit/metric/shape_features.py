@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from splitknit.geometry import height_gradients
-from splitknit.metric.coarse import BandImages, lacking_coarse, lighting, predict, reached_by_all, unit
+from splitknit.metric.bands import BandImages
+from splitknit.metric.coarse import lacking_coarse, unit
 from splitknit.metric.facets import Facets, facet_normals
 from splitknit.metric.features import beyond_matt
 from splitknit.metric.grid import Grid
+from splitknit.metric.light import lighting, predict, reached_by_all
 from splitknit.normals import pseudo_normals
 from splitknit.separate import Diffusion
 from splitknit.types import FloatArray

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from splitknit.check import require
+from splitknit.metric.bands import BandImages
 from splitknit.metric.by_colour import ColourSettings, relief_by_colour
-from splitknit.metric.coarse import BandImages, CoarsePrior
+from splitknit.metric.coarse import CoarsePrior
 from splitknit.metric.facets import Facets, measure_facets
 from splitknit.metric.grid import Grid
 from splitknit.metric.learned import Networks, can_learn, relief_by_network

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from splitknit.metric import Networks, can_learn, reconstruct_skin
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.radiance import Window, has_colour, linear_channels
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images

@@ -16,7 +16,7 @@ from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.scene_ranges import draw_base, draw_finger_of, moved_rig
 from splitknit.check import require
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.pipeline import preset_settings
 from splitknit.separate.train_relief import WEIGHT

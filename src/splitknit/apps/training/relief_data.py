@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
 from splitknit.apps.training.scene_ranges import photograph_scene
-from splitknit.metric.coarse import BandImages
+from splitknit.metric.bands import BandImages
 from splitknit.metric.features import RIDGE_BAND_MM, azimuth_waves, features
 from splitknit.metric.grid import Grid, coarsen
 from splitknit.metric.learned import GLARE, RELIEF_MM
