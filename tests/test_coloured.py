@@ -234,5 +234,8 @@ def test_simulate_takes_coloured_lights(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--preset lin" in capsys.readouterr().out
     document = json.loads((tmp_path / "c" / "capture.json").read_text())
     assert [len(group) for group in document["bands"]["white"]["leds"]] == [3, 3, 3]
-    assert main([*given, "--out", str(tmp_path / "m"), "--motion", "0.2"]) == 2
-    assert "--motion or --lights" in capsys.readouterr().err
+    assert main([*given, "--out", str(tmp_path / "m"), "--motion", "0.2"]) == 0  # one pose an exposure
+    moving = json.loads((tmp_path / "m" / "capture.json").read_text())
+    assert moving["bands"]["white"]["leds"] == document["bands"]["white"]["leds"]
+    still, moved = ((tmp_path / name / "white_2.png").read_bytes() for name in "cm")
+    assert still != moved

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps import figures
 from splitknit.apps.figures import Picture
-from splitknit.apps.pictures import upright_frame
+from splitknit.apps.pictures import BLUE, ORANGE, upright_frame
 
 
 def _decoded(picture: Picture) -> NDArray[np.uint8]:
@@ -40,11 +40,11 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     shown = figures.mask_on_image(replace(result, facts={"crease_line": crease}), capture_of(result))
     image = _decoded(shown).astype(int)
     assert image.shape[:2] == result.mask.shape
-    orange = np.abs(image - np.array(figures.ORANGE)).max(axis=2) < 60
+    orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
     edge = cv2.morphologyEx(result.mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((7, 7), np.uint8)) > 0
     assert orange.sum() > 800
     assert (orange & edge).sum() > 0.97 * orange.sum()
-    blue = np.abs(image[365, 290:310] - np.array(figures.BLUE)).max(axis=1) < 70
+    blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
     assert blue.any()
     assert "was cut" in shown.caption
     assert "No crease" in figures.mask_on_image(result, capture_of(result)).caption

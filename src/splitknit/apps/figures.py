@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.apps import charts
+from splitknit.apps.captioned import Picture, captioned
 from splitknit.apps.compare import Comparison
+from splitknit.apps.photo_figures import LONGEST_PX, mask_on_image, mean_image, titled
 from splitknit.apps.pictures import (
-    BLUE,
-    ORANGE,
-    SKY,
     ColourArray,
     Frame,
     colour,
-    data_uri,
     normal_colours,
     on_paper,
     to_frame,
@@ -27,113 +22,30 @@ from splitknit.apps.pictures import (
     upright_turn,
 )
 from splitknit.apps.shading import oblique_view, top_view, upright_surface
-from splitknit.types import Capture, FloatArray, Reconstruction
+from splitknit.types import FloatArray, Reconstruction
 
-LONGEST_PX = 700
-_NO_LEGEND = Markup("")
+__all__ = [
+    "LONGEST_PX",
+    "Picture",
+    "Views",
+    "close_up",
+    "close_up_frame",
+    "error_pictures",
+    "mask_on_image",
+    "mean_image",
+    "normals_picture",
+    "print_picture",
+    "relief_limits_um",
+    "relief_picture",
+    "render_views",
+    "shape_picture",
+    "titled",
+    "uncertainty_picture",
+    "view_pictures",
+]
+
 RELIEF_EXAGGERATION = 2.0
 TILT_DEG = 56.0
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """One figure of the report."""
-
-    title: str
-    uri: str
-    caption: str
-    width: int
-    height: int
-    legend: Markup = _NO_LEGEND
-    scale_percent: float = 0.0
-    """Length of the scale bar in percent of the picture's width; 0 = none."""
-    scale_label: str = ""
-
-
-def _picture(  # noqa: PLR0917
-    title: str,
-    image: NDArray[np.uint8],
-    caption: str,
-    legend: Markup = _NO_LEGEND,
-    pitch_mm: float = 0.0,
-    photo: bool = False,
-) -> Picture:
-    height, width = image.shape[:2]
-    bar_mm = next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0) if pitch_mm else 0.0
-    return Picture(
-        title=title,
-        uri=data_uri(image, photo=photo),
-        caption=caption,
-        width=width,
-        height=height,
-        legend=legend,
-        scale_percent=round(100 * bar_mm / (width * pitch_mm), 2) if bar_mm else 0.0,
-        scale_label=f"{bar_mm:g} mm",
-    )
-
-
-def titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
-    """A photograph with a caption and a scale bar."""
-    return _picture(title, image, caption, pitch_mm=pitch_mm, photo=True)
-
-
-def mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
-    """Mean of the white images for people, `size` (columns, rows)."""
-    pixels = capture.bands["white"].pixels
-    total = np.zeros((size[1], size[0], 3), dtype=np.float32)
-    for image in pixels:
-        small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        total += small.reshape(size[1], size[0], -1)
-    total /= len(pixels) * float(np.iinfo(pixels.dtype).max)
-    brightest = max(float(np.percentile(total, 99.7)), 1e-6)
-    gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
-    picture: ColourArray = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(np.uint8)
-    return np.ascontiguousarray(picture)
-
-
-def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
-    """Show the mean white image as the camera saw it, with the mask's outline, the cut and the finger's axis."""
-    rows, columns = result.mask.shape
-    scale = min(1.0, LONGEST_PX / max(rows, columns))
-    size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
-    picture = mean_image(capture, size)
-
-    inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
-    outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
-    _draw(picture, [_axis(result)], scale, SKY)
-    crease = result.facts.get("crease_line")
-    if crease is not None:
-        _draw(picture, [np.asarray(crease, dtype=np.float64)], scale, BLUE)
-    caption = (
-        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
-        "Pale blue: the finger's axis, with a dot at the tip. "
-    )
-    caption += (
-        "Dark blue: the flexion crease at which the phalange was cut. " if crease is not None else "No crease was cut. "
-    )
-    caption += "Good: the outline follows the finger closely and holds neither background nor shadow."
-    return _picture("Finger found", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True)
-
-
-def _axis(result: Reconstruction) -> NDArray[np.float64]:
-    """Two points (column, row) of the input: tip end and base end of the upright frame's middle line in the mask."""
-    rows, columns = np.nonzero(result.mask[::4, ::4])
-    points = np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
-    upright = np.linalg.inv(result.input_from_upright) @ points
-    middle = (float(upright[0].min()) + float(upright[0].max())) / 2
-    ends = np.array([[middle, middle], [float(upright[1].min()), float(upright[1].max())], [1.0, 1.0]])
-    return np.asarray((result.input_from_upright @ ends)[:2].T)
-
-
-def _draw(
-    picture: ColourArray, lines: Sequence[NDArray[np.float64]], scale: float, shade: tuple[int, int, int]
-) -> None:
-    for line in lines:
-        points = [(round(float(c) * scale), round(float(r) * scale)) for c, r in line]
-        cv2.polylines(picture, [np.array(points, dtype=np.int32)], False, shade, 2, cv2.LINE_AA)
-        if shade == SKY:
-            cv2.circle(picture, points[0], 5, shade, -1, cv2.LINE_AA)
 
 
 def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
@@ -142,7 +54,7 @@ def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
     turned = values.copy()
     turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), values[..., :2])
     picture = on_paper(normal_colours(turned), weight)
-    return _picture(
+    return captioned(
         "Surface normals",
         picture,
         "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
@@ -158,7 +70,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     relief = 1000.0 * values
     low, high = relief_limits_um(result)
     picture = on_paper(colour(relief, low, high), weight)
-    return _picture(
+    return captioned(
         "Relief",
         picture,
         "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
@@ -193,7 +105,7 @@ def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
     edge[:, :-1] |= edge[:, 1:]
     edge[:-1] |= edge[1:]
     picture[edge & (weight > 0.9)] = (20, 20, 20)
-    return _picture(
+    return captioned(
         "Shape",
         on_paper(picture, weight),
         f"Height of the finger without its ridges, below its highest point; a line every {step:g} mm. "
@@ -212,7 +124,7 @@ def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
         return None
     values, weight = to_frame(result.uncertainty_um, known, frame)
     high = float(np.percentile(values[weight > 0.5], 98))
-    return _picture(
+    return captioned(
         "Uncertainty of the relief",
         on_paper(colour(values, 0.0, high), weight),
         "Skin blurs what light shows of the ridges, and glare covers it; both are undone as far as simulated skin "
@@ -245,7 +157,7 @@ def view_pictures(views: Views) -> list[Picture]:
     stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
     oblique = f"The same surface at {TILT_DEG:g} deg from the camera's axis. {stated}"
     return [
-        _picture(
+        captioned(
             "From above",
             views.above,
             f"Measured surface, lit from the upper left. {stated} "
@@ -253,8 +165,8 @@ def view_pictures(views: Views) -> list[Picture]:
             pitch_mm=views.pitch_mm,
             photo=True,
         ),
-        _picture("From the left", views.left, oblique, photo=True),
-        _picture("From the right", views.right, oblique, photo=True),
+        captioned("From the left", views.left, oblique, photo=True),
+        captioned("From the right", views.right, oblique, photo=True),
     ]
 
 
@@ -264,7 +176,7 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
     if rows.size:
         prints = prints[max(0, rows[0] - 8) : rows[-1] + 9, max(0, columns[0] - 8) : columns[-1] + 9]
-    return _picture(
+    return captioned(
         "Print",
         prints,
         "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
@@ -278,14 +190,14 @@ def error_pictures(result: Reconstruction, comparison: Comparison, frame: Frame)
     surface, surface_weight = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
     ridge, ridge_weight = to_frame(comparison.ridge_error_um, comparison.band, frame)
     return [
-        _picture(
+        captioned(
             f"Surface error, {result.preset}",
             on_paper(colour(surface, -0.5, 0.5, diverging=True), surface_weight),
             "Measured minus true height, mean removed. Blue is too low, orange too high; white is right.",
             charts.colour_bar(-0.5, 0.5, "mm", diverging=True),
             frame.pitch_mm,
         ),
-        _picture(
+        captioned(
             f"Ridge error, {result.preset}",
             on_paper(colour(ridge, -50.0, 50.0, diverging=True), ridge_weight),
             "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are ridges "
@@ -302,7 +214,7 @@ def close_up(relief_mm: FloatArray, result: Reconstruction, title: str, side_mm:
     values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
     mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
     relief = 1000.0 * (values - np.float32(mean))
-    return _picture(
+    return captioned(
         title,
         on_paper(colour(relief.astype(np.float32), -60.0, 40.0), weight),
         f"{side_mm:g} mm square in the middle of the finger.",

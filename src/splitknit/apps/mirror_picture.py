@@ -8,7 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.apps.figures import LONGEST_PX, Picture, mean_image, titled
+from splitknit.apps.captioned import Picture
+from splitknit.apps.photo_figures import LONGEST_PX, mean_image, titled
 from splitknit.apps.pictures import BLUE, ORANGE, SKY, ColourArray
 from splitknit.types import Capture, Reconstruction
 

@@ -1,0 +1,33 @@
+"""From stored pixel values to linear light.
+
+A stored value v becomes (decode(v) - decode(black)) / exposure, less the ambient light treated the same way. Values
+are relative to the full scale of the file (255 or 65535), so an unscaled image lies in [0, 1].
+"""
+
+from splitknit.radiance.band import (
+    Window,
+    has_colour,
+    linear_channels,
+    linear_stack,
+    linear_survey,
+    saturation_levels,
+)
+from splitknit.radiance.image import CHANNELS, GREY_WEIGHTS, bin_mean, decode_table, linear_image, pick_channel
+from splitknit.radiance.lens import lens_shading, shading_at
+
+__all__ = [
+    "CHANNELS",
+    "GREY_WEIGHTS",
+    "Window",
+    "bin_mean",
+    "decode_table",
+    "has_colour",
+    "lens_shading",
+    "linear_channels",
+    "linear_image",
+    "linear_stack",
+    "linear_survey",
+    "pick_channel",
+    "saturation_levels",
+    "shading_at",
+]
