@@ -82,3 +82,45 @@ def test_the_front_is_left_alone() -> None:
     assert image[200, 100].max() < 0.25 and image[200, 360].max() < 0.25
     assert image[200, 230, 0] == pytest.approx(0.6)
     assert view_binning(44.0) == 2 and view_binning(8.0) == 1
+
+
+def outlined(image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
+    """Stands for the finger's outline: its mask in a piece of the image that the rough one, far smaller, covers."""
+    assert rough.any() and rough.size < 0.1 * image[..., 0].size
+    assert image.shape[0] < 1000
+    return bright(image, px_per_mm)
+
+
+def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
+    """The picture at four times the scale, one row and two columns larger: no whole number of the search's blocks."""
+    image = np.kron(picture(*fingers), np.ones((4, 4, 1), dtype=np.float32))
+    return np.pad(image, ((0, 1), (0, 2), (0, 0)), mode="edge"), Camera(20.0, (1201, 1842))
+
+
+def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
+    image, camera = large(FRONT, *BESIDE)
+    views = find_views(image, camera, MIRRORS, bright, 1, None, outlined)
+    assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
+    for mask, (first, width) in zip(
+        (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
+    ):
+        assert mask.shape == image.shape[:2]
+        columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+        assert (columns[0], columns[-1]) == (4 * first, 4 * (first + width) - 1)
+        assert rows[0] == 400
+    assert np.flatnonzero(views.front.any(axis=1))[-1] == 1200  # the rows that fill no block are looked at, too
+
+
+@pytest.mark.parametrize(
+    ("fingers", "words"),
+    [
+        ((FRONT,), "no mirror shows the finger"),
+        (BESIDE, "no finger was found beside the mirrors"),
+        (((170, 50), (240, 48), *BESIDE), "two fingers"),
+        (((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
+    ],
+)
+def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
+    image, camera = large(*fingers)
+    with pytest.raises(BadInput, match=words):
+        find_views(image, camera, MIRRORS, bright, 1, None, outlined)

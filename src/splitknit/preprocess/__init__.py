@@ -6,6 +6,7 @@ says at which scale.
 
 from splitknit.preprocess.contrast import ClaheSettings, clahe
 from splitknit.preprocess.mask import MaskSettings, check_borders, finger_mask, touched_borders
+from splitknit.preprocess.mask_steps import finger_outline, finger_region
 from splitknit.preprocess.motion import MotionSettings, ShotMotion, motion_warnings, shot_motion
 from splitknit.preprocess.orientation import OrientationSettings, Upright, find_upright
 from splitknit.preprocess.phalange import Crease, CreaseSettings, find_crease, phalange_mask
@@ -35,6 +36,8 @@ __all__ = [
     "find_crease",
     "find_upright",
     "finger_mask",
+    "finger_outline",
+    "finger_region",
     "motion_warnings",
     "phalange_mask",
     "photometric_mask",

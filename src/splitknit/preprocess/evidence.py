@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from splitknit.preprocess.regions import dilate, erode, wide_blur
 from splitknit.types import BoolArray, FloatArray
 
+SAMPLES = 8000
+"""The backdrop is fitted to about so many pixels."""
+
 
 def chromaticity(image: FloatArray) -> FloatArray:
     """Chromaticity of the modified specular-free image, (H, W, 3) in [0, 1].
@@ -39,7 +42,14 @@ def signals(image: FloatArray) -> list[FloatArray]:
 
 
 def skin_evidence(
-    image: FloatArray, seed: BoolArray, margin: float, share: float, noise_factor: float, *, local: bool = False
+    image: FloatArray,
+    seed: BoolArray,
+    margin: float,
+    share: float,
+    noise_factor: float,
+    *,
+    local: bool = False,
+    samples: int = SAMPLES,
 ) -> tuple[FloatArray, bool]:
     """Evidence map: above one where a pixel rises from the backdrop by enough to be skin.
 
@@ -54,6 +64,7 @@ def skin_evidence(
     margin : pixels around `seed` that belong to neither side
     share, noise_factor : see above
     local : let the backdrop follow a shadow's edge beside the finger; only for a `seed` that is already complete
+    samples : pixels to which the backdrop is fitted
 
     Returns
     -------
@@ -68,7 +79,7 @@ def skin_evidence(
     if outside.sum() < 50:
         return seed.astype(np.float32) * np.float32(2.0), True
     for signal in signals(image):
-        backdrop, noise = _fit_backdrop(signal, outside)
+        backdrop, noise = _fit_backdrop(signal, outside, samples)
         rise = signal - backdrop
         if local:
             rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
@@ -111,7 +122,7 @@ def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     return max(steps)
 
 
-def _fit_backdrop(signal: FloatArray, outside: BoolArray) -> tuple[FloatArray, float]:
+def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
     """Robust quadratic surface through `signal` outside the finger, and the noise about it.
 
     What does not belong to the backdrop (a shadowed part of the finger that the seed missed, dust) is brighter, so
@@ -121,7 +132,7 @@ def _fit_backdrop(signal: FloatArray, outside: BoolArray) -> tuple[FloatArray, f
     x = np.linspace(-1.0, 1.0, width)
     y = np.linspace(-1.0, 1.0, height)
     rows, columns = np.nonzero(outside)
-    step = max(1, len(rows) // 8000)
+    step = max(1, len(rows) // samples)
     rows, columns = rows[::step], columns[::step]
     values = signal[rows, columns].astype(np.float64)
     design = _quadratic(x[columns], y[rows])

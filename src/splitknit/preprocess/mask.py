@@ -13,7 +13,7 @@ import numpy as np
 
 from splitknit.check import BadInput, require
 from splitknit.preprocess.clusters import two_means
-from splitknit.preprocess.evidence import chromaticity, rise_at_edge, skin_evidence
+from splitknit.preprocess.evidence import SAMPLES, chromaticity, rise_at_edge, skin_evidence
 from splitknit.preprocess.regions import (
     blur,
     depth_inside,
@@ -104,7 +104,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     image gives the same mask.
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = check_image(mean_image)
     height, width = image.shape[:2]
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
@@ -115,25 +115,27 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse = blur(coarse, 0.5 * settings.blur_mm * coarse_px)
 
     try:
-        mask = _coarse_mask(coarse, coarse_px, settings)
+        mask = coarse_mask(coarse, coarse_px, settings)
     except BadInput:
         check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
         raise
-    result = _outline(fine, mask, (height, width), px_per_mm * fine_scale, settings)
+    result = fine_outline(fine, mask, (height, width), px_per_mm * fine_scale, settings)
     check_borders(result)
     return result
 
 
-def _coarse_mask(image: FloatArray, px_per_mm: float, settings: MaskSettings) -> BoolArray:
+def coarse_mask(image: FloatArray, px_per_mm: float, settings: MaskSettings, samples: int = SAMPLES) -> BoolArray:
     """The finger on the coarse copy."""
     margin = settings.edge_margin_mm * px_per_mm
     mask = _seed(image, settings.blur_mm * px_per_mm, settings)
     for _ in range(2):
-        evidence, usable = skin_evidence(image, mask, margin, settings.edge_share, settings.noise_factor)
-        require(usable, _NO_FINGER)
+        evidence, usable = skin_evidence(
+            image, mask, margin, settings.edge_share, settings.noise_factor, samples=samples
+        )
+        require(usable, NO_FINGER)
         mask = _clean(evidence > 1.0, mask, settings)
-    require(2.0 * float(depth_inside(mask).max()) >= settings.least_width_mm * px_per_mm, _NO_FINGER)
-    require(rise_at_edge(image, mask, margin) >= settings.least_step, _NO_FINGER)
+    require(2.0 * float(depth_inside(mask).max()) >= settings.least_width_mm * px_per_mm, NO_FINGER)
+    require(rise_at_edge(image, mask, margin) >= settings.least_step, NO_FINGER)
     return mask
 
 
@@ -172,13 +174,14 @@ def check_borders(mask: BoolArray) -> tuple[str, ...]:
     return touched
 
 
-_NO_FINGER = (
+NO_FINGER = (
     "no finger was found in the white images: nothing stands out from the backdrop in colour or brightness; "
     "check the exposure, the LEDs and the dark backdrop, or give a mask."
 )
 
 
-def _check_image(mean_image: FloatArray) -> FloatArray:
+def check_image(mean_image: FloatArray) -> FloatArray:
+    """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
     image = np.asarray(mean_image)
     require(
         image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3)),
@@ -208,7 +211,7 @@ def _seed(image: FloatArray, sigma: float, settings: MaskSettings) -> BoolArray:
         if separation * purity > clearest:
             best, clearest = region, separation * purity
     if best is None or not best.any():
-        raise BadInput(_NO_FINGER)
+        raise BadInput(NO_FINGER)
     return best
 
 
@@ -227,24 +230,31 @@ def _clean(candidate: BoolArray, seed: BoolArray, settings: MaskSettings) -> Boo
     """One component that contains the middle of `seed`, without spurs and holes."""
     grown = fill_holes(candidate | erode(seed, 0.5 * float(depth_inside(seed).max())))
     cleaned = remove_spurs(largest_component(grown), settings.spur_share)
-    require(bool(cleaned.any()), _NO_FINGER)
+    require(bool(cleaned.any()), NO_FINGER)
     return fill_holes(cleaned)
 
 
-def _outline(
-    fine: FloatArray, mask: BoolArray, size: tuple[int, int], px_per_mm: float, settings: MaskSettings
+def fine_outline(  # noqa: PLR0917
+    fine: FloatArray,
+    mask: BoolArray,
+    size: tuple[int, int],
+    px_per_mm: float,
+    settings: MaskSettings,
+    samples: int = SAMPLES,
 ) -> BoolArray:
     """Find the edge of the coarse `mask` on the `fine` copy and interpolate it to `size` (rows, columns)."""
     shape = fine.shape[:2]
     guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
     smooth = blur(fine, settings.fine_blur_mm * px_per_mm)
     margin = settings.edge_margin_mm * px_per_mm
-    evidence, _ = skin_evidence(smooth, guess, margin, settings.edge_share, settings.noise_factor, local=True)
+    evidence, _ = skin_evidence(
+        smooth, guess, margin, settings.edge_share, settings.noise_factor, local=True, samples=samples
+    )
     near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
     found = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(found)), settings.spur_share)
     cleaned = fill_holes(remove_specks(cleaned, settings.speck_mm * px_per_mm))
-    require(bool(cleaned.any()), _NO_FINGER)
+    require(bool(cleaned.any()), NO_FINGER)
     # above one exactly on `cleaned`; between the grid points the evidence itself says where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
     field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)

@@ -15,7 +15,7 @@ from splitknit.fuse import Plane, facing_share, led_image, mirrored_share
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.knit import crossover
 from splitknit.normals import pseudo_normals
-from splitknit.preprocess import finger_mask
+from splitknit.preprocess import finger_outline, finger_region
 from splitknit.radiance import Window, linear_survey
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
@@ -178,9 +178,10 @@ def _views_and_images(capture: Capture, settings: PipelineSettings) -> tuple[Vie
         mean,
         rig.camera,
         mirrors,
-        lambda image, px_per_mm: finger_mask(image, px_per_mm, mask),
+        lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
         binning,
         settings.shape.mirror.views,
+        lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
     )
     return views, grey
 

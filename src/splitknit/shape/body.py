@@ -9,8 +9,8 @@ over the length: near its tip any smooth body is like that. Centre lines, A and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,13 @@ class Body:
     """sigma in the middle of the length."""
     shear_slope: float = 0.0
     """Its growth from the tip to the base."""
+    _lines: tuple[Array, Array] = field(init=False, repr=False)
+    """The splines of the centre and of the half axes, (N, 2) each, at the nodes of the table of their basis."""
+
+    def __post_init__(self) -> None:
+        table = _basis_table(self.coefficients.shape[1])
+        lines = table @ self.coefficients[:2].T, table @ self.coefficients[2:].T
+        object.__setattr__(self, "_lines", lines)
 
     @property
     def across(self) -> Array:
@@ -56,16 +63,15 @@ class Body:
 
     def share(self, u: Array) -> Array:
         """Distance from the tip over the length, just above zero beyond the tip, at most one."""
-        return np.asarray(np.clip((self.tip_mm - u) / self.length_mm, 1e-6, 1.0))
+        return np.asarray(np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0))
 
     def sections(self, u: Array) -> Sections:
         """Centre, half axes and shear at `u` (n,)."""
         w = self.share(u)
         s = np.sqrt(w)
-        along, root = basis(w, self.coefficients.shape[1]), basis(s, self.coefficients.shape[1])
-        t, z, big, rise = self.coefficients
+        along, root = _between(self._lines[0], w), _between(self._lines[1], s)
         shear = self.shear + self.shear_slope * (w - 0.5)
-        return Sections(along @ t, along @ z, s * (root @ big), s * (root @ rise), shear, self.squareness)
+        return Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
 
     def grown(self, step: Array) -> Body:
         """With `step` (4 K,) added to the coefficients."""
@@ -106,19 +112,29 @@ class Sections:
 
 def oval_angle(steepness: Array, squareness: float) -> Array:
     """w at which the oval X = sin w, Z = cos w (1 + k sin^2 w) has its normal `steepness` away from Z, radians."""
+    return np.asarray(np.interp(steepness, *_oval_table(squareness)))
+
+
+@lru_cache(maxsize=64)
+def _oval_table(squareness: float) -> tuple[Array, Array]:
+    """Steepness of the oval's normal at nodes w, and these."""
     node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
     sine, cosine = np.sin(node), np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
-    return np.asarray(np.interp(steepness, np.arctan2(normal_x, cosine), node))
+    return np.asarray(np.arctan2(normal_x, cosine)), node
 
 
 def basis(x: Array, count: int) -> Array:
     """(n, count) cubic B-splines on [0, 1] with evenly spaced knots, to 1e-6."""
-    table = _basis_table(count)
-    place = np.clip(x, 0.0, 1.0) * (len(table) - 1)
+    return _between(_basis_table(count), x)
+
+
+def _between(table: Array, x: Array) -> Array:
+    """(..., K) columns of a table (N, K) of values at evenly spaced places on [0, 1], at places `x` (...)."""
+    place = np.minimum(np.maximum(x, 0.0), 1.0) * (len(table) - 1)
     below = np.minimum(place.astype(np.intp), len(table) - 2)
-    share = (place - below)[:, None]
-    return np.asarray(table[below] * (1.0 - share) + table[below + 1] * share)
+    share = (place - below)[..., None]
+    return np.asarray(table.take(below, axis=0) * (1.0 - share) + table.take(below + 1, axis=0) * share)
 
 
 @cache

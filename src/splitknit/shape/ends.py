@@ -17,6 +17,10 @@ TIP_TRUST = 0.1
 """Weight of a view from beyond the tip: it sees the largest sections only."""
 COMMON_MM = 4.0
 """Points of an outline that are nearer to each other than this err together."""
+SURE_FROM = 2
+"""Corrections before points of an outline may be left out altogether."""
+SETTLED = 2e-4
+"""A correction (mm, rad) below this is the last one."""
 
 
 def fitted_ends(
@@ -37,7 +41,7 @@ def fitted_ends(
         residual = misfit(state)
         jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
         scale = max(settings.outline_mm, 1.4826 * float(np.median(np.abs(residual))))
-        weight = tukey(residual, 4.685 * scale) if turn > 2 else (np.abs(residual) < 5.0).astype(np.float64)
+        weight = tukey(residual, 4.685 * scale) if turn > SURE_FROM else (np.abs(residual) < 5.0).astype(np.float64)
         weight = weight * (TIP_TRUST * 2.0 * settings.row_mm / COMMON_MM / settings.outline_mm**2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
@@ -47,9 +51,12 @@ def fitted_ends(
             value = getattr(state.poses[mirror], kind) if mirror else getattr(state.body, kind)
             normal[k, k] += 1.0 / size**2
             right[k] += (expected.get(kind, 0.0) - value) / size**2
-        for (name, _), by in zip(names, np.linalg.solve(normal, right), strict=True):
+        step = np.linalg.solve(normal, right)
+        for (name, _), by in zip(names, step, strict=True):
             state = state.moved(name, float(np.clip(by, *LIMITS[name.partition(" ")[0]])))
         state = State(convex(state.body), state.poses)
+        if turn > SURE_FROM and float(np.abs(step).max()) < SETTLED:
+            break
     return state
 
 

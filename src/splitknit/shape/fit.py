@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 SURE_FROM = 4
 """Corrections before points of an outline may be left out altogether."""
+SETTLED = 0.01
+"""A correction of the splines (mm) below this is the last one."""
 
 
 def fit_body(  # noqa: PLR0917
@@ -34,6 +36,7 @@ def fit_body(  # noqa: PLR0917
     settings: MirrorShapeSettings,
     slopes: Slopes | None = None,
     shear: float = 0.0,
+    sure_from: int = SURE_FROM,
 ) -> Fit:
     """Fit body and poses.
 
@@ -46,6 +49,7 @@ def fit_body(  # noqa: PLR0917
     settings : MirrorShapeSettings
     slopes : of the skin, optional
     shear : where the slopes do not say it
+    sure_from : corrections before points of an outline may be left out altogether
     """
     body = replace(body, shear=shear)
     ends_on = {name: seen for name, seen in mirrors.items() if seen.from_tip}
@@ -63,7 +67,7 @@ def fit_body(  # noqa: PLR0917
         by_global = np.column_stack(
             [_change(state, name, size, front, mirrors, names, residual) for name, size in globals_]
         )
-        weight = robust_weights(residual, ends, settings.outline_mm, sure=turn >= SURE_FROM)
+        weight = robust_weights(residual, ends, settings.outline_mm, sure=turn >= sure_from)
         weight *= min(1.0, 2.0 * settings.row_mm / COMMON_MM) / settings.outline_mm**2
         jacobian = np.column_stack([spline, by_global])
         normal = jacobian.T @ (weight[:, None] * jacobian)
@@ -73,6 +77,8 @@ def fit_body(  # noqa: PLR0917
             add_slopes(normal, right, state, globals_, slopes, settings, count)
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
         state = state.stepped(np.asarray(step, dtype=np.float64), globals_, count)
+        if turn > sure_from and float(np.abs(step[: 4 * count]).max()) < SETTLED:
+            break
     residual = all_misfits(state, front, mirrors, names)
     weight = robust_weights(residual, ends, settings.outline_mm, sure=True)
     split = dict(zip(("front", *names), np.split(residual, ends), strict=True))
@@ -102,7 +108,7 @@ def _with_ends(  # noqa: PLR0917
     state = fitted_ends(state, mirrors, ends, [*((name, 1e-4) for name in form), *places], settings)
     again = replace(settings, squareness=state.body.squareness, squareness_spread=1e-3)
     poses = {name: state.poses[name] for name in beside}
-    last = fit_body(state.body, front, beside, poses, again, None, state.body.shear)
+    last = fit_body(state.body, front, beside, poses, again, None, state.body.shear, sure_from=0)
     state = fitted_ends(State(last.body, {**state.poses, **last.poses}), mirrors, ends, places, settings)
     misfit, weights = dict(last.misfit_mm), dict(last.weights)
     for name in ends:

@@ -97,10 +97,18 @@ class State:
         return State(replace(self.body, **{kind: getattr(self.body, kind) + by}), self.poses)
 
     def stepped(self, step: Array, names: list[tuple[str, float]], count: int) -> State:
-        """After a correction: of the splines' 4 x `count` coefficients first, then of the parameters `names`."""
+        """After a correction: of the splines' 4 x `count` coefficients first, then of the parameters `names`.
+
+        One that goes beyond a limit is shortened as a whole: lean and shift of a mirror belong together.
+        """
+        sizes = [
+            abs(float(by)) / LIMITS[name.partition(" ")[0]][1]
+            for (name, _), by in zip(names, step[4 * count :], strict=True)
+        ]
+        step = step / max(1.0, *sizes)
         state = State(self.body.grown(step[: 4 * count]), self.poses)
         for (name, _), by in zip(names, step[4 * count :], strict=True):
-            state = state.moved(name, float(np.clip(by, *LIMITS[name.partition(" ")[0]])))
+            state = state.moved(name, float(by))
         return State(convex(state.body), state.poses)
 
 
