@@ -17,9 +17,17 @@ from numpy.typing import NDArray
 from splitknit.check import check_mask, check_stack, require
 from splitknit.preprocess.regions import dilate, erode
 from splitknit.preprocess.registration_flow import Array, Family, Flow, finger_family, places_of, still
-from splitknit.preprocess.registration_level import Level, aligned, details_of, in_blocks, robust_root, slopes_of
+from splitknit.preprocess.registration_level import Level, details_of, gram, robust_weight
+from splitknit.preprocess.registration_light import (
+    beyond_surface,
+    check_light_vectors,
+    lights_on,
+    shown_by_surfaces,
+)
 from splitknit.types import BoolArray, FloatArray
 
+SETTLED_MM, SETTLED_PX = 5e-4, 0.02
+"""Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
 FOLLOWING = 1e3
 """Weight against elastic shifts that follow the light, over that against others."""
 
@@ -49,7 +57,7 @@ class RegistrationSettings:
     rim_mm: float = 0.8
     """Width of the finger's edge that is left out of the fine bands."""
     block_mm: float = 0.6
-    """Side of the squares over which light and shifts are taken as even."""
+    """Pitch at which the light of near LEDs is looked at."""
 
     def __post_init__(self) -> None:
         bands = (*self.coarse_mm, *self.fine_mm)
@@ -63,11 +71,6 @@ class RegistrationSettings:
             self.elastic_mm == 0 or self.elastic_mm >= 2, "motion.registration.elastic_mm must be 0, or at least 2."
         )
         require(self.iterations >= 1, "motion.registration.iterations must be at least 1.")
-
-    @property
-    def resolution(self) -> Array:
-        """Most px/mm, and side of the blocks in mm."""
-        return np.array([self.working_px_per_mm, self.block_mm])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +99,8 @@ def register_shots(
     Parameters
     ----------
     stack : (L, H, W) float32 linear, at least five images; best without glare (:func:`without_glare`)
-    lights : (L, 3) towards the light, its length the relative strength
+    lights : (L, 3) towards the light, its length the relative strength; or, under near LEDs, (L, 3, h, w) on nodes
+        that lie evenly over the image, first and last pixel included
     mask : (H, W) bool
         The finger, roughly.
     px_per_mm : float
@@ -120,23 +124,25 @@ def register_shots(
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     count = len(stack)
     lights = np.asarray(lights, dtype=np.float64)
-    require(lights.shape == (count, 3), f"lights must have the shape ({count}, 3), but they have {lights.shape}.")
+    check_light_vectors(lights, count)
     shots = np.arange(count) if shots is None else np.asarray(shots)
     require(shots.shape == (count,), f"shots must have the shape ({count},), but they have {shots.shape}.")
     number = int(shots.max()) + 1
     require(0 <= reference < number, f"the reference must be one of {number} shots, but it is {reference}.")
-    problem = Problem(lights, shots, reference, settings)
     around, skin = dilate(mask, settings.surround_mm * px_per_mm), erode(mask, settings.rim_mm * px_per_mm)
     flow = unmoved = still(number, (mask.shape[0], mask.shape[1]), px_per_mm)
     for step, sigma in enumerate((*settings.coarse_mm, *settings.fine_mm)):
         fine = step >= len(settings.coarse_mm)
         region = skin if fine and skin.any() else around
-        level = details_of(stack, region, px_per_mm, (sigma, settings.band_ratio * sigma), settings.resolution)
-        flow = problem.settled(level, flow, finger_family(mask, px_per_mm, turns=step > 0))
+        band = (sigma, settings.band_ratio * sigma)
+        level = details_of(stack, region, px_per_mm, band, settings.working_px_per_mm)
+        here = lights_on(lights, level, mask.shape, px_per_mm)
+        problem = Problem(level, here, shown_by_surfaces(here), shots, reference, settings)
+        flow = problem.settled(flow, finger_family(mask, px_per_mm, turns=step > 0))
         if fine and (settings.tilts or settings.elastic_mm > 0):
             family = finger_family(mask, px_per_mm, tilts=settings.tilts, hats_mm=settings.elastic_mm)
-            flow = problem.settled(level, flow, family)
-    return Registration(flow, problem.unexplained(level, unmoved), problem.unexplained(level, flow))
+            flow = problem.settled(flow, family)
+    return Registration(flow, problem.unexplained(unmoved), problem.unexplained(flow))
 
 
 def without_glare(colours: FloatArray) -> FloatArray:
@@ -146,88 +152,80 @@ def without_glare(colours: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Which images belong together, and what they may show."""
+    """Details of one size: which images belong together, and what they may show."""
 
-    lights: Array
-    """(L, 3)"""
+    level: Level
+    lights: FloatArray
+    """(L, 3, N) or (L, 3, 1)"""
+    axes: FloatArray
+    """The same: orthonormal brightnesses that span what a matt surface may show."""
     shots: NDArray[np.intp]
     """(L,)"""
     reference: int
     settings: RegistrationSettings
 
-    def settled(self, level: Level, flow: Flow, family: Family) -> Flow:
+    def settled(self, flow: Flow, family: Family) -> Flow:
         """Move the shots by Gauss-Newton steps within `family` until they hardly move."""
-        basis, at_nodes = family.basis(*level.centres()), family.basis(*places_of(flow))
-        nodes = flow.nodes_mm.copy()
-        free = [k for k in range(len(nodes)) if k != self.reference]
-        most = 1.0 / level.px_per_mm
+        x, y = self.level.places()
+        first = flow.at(x, y)
+        free = [k for k in range(len(first)) if k != self.reference]
+        basis = family.basis(x, y)
         found = np.zeros((len(free), basis.shape[2]))
+        most, least = 1.0 / self.level.px_per_mm, max(SETTLED_MM, SETTLED_PX / self.level.px_per_mm)
         for _ in range(self.settings.iterations):
-            tensor, pull = self._statistics(level, aligned(level, Flow(nodes), self.shots))
-            used = tensor.any(axis=(1, 2))
-            step = self._step(tensor[used], pull[used], basis[used], free, family.rigid, found)
-            step = np.clip(step, -most, most)
+            shifts = first.copy()
+            shifts[free] += np.einsum("km,ncm->kcn", found, basis)
+            seen = self.level.seen(shifts[self.shots].astype(np.float32))
+            step = np.clip(self._step(seen, basis, free, family.rigid, found), -most, most)
             found += step
-            moved = np.einsum("km,ncm->kcn", step, at_nodes).reshape(len(free), *nodes.shape[1:])
-            nodes[free] += moved
-            if float(np.abs(moved).max()) < 5e-4:
+            if float(np.abs(step).max()) < least:
                 break
+        nodes = flow.nodes_mm.copy()
+        moved = np.einsum("km,ncm->kcn", found, family.basis(*places_of(flow)))
+        nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
         return Flow(nodes)
 
-    def unexplained(self, level: Level, flow: Flow) -> NDArray[np.float64]:
+    def unexplained(self, flow: Flow) -> NDArray[np.float64]:
         """(L,) rms of what no surface explains over the rms of each image's details."""
-        images = aligned(level, flow, self.shots)
-        left = np.einsum("kl,lhw->khw", self._beyond_surface().astype(np.float32), images)
-        error, power = ((part * part * level.weight).sum(axis=(1, 2), dtype=np.float64) for part in (left, images))
+        images = self.level.seen(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
+        left = beyond_surface(images, self.axes)
+        error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (left, images))
         return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
 
-    def _beyond_surface(self) -> Array:
-        """(L, L) projection of brightnesses onto what no matt surface shows."""
-        basis, _, _ = np.linalg.svd(self.lights, full_matrices=False)
-        return np.asarray(np.eye(len(self.lights)) - np.einsum("ki,li->kl", basis, basis))
-
-    def _statistics(self, level: Level, images: FloatArray) -> tuple[Array, Array]:
-        """Normal equations of every block for shifts of all images: (B, 2L, 2L) and (B, 2L), robustly weighted."""
-        count, height, width = images.shape
-        project = self._beyond_surface()
-        left = np.einsum("kl,lhw->khw", project.astype(np.float32), images)
-        root = robust_root(level, np.sqrt((left * left).sum(axis=0) * level.weight))
-        slopes = slopes_of(level, images) * root
-        slopes = in_blocks(slopes.reshape(2 * count, height, width), level.block)
-        left = in_blocks(left * root, level.block)
-        tensor = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64)
-        tensor *= np.repeat(np.repeat(project, 2, axis=0), 2, axis=1)
-        pull = np.einsum("bkcp,bkp->bkc", slopes.reshape(len(slopes), count, 2, -1), left)
-        return tensor, pull.reshape(len(slopes), -1).astype(np.float64)
-
-    def _step(  # noqa: PLR0917
-        self, tensor: Array, pull: Array, basis: Array, free: list[int], rigid: int, found: Array
-    ) -> Array:
-        """(F, M) change of the parameters of the free shots, which so far are `found`."""
-        blocks, _, width = basis.shape
-        count, number = len(self.lights), len(free)
-        coupled = tensor.reshape(blocks, count, 2, count, 2)
-        on_right = np.einsum("bkcld,bdj->bckjl", coupled, basis, optimize=True)
-        flat = on_right.reshape(blocks * 2, count * width * count)
-        matrix = (basis.reshape(blocks * 2, width).T @ flat).reshape(width, count, width, count)
-        belongs = (self.shots[:, None] == np.array(free)).astype(np.float64)  # (L, F)
-        matrix = np.einsum("ikjl,kf,lg->figj", matrix, belongs, belongs, optimize=True)
-        matrix = matrix.reshape(number * width, number * width)
-        force = np.einsum("bkc,bci,kf->fi", pull.reshape(blocks, count, 2), basis, belongs, optimize=True)
-        matrix = matrix + 1e-6 * float(np.diag(matrix).mean()) * np.eye(len(matrix))
+    def _step(self, seen: FloatArray, basis: Array, free: list[int], rigid: int, found: Array) -> Array:
+        """(F, M) change of the parameters of the free shots, which so far are `found`: the normal equations."""
+        left = beyond_surface(seen[:, 0], self.axes)
+        root = np.sqrt(robust_weight(self.level, np.sqrt((left * left).sum(axis=0) * self.level.weight)))
+        width, number, total = basis.shape[2], len(free), root.size
+        right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
+        matrix, force = np.zeros((number, width, number, width)), np.zeros((number, width))
+        shown = np.zeros((3, number, width, total), dtype=np.float32)
+        for image, shot in enumerate(self.shots):
+            if shot == self.reference:
+                continue
+            k = free.index(int(shot))
+            columns = (seen[image, 1] * right + seen[image, 2] * down) * root
+            matrix[k, :, k] += gram(columns)
+            force[k] += np.einsum("mn,n->m", columns, left[image] * root)
+            shown[:, k] += columns * self.axes[image][:, None]
+        for part in shown:
+            matrix -= gram(part.reshape(number * width, total)).reshape(matrix.shape)
+        flat = matrix.reshape(number * width, number * width)
+        flat = flat + 1e-6 * float(np.diag(flat).mean()) * np.eye(len(flat))
         if width > rigid:
             soft = np.arange(width) >= rigid
-            weight = self.settings.stiffness * float(np.diag(matrix)[np.tile(soft, number)].mean())
+            weight = self.settings.stiffness * float(np.diag(flat)[np.tile(soft, number)].mean())
             penalty = weight * self._penalty(free)
-            matrix = matrix + np.kron(penalty, np.diag(soft.astype(np.float64)))
+            flat = flat + np.kron(penalty, np.diag(soft.astype(np.float64)))
             force = force + np.einsum("kl,li->ki", penalty, found * soft)
-        return np.asarray(-np.linalg.solve(matrix, force.ravel()).reshape(number, width))
+        return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))
 
     def _penalty(self, free: list[int]) -> Array:
         """(F, F) weight against elastic shifts of the free shots: great for those that follow the light.
 
         Skin that shifts in proportion to the light's direction looks almost as a surface with other slopes does.
         """
-        mean = np.stack([self.lights[self.shots == k, :2].mean(axis=0) for k in range(int(self.shots.max()) + 1)])
+        lights = self.lights[:, :2].mean(axis=2, dtype=np.float64)
+        mean = np.stack([lights[self.shots == k].mean(axis=0) for k in range(int(self.shots.max()) + 1)])
         basis, _, _ = np.linalg.svd(mean[free] - mean[self.reference], full_matrices=False)
         return np.asarray(np.eye(len(free)) + FOLLOWING * np.einsum("ki,li->kl", basis, basis))

@@ -7,16 +7,17 @@ surface, would look like under its light, and with the finger's outline.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, check_stack, require
 from splitknit.preprocess.regions import dilate, erode
-from splitknit.preprocess.registration import RegistrationSettings
+from splitknit.preprocess.registration import SETTLED_MM, SETTLED_PX, RegistrationSettings
 from splitknit.preprocess.registration_flow import Array, Family, Flow, finger_family, places_of, still
-from splitknit.preprocess.registration_level import Level, aligned, details_of, in_blocks, robust_root, slopes_of
+from splitknit.preprocess.registration_level import Level, details_of, gram, robust_weight
+from splitknit.preprocess.registration_light import check_light_vectors, lights_on
 from splitknit.types import BoolArray, FloatArray
 
 
@@ -27,7 +28,7 @@ class Seen:
     stack: FloatArray
     """(K, H, W) grey, linear."""
     lights: NDArray[np.float64]
-    """(K, 3)"""
+    """(K, 3) or (K, 3, h, w)"""
     flow: Flow
     shots: NDArray[np.intp]
     """(K,) shot of every image."""
@@ -58,7 +59,7 @@ def register_band(  # noqa: PLR0917
     ----------
     seen : the registered band
     stack : (L, H, W) float32 linear grey of the other band, each image a shot
-    lights : (L, 3) towards the light
+    lights : (L, 3) towards the light, or (L, 3, h, w) if those of `seen` are such
     mask : (H, W) bool
     px_per_mm : float
     settings : RegistrationSettings, optional
@@ -73,54 +74,69 @@ def register_band(  # noqa: PLR0917
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     require(seen.stack.shape[1:] == stack.shape[1:], "the images of both bands must have one size.")
     lights = np.asarray(lights, dtype=np.float64)
-    require(lights.shape == (len(stack), 3), f"lights must have the shape ({len(stack)}, 3), not {lights.shape}.")
-    shares = lights @ np.linalg.pinv(seen.lights)  # (L, K) of the first band's images in what is expected
+    check_light_vectors(lights, len(stack))
+    check_light_vectors(seen.lights, len(seen.stack))
     around, skin = dilate(mask, settings.surround_mm * px_per_mm), erode(mask, settings.rim_mm * px_per_mm)
     flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
-    each = np.arange(len(stack))
     for step, sigma in enumerate((*settings.coarse_mm, *settings.fine_mm)):
         region = skin if step >= len(settings.coarse_mm) and skin.any() else around
         band = (sigma, settings.band_ratio * sigma)
-        level = details_of(stack, region, px_per_mm, band, settings.resolution)
-        known = details_of(seen.stack, region, px_per_mm, band, settings.resolution)
-        expected = np.einsum("lk,khw->lhw", shares.astype(np.float32), aligned(known, seen.flow, seen.shots))
+        level, known = (
+            details_of(images, region, px_per_mm, band, settings.working_px_per_mm) for images in (stack, seen.stack)
+        )
+        expected = _expected(seen, level, known, lights, mask.shape, px_per_mm)
         flow = _followed(level, expected, flow, finger_family(mask, px_per_mm, turns=step > 0), settings.iterations)
-    found = (aligned(level, f, each) for f in (flow, unmoved))
-    likeness, before = (_likeness(level, expected, images) for images in found)
+    found = (level.seen(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
+    likeness, before = (_likeness(level.weight, expected, images) for images in found)
     return BandRegistration(flow, likeness, before)
+
+
+def _expected(  # noqa: PLR0917
+    seen: Seen, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
+) -> FloatArray:
+    """(L, N) details under `lights` of the surface that the `known` details of the first band tell."""
+    taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
+    shifts = seen.flow.at(*level.places())[seen.shots].astype(np.float32)
+    details = taken.seen(shifts)[:, 0]
+    theirs, ours = (lights_on(part, level, shape, px_per_mm) for part in (seen.lights, lights))
+    theirs = np.moveaxis(theirs.astype(np.float64), 2, 0)  # (N or 1, K, 3)
+    normal = theirs.transpose(0, 2, 1) @ theirs
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    told = (theirs * details.T[:, :, None]).sum(axis=1)
+    surface = np.linalg.solve(np.broadcast_to(normal, (len(told), 3, 3)), told[..., None])[..., 0].T
+    return np.asarray((ours * surface).sum(axis=1), dtype=np.float32)
 
 
 def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, iterations: int) -> Flow:
     """Move every shot, by itself, towards the details that are expected of it, whatever their strength."""
-    basis, at_nodes = family.basis(*level.centres()), family.basis(*places_of(flow))
-    nodes = flow.nodes_mm.copy()
-    most = 1.0 / level.px_per_mm
-    each = np.arange(len(nodes))
-    for _ in range(iterations):
-        images = aligned(level, Flow(nodes), each)
-        steps = [_step(level, expected[k], images[k], basis) for k in each]
-        moved = np.einsum("km,ncm->kcn", np.clip(steps, -most, most), at_nodes).reshape(nodes.shape)
-        nodes += moved
-        if float(np.abs(moved).max()) < 5e-4:
-            break
-    return Flow(nodes)
+    x, y = level.places()
+    first, basis = flow.at(x, y), family.basis(x, y)
+    found = np.zeros((len(first), basis.shape[2]))
+    most, least = 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
+    for k in range(len(first)):
+        alone = replace(level, images=level.images[k : k + 1])
+        for _ in range(iterations):
+            shifts = first[k] + np.einsum("m,ncm->cn", found[k], basis)
+            step = np.clip(
+                _step(level, expected[k], alone.seen(shifts[None].astype(np.float32))[0], basis), -most, most
+            )
+            found[k] += step
+            if float(np.abs(step).max()) < least:
+                break
+    moved = np.einsum("km,ncm->kcn", found, family.basis(*places_of(flow)))
+    return Flow(flow.nodes_mm + moved.reshape(flow.nodes_mm.shape))
 
 
-def _step(level: Level, expected: FloatArray, image: FloatArray, basis: Array) -> Array:
-    """(M,) change of one shot's parameters."""
-    weight = level.weight
-    gain = _gain(weight, expected, image)
-    left = image - np.float32(gain) * expected
-    root = robust_root(level, np.sqrt(left * left * weight))
-    slopes = slopes_of(level, image[None])[0] * root
-    columns = in_blocks(np.concatenate([slopes, (expected * root)[None]]), level.block).astype(np.float64)
-    error = in_blocks((left * root)[None], level.block)[:, 0].astype(np.float64)
-    shifts = np.einsum("bcp,bcm->bpm", columns[:, :2], basis)
-    design = np.concatenate([shifts, -columns[:, 2][..., None]], axis=2)
-    design = design.reshape(-1, design.shape[2])
-    normal = np.einsum("ni,nj->ij", design, design)
-    normal += np.diag(1e-6 * np.diag(normal) + 1e-30)
-    return np.asarray(-np.linalg.solve(normal, np.einsum("ni,n->i", design, error.ravel()))[:-1])
+def _step(level: Level, expected: FloatArray, seen: FloatArray, basis: Array) -> Array:
+    """(M,) change of one shot's parameters; `seen` (3, N) are its details and their derivatives."""
+    gain = _gain(level.weight, expected, seen[0])
+    left = seen[0] - np.float32(gain) * expected
+    root = np.sqrt(robust_weight(level, np.sqrt(left * left * level.weight)))
+    shifts = seen[1] * basis[:, 0].T + seen[2] * basis[:, 1].T
+    normal = gram(np.asarray(np.concatenate([shifts, -expected[None], left[None]]) * root, dtype=np.float32))
+    force, normal = normal[:-1, -1], normal[:-1, :-1]
+    normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
+    return np.asarray(-np.linalg.solve(normal, force)[:-1])
 
 
 def _gain(weight: FloatArray, expected: FloatArray, image: FloatArray) -> float:
@@ -128,9 +144,9 @@ def _gain(weight: FloatArray, expected: FloatArray, image: FloatArray) -> float:
     return float((expected * image * weight).sum(dtype=np.float64)) / max(power, 1e-30)
 
 
-def _likeness(level: Level, expected: FloatArray, images: FloatArray) -> NDArray[np.float64]:
+def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> NDArray[np.float64]:
     def total(a: FloatArray, b: FloatArray) -> Array:
-        return np.asarray((a * b * level.weight).sum(axis=(1, 2), dtype=np.float64))
+        return np.asarray((a * b * weight).sum(axis=1, dtype=np.float64))
 
     return np.asarray(
         total(images, expected) / np.sqrt(np.maximum(total(images, images) * total(expected, expected), 1e-30))

@@ -13,26 +13,31 @@ from splitknit.types import BoolArray, FloatArray
 Array = NDArray[np.float64]
 NODE_MM = 0.5
 """Pitch of the nodes between which shifts are interpolated."""
+FLAT_MM = 1e-6
+"""Shifts that differ by less than this from a plane are one."""
 TURN_MM = 8.0
 """A turn's parameter is the shift that it causes at this distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flow:
-    """Shifts (L, 2, h, w) in mm, right and down the rows, on nodes 0.5 mm apart; the first lies on the first pixel.
+    """Shifts (L, 2, h, w) in mm, right and down the rows, on nodes 0.5 mm apart.
 
     The skin that the reference shows at a place is found in shot k at that place plus the shift.
     """
 
     nodes_mm: Array
+    origin_mm: tuple[float, float] = (0.0, 0.0)
+    """Of the first node, right and down from the first pixel."""
 
     def maps(self, shot: int, px_per_mm: float, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
         """Columns and rows (h, w), in pixels of the image, from which a shot's `window` is to be taken."""
         rows = np.arange(window[0].start, window[0].stop, dtype=np.float32)[:, None]
         columns = np.arange(window[1].start, window[1].stop, dtype=np.float32)[None, :]
         size = (rows.size, columns.size)
-        across = np.ascontiguousarray(np.broadcast_to(columns / np.float32(px_per_mm * NODE_MM), size))
-        down = np.ascontiguousarray(np.broadcast_to(rows / np.float32(px_per_mm * NODE_MM), size))
+        first = [np.float32(v / NODE_MM) for v in self.origin_mm]
+        across = np.ascontiguousarray(np.broadcast_to(columns / np.float32(px_per_mm * NODE_MM) - first[0], size))
+        down = np.ascontiguousarray(np.broadcast_to(rows / np.float32(px_per_mm * NODE_MM) - first[1], size))
         moved = []
         for axis, place in ((0, columns), (1, rows)):
             nodes = (self.nodes_mm[shot, axis] * px_per_mm).astype(np.float32)
@@ -42,7 +47,19 @@ class Flow:
 
     def at(self, x_mm: Array, y_mm: Array) -> Array:
         """(L, 2, N) shifts at places (N,), right and down from the first pixel."""
-        return at_nodes(self.nodes_mm, x_mm, y_mm)
+        return at_nodes(self.nodes_mm, x_mm - self.origin_mm[0], y_mm - self.origin_mm[1])
+
+    def affine(self, shot: int, px_per_mm: float) -> Array | None:
+        """(2, 3) matrix from columns and rows of the reference to those of a shot, if it only shifted and turned."""
+        nodes = self.nodes_mm[shot]
+        right, down = nodes[:, 0, 1] - nodes[:, 0, 0], nodes[:, 1, 0] - nodes[:, 0, 0]
+        row, column = np.mgrid[0 : nodes.shape[1], 0 : nodes.shape[2]]
+        plane = nodes[:, 0, 0, None, None] + right[:, None, None] * column + down[:, None, None] * row
+        if float(np.abs(plane - nodes).max()) > FLAT_MM:
+            return None
+        slopes = np.stack([right, down], axis=1) / NODE_MM
+        start = nodes[:, 0, 0] - slopes @ np.asarray(self.origin_mm)
+        return np.column_stack([np.eye(2) + slopes, start * px_per_mm])
 
 
 def at_nodes(nodes: Array, x_mm: Array, y_mm: Array) -> Array:

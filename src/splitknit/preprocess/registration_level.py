@@ -1,4 +1,4 @@
-"""Details of one size in all shots, and what they say about shifts."""
+"""Details of one size in all shots, at the pixels that matter, and what they say about shifts."""
 
 from __future__ import annotations
 
@@ -9,33 +9,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.preprocess.regions import blur
-from splitknit.preprocess.registration_flow import Flow
 from splitknit.types import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
+
+SAMPLES = 16_000
+"""Of the pixels of a level, at least so many are looked at, evenly spread; where it has fewer, all."""
+ALIKE = 1.1
+"""Copies are not reduced by less than this: it would blur some pixels more than others."""
+LINE = 128
+"""Samples in one row of what OpenCV resamples."""
+FLOPS = 200_000
+"""Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
     """Details of one size."""
 
-    details: FloatArray
-    """(L, h, w)"""
+    images: tuple[FloatArray, ...]
+    """L of (h, w, 3): details, and their derivatives to the right and down the rows, a mm."""
+    columns: FloatArray
+    """(N,) of the pixels that are looked at."""
+    rows: FloatArray
+    """(N,)"""
     weight: FloatArray
-    """(h, w)"""
+    """(N,)"""
     px_per_mm: float
-    block: int
-    """Pixels a side of the squares over which light and shifts are taken as even."""
 
-    def centres(self) -> tuple[Array, Array]:
-        """x and y (B,) of the blocks in mm from the first pixel."""
-        down, across = (-(-n // self.block) for n in self.weight.shape)
-        rows, columns = np.mgrid[0:down, 0:across] * self.block + 0.5 * (self.block - 1)
-        return columns.ravel() / self.px_per_mm, rows.ravel() / self.px_per_mm
+    def places(self) -> tuple[Array, Array]:
+        """x and y (N,) of the pixels in mm from the first pixel."""
+        return self.columns.astype(np.float64) / self.px_per_mm, self.rows.astype(np.float64) / self.px_per_mm
+
+    def seen(self, shifts_mm: FloatArray) -> FloatArray:
+        """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
+        count = self.columns.size
+        found = np.empty((len(self.images), 3, count), dtype=np.float32)
+        size = np.float32(self.px_per_mm)
+        for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
+            columns, rows = _in_lines(self.columns + shift[0] * size), _in_lines(self.rows + shift[1] * size)
+            taken = cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            found[k] = taken.reshape(-1, 3)[:count].T
+        return found
 
 
 def details_of(
-    stack: FloatArray, region: BoolArray, px_per_mm: float, band_mm: tuple[float, float], scale_and_block: Array
+    stack: FloatArray, region: BoolArray, px_per_mm: float, band_mm: tuple[float, float], working_px_per_mm: float
 ) -> Level:
     """Band-passed copies of a stack (L, H, W), weighted by one over the square of the brightness in `region`.
 
@@ -45,49 +64,62 @@ def details_of(
     region : (H, W)
     px_per_mm : of both
     band_mm : fine and coarse end (sigma)
-    scale_and_block : most px/mm of the copies, and side of the blocks in mm
+    working_px_per_mm : most px/mm of the copies
     """
-    finest = min(px_per_mm, float(scale_and_block[0]), 1.0 / band_mm[0])
+    finest = min(px_per_mm, working_px_per_mm, 1.0 / band_mm[0])
+    finest = px_per_mm if finest * ALIKE > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
     small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32) for image in stack]
     inside = cv2.resize(region.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
     level = blur(np.asarray(np.mean(small, axis=0), dtype=np.float32), 1.0 * px)
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
-    weight = inside / np.maximum(level, max(floor, 1e-9)) ** 2
-    details = np.stack([blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px) for image in small])
-    return Level(details, weight.astype(np.float32), px, max(2, round(float(scale_and_block[1]) * px)))
+    rows, columns = np.nonzero(inside)
+    every = max(1, rows.size // SAMPLES)
+    rows, columns = rows[every // 2 :: every], columns[every // 2 :: every]
+    weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
+    images = tuple(_with_slopes(blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px), px) for image in small)
+    return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
 
 
-def aligned(level: Level, flow: Flow, shots: NDArray[np.intp]) -> FloatArray:
-    """(L, h, w) details with the flow of the shot `shots[l]` undone in image l."""
-    window = (slice(0, level.weight.shape[0]), slice(0, level.weight.shape[1]))
-    images = []
-    for image, shot in zip(level.details, shots, strict=True):
-        columns, rows = flow.maps(int(shot), level.px_per_mm, window)
-        warped = cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        images.append(np.asarray(warped, dtype=np.float32))
-    return np.stack(images)
+def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
+    """(h, w, 3) an image and its derivatives to the right and down the rows, a mm."""
+    half = 0.5 * px_per_mm
+    slopes = [
+        cv2.Sobel(image, cv2.CV_32F, right, 1 - right, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
+        for right in (1, 0)
+    ]
+    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
 
 
-def slopes_of(level: Level, images: FloatArray) -> FloatArray:
-    """(L, 2, h, w) derivatives to the right and down the rows, a mm."""
-    slopes = np.empty((len(images), 2, *images.shape[1:]), dtype=np.float32)
-    for k, image in enumerate(images):
-        slopes[k, 1], slopes[k, 0] = np.gradient(image)
-    return slopes * np.float32(level.px_per_mm)
+def _in_lines(values: FloatArray) -> FloatArray:
+    return np.pad(values, (0, -values.size % LINE), mode="edge").reshape(-1, LINE)
 
 
-def robust_root(level: Level, error: FloatArray) -> FloatArray:
-    """(h, w) root of the weight of every pixel, less where its weighted `error` (h, w) is beyond the usual."""
-    typical = 1.4826 * float(np.median(error[level.weight > 0])) + 1e-12
-    return np.asarray(np.sqrt(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical))), dtype=np.float32)
+def robust_weight(level: Level, error: FloatArray) -> FloatArray:
+    """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
+    typical = 1.4826 * float(np.median(error)) + 1e-12
+    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)), dtype=np.float32)
 
 
-def in_blocks(images: FloatArray, side: int) -> FloatArray:
-    """(N, h, w) to (B, N, side * side)."""
-    count, height, width = images.shape
-    down, across = -(-height // side), -(-width // side)
-    padded = np.pad(images, ((0, 0), (0, down * side - height), (0, across * side - width)))
-    cut = padded.reshape(count, down, side, across, side).transpose(1, 3, 0, 2, 4)
-    return np.ascontiguousarray(cut).reshape(down * across, count, side * side)
+def gram(columns: FloatArray) -> Array:
+    """(K, K) inner products of `columns` (K, N), the same bytes whatever the number of threads."""
+    count, total = columns.shape
+    part = int(np.clip(FLOPS // count**2, 16, 4096))
+    padded = np.pad(columns, ((0, 0), (0, -total % part)))
+    parts = np.ascontiguousarray(padded.reshape(count, -1, part).transpose(1, 0, 2))
+    return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
+
+
+def at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float]) -> FloatArray:
+    """(..., N) values of fields (..., h, w) whose nodes lie evenly over an image of `extent_mm`, ends included."""
+    height, width = field.shape[-2:]
+    x, y = level.places()
+    columns = _in_lines((x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32))
+    rows = _in_lines((y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32))
+    flat = np.ascontiguousarray(field, dtype=np.float32).reshape(-1, height, width)
+    found = [
+        cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()[: x.size]
+        for part in flat
+    ]
+    return np.asarray(np.stack(found).reshape(*field.shape[:-2], x.size), dtype=np.float32)

@@ -14,13 +14,12 @@ from splitknit.check import BadInput, require
 from splitknit.preprocess import Seen, register_band, register_shots, without_glare
 from splitknit.preprocess.registration_flow import Flow
 from splitknit.radiance import has_colour, linear_channels, linear_stack
-from splitknit.recipe.finger import SURVEY_PX_PER_MM, Finger, find_finger
+from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.steady_images import around, lights_over, take
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.types import Band, Capture, FloatArray
+from splitknit.types import Band, Capture
 
-MARGIN_MM = 2.0
-"""Beyond the finger, images are left as they are."""
 HELPS = 0.8
 """Undoing motion must bring what no surface explains below this share of what it was."""
 
@@ -88,32 +87,35 @@ def _seen_mm(finger: Finger, settings: PipelineSettings) -> float:
 
 def _register(capture: Capture, finger: Finger, settings: PipelineSettings) -> _Registered:
     """Registration of the white band, of the others to it, and what a report says of them."""
+    method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
-    binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
+    binning = max(1, int(px_per_mm / method.working_px_per_mm))
     px = px_per_mm / binning
+    window = around(capture, finger)
     white = capture.bands["white"]
-    grey = linear_stack(white, capture.encoding, "grey", binning=binning)
-    mask = _reduced(finger.wider, grey.shape[1:])
-    skin = grey
     if has_colour(white) and capture.material == "skin":
-        skin = without_glare(linear_channels(white, capture.encoding, ("red", "green", "blue"), binning=binning))
-    lights = capture.rig.select(white.lights).light_vectors()
+        channels = linear_channels(white, capture.encoding, ("grey", "red", "green", "blue"), window, binning)
+        grey, skin = channels[0], without_glare(channels[1:])
+    else:
+        skin = grey = linear_stack(white, capture.encoding, "grey", window, binning)
+    mask = _reduced(finger.wider[window], grey.shape[1:])
+    lights = lights_over(capture, white, window, method.block_mm)
     shots = _shots(white)
     reference = len(white.pixels) // 2
-    method = settings.motion.registration
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
-    flows = {"white": found.flow}
-    told = _told(found.flow, mask, px)
+    first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
+    flows = {"white": replace(found.flow, origin_mm=first)}
+    told = _told(flows["white"], mask, px)
     told |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
     facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": told}
     for name, band in capture.bands.items():
         if name == "white" or band.colours:
             continue
-        stack = linear_stack(band, capture.encoding, "grey", binning=binning)
-        vectors = capture.rig.select(band.leds).light_vectors()
+        stack = linear_stack(band, capture.encoding, "grey", window, binning)
+        vectors = lights_over(capture, band, window, method.block_mm)
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
-        flows[name] = other.flow
-        told = _told(other.flow, mask, px)
+        flows[name] = replace(other.flow, origin_mm=first)
+        told = _told(flows[name], mask, px)
         told |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
         facts[f"motion_{name}"] = told
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
@@ -162,7 +164,8 @@ def _told(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, An
     """Mean shift (x right, y up) and turn of every shot, for a report."""
     rows, columns = np.nonzero(mask)
     stride = max(1, len(rows) // 4000)
-    x, y = columns[::stride] / px_per_mm, rows[::stride] / px_per_mm
+    x = columns[::stride] / px_per_mm + flow.origin_mm[0]
+    y = rows[::stride] / px_per_mm + flow.origin_mm[1]
     shifts = flow.at(x, y)
     mean = shifts.mean(axis=2)
     across, down = x - x.mean(), y - y.mean()
@@ -187,12 +190,7 @@ def _reduced(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool
 def _resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capture:
     """The capture with every image taken from where its skin is, once, in the values that are stored."""
     px_per_mm = capture.rig.camera.px_per_mm
-    margin = round(MARGIN_MM * px_per_mm)
-    window = (
-        slice(max(0, finger.window[0].start - margin), finger.window[0].stop + margin),
-        slice(max(0, finger.window[1].start - margin), finger.window[1].stop + margin),
-    )
-    rows, columns = (slice(*part.indices(n)) for part, n in zip(window, capture.shape, strict=True))
+    window = around(capture, finger)
     bands = dict(capture.bands)
     for name, flow in registered.flows.items():
         band = bands[name]
@@ -201,16 +199,9 @@ def _resampled(capture: Capture, finger: Finger, registered: _Registered) -> Cap
         def one(k: int, pixels: Any = pixels, band: Band = band, flow: Flow = flow) -> None:
             if not flow.nodes_mm[k].any():
                 return
-            across, down = flow.maps(k, px_per_mm, (rows, columns))
-            moved = _taken(band.pixels[k], across, down)
-            pixels[k, rows, columns] = moved.reshape(moved.shape[0], moved.shape[1], -1)
+            take(band.pixels[k], flow, k, px_per_mm, window, pixels[k])
 
         with ThreadPoolExecutor(2) as pool:
             list(pool.map(one, range(len(pixels))))
         bands[name] = replace(band, pixels=pixels)
     return replace(capture, bands=bands)
-
-
-def _taken(image: NDArray[Any], columns: FloatArray, rows: FloatArray) -> NDArray[Any]:
-    """Values at places in an image, by cubic interpolation."""
-    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
