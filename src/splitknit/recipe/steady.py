@@ -20,7 +20,7 @@ from splitknit.recipe.steady_images import around, lights_over, take
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.types import Band, Capture
 
-HELPS = 0.8
+HELPS = 0.95
 """Undoing motion must bring what no surface explains below this share of what it was."""
 
 
