@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
-from splitknit.io.atomic import atomic_file
-from splitknit.io.images import read_bytes
-from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import quiet_tifffile
+from splitknit.check import require
+from splitknit.io.float_tiff import read_float_tiff, write_float_tiff
 from splitknit.types import FloatArray
 
 
@@ -43,21 +38,9 @@ def write_height_tiff(
     height = np.ascontiguousarray(height_mm, dtype=np.float32)
     require(height.ndim == 2 and height.size > 0, f"height_mm must have the shape (H, W), but it has {height.shape}.")
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
-    description = canonical_json({**(metadata or {}), "pitch_mm": float(pitch_mm), "unit": "mm"})
+    description = {**(metadata or {}), "pitch_mm": float(pitch_mm), "unit": "mm"}
     per_cm = 10.0 / float(pitch_mm)
-    stream = io.BytesIO()
-    quiet_tifffile().imwrite(
-        stream,
-        height,
-        photometric="minisblack",
-        description=description,
-        metadata=None,
-        software="splitknit",
-        resolution=(per_cm, per_cm),
-        resolutionunit="CENTIMETER",
-    )
-    with atomic_file(path) as file:
-        file.write(stream.getbuffer())
+    write_float_tiff(path, height, description, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
 
 
 def read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
@@ -74,14 +57,9 @@ def read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, d
     BadInput
         If the file is missing, damaged or not one of ours.
     """
-    data, name = read_bytes(path), os.fspath(path)
-    try:
-        page = quiet_tifffile().TiffFile(io.BytesIO(data)).pages[0]
-        height = np.asarray(page.asarray(maxworkers=1))
-        metadata = json.loads(page.description)
-        pitch_mm = float(metadata["pitch_mm"])
-        good = height.ndim == 2 and height.dtype == np.float32 and metadata["unit"] == "mm" and 0 < pitch_mm < np.inf
-    except Exception as error:  # tifffile raises whatever its parsing meets
-        raise BadInput(f"{name} is not a height map of splitknit, or it is damaged: {error}.") from error
-    require(good, f"{name} is not a height map of splitknit.")
-    return height, pitch_mm, metadata
+    height, metadata = read_float_tiff(path, "a height map")
+    pitch_mm: Any = metadata.get("pitch_mm")
+    sound = type(pitch_mm) in (int, float) and 0 < pitch_mm < np.inf
+    good = height.ndim == 2 and metadata["unit"] == "mm" and sound
+    require(good, f"{os.fspath(path)} is not a height map of splitknit.")
+    return height, float(pitch_mm), metadata

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
-from splitknit.io.atomic import atomic_file
-from splitknit.io.images import read_bytes
-from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import quiet_tifffile
+from splitknit.check import require
+from splitknit.io.float_tiff import read_float_tiff, write_float_tiff
 from splitknit.types import FloatArray
 
 
@@ -37,17 +32,7 @@ def write_light_tiff(
     image = np.ascontiguousarray(light, dtype=np.float32)
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
     require(good, f"light must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
-    stream = io.BytesIO()
-    quiet_tifffile().imwrite(
-        stream,
-        image,
-        photometric="minisblack" if image.ndim == 2 else "rgb",
-        description=canonical_json({**(metadata or {}), "unit": unit}),
-        metadata=None,
-        software="splitknit",
-    )
-    with atomic_file(path) as file:
-        file.write(stream.getbuffer())
+    write_float_tiff(path, image, {**(metadata or {}), "unit": unit})
 
 
 def read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
@@ -58,13 +43,4 @@ def read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str,
     BadInput
         If the file is missing, damaged or not one of ours.
     """
-    data, name = read_bytes(path), os.fspath(path)
-    try:
-        page = quiet_tifffile().TiffFile(io.BytesIO(data)).pages[0]
-        light = np.asarray(page.asarray(maxworkers=1))
-        metadata = json.loads(page.description)
-        good = light.dtype == np.float32 and isinstance(metadata["unit"], str)
-    except Exception as error:  # tifffile raises whatever its parsing meets
-        raise BadInput(f"{name} is not a light image of splitknit, or it is damaged: {error}.") from error
-    require(good, f"{name} is not a light image of splitknit.")
-    return light, metadata
+    return read_float_tiff(path, "a light image")

@@ -1,0 +1,74 @@
+"""Fields of floats as uncompressed TIFF whose description tag is a JSON object: heights and light are such files."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import BadInput, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.images import read_bytes
+from splitknit.io.provenance import canonical_json
+from splitknit.io.tiff import quiet_tifffile
+from splitknit.types import FloatArray
+
+
+def write_float_tiff(
+    path: str | os.PathLike[str], field: FloatArray, description: Mapping[str, Any], **tags: Any
+) -> None:
+    """Write one page of float32. Equal input gives equal bytes.
+
+    Parameters
+    ----------
+    path : the file
+    field : (H, W) or (H, W, 3) float32
+    description : what JSON can hold; with the ``unit`` of the values
+    tags : further arguments of tifffile's ``imwrite``, such as the resolution
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written.
+    """
+    stream = io.BytesIO()
+    quiet_tifffile().imwrite(
+        stream,
+        field,
+        photometric="minisblack" if field.ndim == 2 else "rgb",
+        description=canonical_json(description),
+        metadata=None,
+        software="splitknit",
+        **tags,
+    )
+    with atomic_file(path) as file:
+        file.write(stream.getbuffer())
+
+
+def read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray, dict[str, Any]]:
+    """Read what :func:`write_float_tiff` wrote: (H, W) or (H, W, 3) float32, and the description.
+
+    Parameters
+    ----------
+    path : the file
+    what : it should be, for messages: "a height map"
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, damaged or not one of ours.
+    """
+    data, name = read_bytes(path), os.fspath(path)
+    try:
+        page = quiet_tifffile().TiffFile(io.BytesIO(data)).pages[0]
+        field = np.asarray(page.asarray(maxworkers=1))
+        description = json.loads(page.description)
+        good = field.dtype == np.float32 and isinstance(description["unit"], str)
+    except Exception as error:  # tifffile raises whatever its parsing meets
+        raise BadInput(f"{name} is not {what} of splitknit, or it is damaged; write it again.") from error
+    require(good, f"{name} is not {what} of splitknit.")
+    return field, description
