@@ -3,13 +3,15 @@
 Six simulated fingers (or ``--seeds``) x five conditions x severities 0.25 to 1, clean ones beside them; presets metric,
 snk and ea. A row of SCRATCH/rows.jsonl holds what one preset made of one capture: error against the truth, quality of
 the unrolled print, similarity with another, clean capture of the same finger, and all that the software said. Running
-it again goes on. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and ``conditions.json``.
+it again goes on; ``--keep`` leaves the captures in SCRATCH/captures (84 MB each), for a later run of other presets and
+for ``specks.py``. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and ``conditions.json``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import pickle
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import lru_cache
@@ -48,12 +50,36 @@ COMPARED = (
 )  # fmt: skip
 
 
-def tasks(seeds: tuple[int, ...]) -> Iterator[tuple[int, int, str, float]]:
+def tasks(seeds: tuple[int, ...], severities: tuple[float, ...] = SEVERITIES) -> Iterator[tuple[int, int, str, float]]:
     """Seed, impression, condition and severity; the clean ones first, then the worst."""
     yield from ((seed, 1, "none", 0.0) for seed in seeds)
     yield from ((seed, 0, "none", 0.0) for seed in seeds)
-    for severity in SEVERITIES:
+    for severity in severities:
         yield from ((seed, 0, kind, severity) for kind in KINDS for seed in seeds)
+
+
+def photographed(  # noqa: PLR0917
+    scratch: Path,
+    seed: int,
+    impression: int,
+    kind: str,
+    severity: float,
+    scale: float | None = None,
+    *,
+    keep: bool = False,
+) -> tuple[Any, Any]:
+    """A capture and its truth: kept from an earlier run, else simulated."""
+    path = scratch / "captures" / f"{seed}_{impression}_{kind}_{severity:g}.pickle"
+    if scale is None and path.is_file():
+        return pickle.loads(path.read_bytes())
+    settings = TwinSettings(scale=scale or SCALE, render=RenderSettings(workers=1))
+    if kind != "none":
+        settings = replace(settings, condition=Condition(kind, severity))
+    both = simulate_capture(seed, settings=settings, impression=impression)
+    if keep:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(both, protocol=5))
+    return both
 
 
 def said(result: Reconstruction) -> dict[str, Any]:
@@ -101,7 +127,9 @@ def main() -> None:
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--presets", nargs="+", default=PRESETS, choices=PRESETS)
-    parser.add_argument("--scale", type=float, default=SCALE)
+    parser.add_argument("--severities", type=float, nargs="+", default=SEVERITIES)
+    parser.add_argument("--scale", type=float, help="other than 0.35; captures are then not kept")
+    parser.add_argument("--keep", action="store_true", help="leave the captures in SCRATCH/captures")
     parser.add_argument("--most", type=int, default=10**6, help="captures in this run")
     options = parser.parse_args()
     cv2.setNumThreads(1)
@@ -112,15 +140,14 @@ def main() -> None:
     done = {(row["seed"], row["impression"], row["kind"], row["severity"], row["preset"]) for row in rows}
     gallery = options.scratch / "gallery"
     left = options.most
-    for seed, impression, kind, severity in tasks(tuple(options.seeds)):
+    for seed, impression, kind, severity in tasks(tuple(options.seeds), tuple(options.severities)):
         missing = [p for p in options.presets if (seed, impression, kind, severity, p) not in done]
         if not missing or left == 0:
             continue
         left -= 1
-        settings = TwinSettings(scale=options.scale, render=RenderSettings(workers=1))
-        if kind != "none":
-            settings = replace(settings, condition=Condition(kind, severity))
-        capture, truth = simulate_capture(seed, settings=settings, impression=impression)
+        capture, truth = photographed(
+            options.scratch, seed, impression, kind, severity, options.scale, keep=options.keep and not options.scale
+        )
         memory = Memory(capture)
         for preset in missing:
             other = None if impression == 1 else _template(gallery / f"{seed}_{preset}.npz")
