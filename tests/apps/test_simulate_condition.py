@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -45,3 +46,16 @@ def test_what_does_not_go_is_said_in_one_sentence(
     assert words in said
     assert said.count("\n") == 1
     assert not out.exists()
+
+
+def test_reconstruct_tells_of_dust_and_is_silent_about_clean_skin(tmp_path: Path, capsys: Captured) -> None:
+    for name, more in (("clean", []), ("dusty", ["--condition", "dusty", "--severity", "0.5"])):
+        command = ["simulate", "--out", str(tmp_path / name), "--seed", "3", "--scale", "0.165", *more]
+        assert main(command) == 0
+        capsys.readouterr()
+        made = tmp_path / f"{name}_result"
+        assert main(["reconstruct", str(tmp_path / name), "--out", str(made), "--preset", "ea"]) == 0
+        said = capsys.readouterr().out
+        assert ("dark specks cover" in said) == (name == "dusty")
+        share = json.loads((made / "report.json").read_text())["quality"]["white"]["dark_specks"]
+        assert (share > 0.002) == (name == "dusty")

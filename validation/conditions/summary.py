@@ -112,7 +112,7 @@ def sentences(rows: list[dict[str, Any]], preset: str) -> dict[str, dict[str, in
             continue
         heard_now = {"reconstruct: " + plain(text) for text in row["warnings"] if "flexion crease" not in text}
         heard_now |= {"print: " + plain(text) for text in advice_of(row)}
-        count.update(heard_now)
+        count.update(sorted(heard_now))
         count["silent"] += not heard_now
         count["reconstruct silent"] += not any(text.startswith("reconstruct") for text in heard_now)
         count["not the same finger at a false match rate of 1e-4"] += bool(row.get("fmr", 0) and row["fmr"] > 1e-4)
