@@ -33,6 +33,15 @@ __all__ = ["PRESETS", "PipelineSettings", "preset_settings", "reconstruct"]
 def preset_settings(preset: str) -> PipelineSettings:
     """Settings of a preset.
 
+    Parameters
+    ----------
+    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``kumar``, ``zheng``, ``lin`` or ``xie``
+
+    Returns
+    -------
+    PipelineSettings
+        Frozen; :func:`splitknit.settings.override` gives changed ones.
+
     Raises
     ------
     BadInput

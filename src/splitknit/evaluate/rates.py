@@ -169,6 +169,16 @@ def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting
     target : FAR in (0, 1]
     counting : ``all``, or ``made`` for 1 - FNMR at an FMR
 
+    Returns
+    -------
+    OperatingPoint
+        GAR and FAR as shares (0 to 1), and the threshold.
+
+    Raises
+    ------
+    BadInput
+        If `target` lies outside (0, 1], or a class has no score.
+
     References
     ----------
     J. A. Hanley, A. Lippman-Hand, "If nothing goes wrong, is everything all right?", JAMA 249(13), 1983.

@@ -79,6 +79,18 @@ def shapelet_response(omega: Any, settings: ShapeletSettings | None = None) -> N
     (ln(m^2) / 2) sum_s x_s exp(-x_s / 2), x_s = (sigma_s omega)^2, m the factor between scales: an infinite bank has a
     mean gain of exactly one over the logarithm of the frequency (its ripple is 1 % for m = 2).
 
+    Parameters
+    ----------
+    omega : array of any shape, rad/px
+        Radial angular frequencies, 0 or more.
+    settings : ShapeletSettings, optional
+        Number of scales, the finest and the factor between them.
+
+    Returns
+    -------
+    float64 of the shape of `omega`
+        Height that comes out over height that went in, without a unit.
+
     References
     ----------
     P. Kovesi, "Shapelets correlated with surface normals produce surfaces", ICCV 2005, section 3.

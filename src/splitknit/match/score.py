@@ -99,6 +99,20 @@ class Logistic:
 def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> Logistic:
     """Logistic regression on similarities, both classes of equal weight, slope held back by `prior`.
 
+    Parameters
+    ----------
+    genuine, impostor : (N,) and (M,) similarities, ten at least of each
+    prior : weight of the slope's square beside the mean loss
+
+    Returns
+    -------
+    Logistic
+
+    Raises
+    ------
+    BadInput
+        If there are fewer than ten scores of a class, or some are NaN or infinite.
+
     References
     ----------
     Platt 1999, Probabilistic outputs for support vector machines.

@@ -65,6 +65,22 @@ class Template:
 def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
+    Parameters
+    ----------
+    band : RidgeBand
+        As :func:`splitknit.match.ridge_band` gives it.
+    settings : TemplateSettings, optional
+
+    Returns
+    -------
+    Template
+        Empty where less than ``least_area_mm2`` is valid: a failure to acquire.
+
+    Raises
+    ------
+    BadInput
+        If the band is larger than the format allows: larger than any finger.
+
     Examples
     --------
     >>> import numpy as np

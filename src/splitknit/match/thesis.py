@@ -145,7 +145,22 @@ def finger_images(  # noqa: PLR0917
 
 
 def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
-    """Feature vector of each channel that `settings` name, for a finger of the database that is compared often."""
+    """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
+
+    Parameters
+    ----------
+    images : FingerImages
+    settings : ThesisSettings, optional
+
+    Returns
+    -------
+    Channel to (n,) float32, for :func:`thesis_match`.
+
+    Raises
+    ------
+    BadInput
+        If a channel is missing, or smaller than a cell.
+    """
     settings = settings or ThesisSettings()
     extract = _extractor(settings, images.px_per_mm)
     return {name: extract(images.channels[name]) for name in _needed(images, settings)}
@@ -159,8 +174,21 @@ def thesis_match(
 ) -> ThesisMatch:
     """Compare a query with a finger of the database, as the thesis does.
 
-    The query is resampled to the database's box, so that the order of the two matters a little. `features` are those of
-    the database's finger (:func:`finger_features`, same settings) where they were made already.
+    The query is resampled to the database's box, so that the order of the two matters a little.
+
+    Parameters
+    ----------
+    database, query : FingerImages
+        Of one scale (pixels per mm).
+    settings : ThesisSettings, optional
+    features : of the database's finger by channel, optional
+        What :func:`finger_features` made with the same settings.
+
+    Returns
+    -------
+    ThesisMatch
+        The similarity, 1 - the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate
+        left the pair out.
 
     Raises
     ------

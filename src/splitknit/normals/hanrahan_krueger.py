@@ -118,8 +118,34 @@ def hanrahan_krueger_near(  # noqa: PLR0917
 ) -> tuple[FloatArray, FloatArray, SkinFit]:
     """As :func:`hanrahan_krueger`, with a light vector of its own for every pixel.
 
-    Parameters and errors are those of :func:`splitknit.normals.near_light`. The camera is taken to look along z; for a
-    perspective camera give a `view` along its rays, which turns the lights into the pixels' own frames.
+    The camera is taken to look along z; for a perspective camera give a `view` along its rays, which turns the lights
+    into the pixels' own frames.
+
+    Parameters
+    ----------
+    stack : (L, H, W) linear light, three images at least
+    rig : Rig
+        `rig.leds[k]` lights image k.
+    surface_mm : (H, W) or a number, z of the current surface, mm; NaN is allowed outside the mask
+    mask : (H, W) bool, optional
+        The surface; by default where `surface_mm` is finite.
+    settings : HanrahanKruegerSettings, optional
+    x_mm, y_mm : (W,) and (H,), places of the pixels on the finger plane, mm, optional
+    view : View, optional
+
+    Returns
+    -------
+    normals, albedo, fit
+        As of :func:`hanrahan_krueger`: (H, W, 3) unit length, (H, W), and what was found of the skin.
+
+    Raises
+    ------
+    BadInput
+        As of :func:`splitknit.normals.near_light`.
+
+    References
+    ----------
+    P. Hanrahan and W. Krueger, "Reflection from layered surfaces due to subsurface scattering", SIGGRAPH 1993.
     """
     chosen = settings if settings is not None else HanrahanKruegerSettings()
     scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)

@@ -48,6 +48,18 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
 
     Near LEDs follow the inverse square of the distance and the cosine lobe about their axes. LEDs
     that share an exposure add. As in :meth:`splitknit.types.Rig.light_vectors`, the mean length at the origin is one.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its L lights.
+    x, y, z : arrays of one shape (...), mm
+        Points in the rig's frame.
+
+    Returns
+    -------
+    (L, 3, ...) float32
+        Without a unit.
     """
     origin = np.zeros(1, dtype=np.float32)
     at_origin = np.stack([_sum(_alone(led), origin, origin, origin) for led in rig.leds]).astype(np.float64)
@@ -124,6 +136,12 @@ def light_field(
     shape : (H, W), needed only where `surface_mm` is a number and no axes are given; the camera's size by default
     x_mm, y_mm : (W,), (H,), optional
         Position of the pixels on the finger plane, for a window or binned images; the camera's own by default.
+
+    Yields
+    ------
+    rows : slice
+    field : (L, 3, h, W) float32
+        Direction towards the light times its relative irradiance.
     """
     size = image_shape(rig, surface_mm, shape, x_mm, y_mm)
     surface = surface_array(surface_mm, size)

@@ -133,8 +133,24 @@ def pseudo_normals(  # noqa: PLR0917
 ) -> FloatArray:
     """Albedo times normal, (H, W, 3), zero outside the mask: linear in the images for given weights.
 
-    A stack (C, L, H, W) of several channels shares one factorisation and gives (C, H, W, 3). Without weights all lights
-    count alike. Other parameters and errors as for :func:`near_light`.
+    Parameters
+    ----------
+    stack : (L, H, W) or (C, L, H, W) linear light
+        Several channels share one factorisation.
+    rig, surface_mm, mask, x_mm, y_mm, view
+        As of :func:`near_light`.
+    weights : (L, H, W), 0 or more, optional
+        What each light counts at each pixel; without them all count alike.
+
+    Returns
+    -------
+    (H, W, 3) or (C, H, W, 3) float32
+        Length: the albedo, relative; direction: out of the skin.
+
+    Raises
+    ------
+    BadInput
+        As :func:`near_light`, and if the weights have another shape, or are negative or not finite.
     """
     array = np.asarray(stack)
     channels = array.ndim == 4
@@ -170,7 +186,12 @@ def near_light_weights(  # noqa: PLR0917
 ) -> FloatArray:
     """Weights (L, H, W) in [0, 1] for shadowed and glossy lights under near LEDs; zero outside the mask.
 
-    Parameters and errors as for :func:`near_light`.
+    Parameters are those of :func:`near_light`.
+
+    Raises
+    ------
+    BadInput
+        As :func:`near_light`.
     """
     chosen = settings if settings is not None else RobustSettings()
     scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)

@@ -52,7 +52,12 @@ def robust(
 def light_weights(stack: Any, lights: Any, mask: Any = None, settings: RobustSettings | None = None) -> FloatArray:
     """Weights (L, H, W) in [0, 1] that :func:`robust` gives every light; zero outside the mask.
 
-    Parameters and errors as for :func:`robust`.
+    Parameters are those of :func:`robust`.
+
+    Raises
+    ------
+    BadInput
+        As :func:`robust`.
     """
     count, rows, columns = np.shape(check_stack(stack, least=3))
     weights = np.zeros((count, rows, columns), dtype=np.float32)

@@ -98,6 +98,11 @@ def simulate_capture(
     capture : 8-bit (or 16-bit) images of both bands with ambient frames, and the rig
     truth : arrays by name, see ``docs/twin.md``
 
+    Raises
+    ------
+    BadInput
+        If there is no such `pattern`, or `settings` ask for what the twin cannot show together (motion and mirrors).
+
     Notes
     -----
     The same arguments give the same bytes, whatever the number of workers.
