@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -88,6 +90,33 @@ def test_verbs_of_the_readme_exist() -> None:
     verbs = set(re.findall(r"^\| `splitknit (\w+)", text, flags=re.MULTILINE))
     known = set(build_parser()._subparsers._group_actions[0].choices)  # type: ignore[union-attr]
     assert verbs == known
+
+
+def commands_of(page: str) -> list[list[str]]:
+    """Arguments of every `splitknit` line in the blocks of a page, but for usages with brackets or alternatives."""
+    blocks = re.findall(r"```[a-z]*\n(.*?)```", page, flags=re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    found = [re.match(r"\s*(?:\$ )?(?:\.venv/bin/)?splitknit (.*)", line) for line in lines]
+    words = [shlex.split(line[1], comments=True) for line in found if line]
+    cut = [list(itertools.takewhile(lambda word: word not in {"|", ">", "&&", ";"}, line)) for line in words]
+    return [line for line in cut if not any(word.startswith("[") or "|" in word for word in line)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_on_the_pages_are_understood(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from splitknit.apps.cli import build_parser
+
+    parser = build_parser()
+    for line in commands_of(page.read_text(encoding="utf-8")):
+        try:
+            parser.parse_args(line)
+        except SystemExit as stop:
+            assert stop.code == 0, f"{page.name}: {' '.join(line)}: {capsys.readouterr().err.splitlines()[-1]}"
+
+
+def test_commands_are_found_on_a_page() -> None:
+    page = "```sh\n.venv/bin/splitknit match a \\\n  b  # alike?\nsplitknit rig cad [--below]\n```\n`splitknit demo`"
+    assert commands_of(page) == [["match", "a", "b"]]
 
 
 def test_captures_by_hand_are_read(tmp_path: Path) -> None:
