@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.fuse import plane_of
+from splitknit.apps.print_verb import _words
 from splitknit.io import write_capture
 from splitknit.io.minutiae3d import read_minutiae3d
 from splitknit.io.ply import read_ply
-from splitknit.recipe.rolled import MirrorView
-from splitknit.recipe.rolled_light import Glass
 from splitknit.types import Capture
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipe"))
@@ -24,8 +22,8 @@ import rolled_scene as scene
 
 sys.path.pop(0)
 QUICK = [
-    "--set", "rolled.pitch_mm=0.07", "--set", "rolled.exponent=2.0", "--set", "rolled.search.bulge_mm=[0.3,0.06]",
-    "--set", "rolled.search.shift_mm=[0.15,0.15]", "--set", "rolled.search.turn_deg=[0.2,0.2]",
+    "--set", "rolled.pitch_mm=0.07", "--set", "rolled.search.across_mm=[0.6,0.06]",
+    "--set", "rolled.search.along_mm=[0.06,0.06]", "--set", "rolled.search.candidates=3",
 ]  # fmt: skip
 
 
@@ -46,9 +44,7 @@ def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
 def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, monkeypatch) -> None:
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
-    mirror = capture.rig.mirrors[0]
-    glass = Glass("right", plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
-    views = [MirrorView("front", masks["front"]), MirrorView("right", masks["right"], glass)]
+    views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
     monkeypatch.setattr("splitknit.recipe.rolled_capture.find_mirror_views", lambda *_: views)
     out = tmp_path / "out"
     arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), *QUICK, "--json"]
@@ -58,6 +54,8 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert {"print.png", "rolled.ply", "report.json", "distortion.png"} <= set(facts["files"])
     rolled = facts["rolled"]
     assert rolled["views"] == ["front", "right"]
+    assert rolled["warnings"] == ["the left view is cut off."]
+    assert "Please note: the left view is cut off." in _words(facts)
     assert 150 < rolled["coverage_deg"]["median"] < 200
     assert len(rolled["coverage_deg"]["rows"]) == len(rolled["coverage_deg"]["rows_mm"])
     assert rolled["seams"]["right"]["step_rms_um"] < 10

@@ -10,15 +10,14 @@ from splitknit.check import BadInput
 from splitknit.fuse import (
     BlendSettings,
     Chart,
-    DisparitySettings,
     Plane,
     SearchSettings,
+    Seen,
     Sight,
     align,
     blend,
     chart_over,
     coverage_deg,
-    disparity,
     ridge_band,
     seam_lines,
     seam_steps,
@@ -26,7 +25,6 @@ from splitknit.fuse import (
     shifts_by,
     surface_normals,
     view_weight,
-    warp_field,
 )
 from splitknit.types import Camera
 
@@ -40,21 +38,6 @@ def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
     """Noise of one ridge period (6 px), whose directions wander."""
     noise = np.random.default_rng(seed).normal(size=shape).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
-
-
-def test_shifted_ridges_are_found_where_they_went() -> None:
-    whole = ridges((220, 260))
-    first, second = whole[20:200, 20:240], whole[17:197, 25:245]  # 5 columns less, 3 rows more
-    both = np.ones(first.shape, dtype=bool)
-    found = disparity(np.ascontiguousarray(first), np.ascontiguousarray(second), both, 0.1, 1.0)
-    assert found.peak.size > 50
-    assert np.allclose(found.shift, [-5.0, 3.0], atol=0.1)
-    field = warp_field(found, first.shape, 0.1)
-    assert np.allclose(field[60:120, 80:140], [-5.0, 3.0], atol=0.8)
-    unrelated = disparity(np.ascontiguousarray(first), ridges(first.shape, 5), both, 0.1, 1.0)
-    assert unrelated.peak.size < 5
-    none = disparity(np.ascontiguousarray(first), np.ascontiguousarray(second), ~both, 0.1, 1.0)
-    assert none.peak.size == 0
 
 
 def test_the_ridge_band_has_no_mean() -> None:
@@ -93,7 +76,7 @@ def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
     first, second, both, truth = bulged(chart, more)
     before = np.corrcoef(first[both], second[both])[0, 1]
     assert before < 0.3  # ridges are shifted by more than a period
-    ranges = SearchSettings(bulge_mm=(0.5, 0.06), shift_mm=(0.15, 0.15), turn_deg=(0.2, 0.2))
+    ranges = SearchSettings(across_mm=(1.0, 0.05), along_mm=(0.05, 0.05), deviations=(0.2, 0.06, 0.1))
     found = search(chart, radius, FRONT, RIGHT, first, second, both, ranges)
     assert found.correlation > 0.8
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
@@ -107,13 +90,28 @@ def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
 def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, 0.04)
-    done = align(chart, radius, FRONT, RIGHT, first, second, both, pose_free=False)
-    assert done.after > max(0.95, done.before + 0.05)
-    assert done.pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    # a left mirror's ridges lie where they should: what bends the right side must leave that side alone
+    left = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
+    there = np.ascontiguousarray(both[:, ::-1])
+    calm = ridges(chart.shape, 11) * there
+    done = align(
+        chart, radius, FRONT, first + calm, (Seen(RIGHT, second, both), Seen(left, calm, there)), pose_free=False
+    )
+    assert done.after[0] > max(0.95, done.before[0] + 0.05)
+    assert done.after[1] > 0.99
+    assert np.allclose(done.poses, 0.0, atol=1e-6)
+    assert np.abs(done.radius_mm[:, there[70]]).max() < 0.005
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
     assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.02
+    # with one mirror the side that it does not show stays as it is
+    alone = align(chart, radius, FRONT, first, (Seen(RIGHT, second, both),), pose_free=False)
+    assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
+    # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror alone
+    lower = np.roll(second, 1, axis=0) * both
+    turned = align(chart, radius + truth, FRONT, first + calm, (Seen(left, calm, there), Seen(RIGHT, lower, both)))
+    assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
     few = np.zeros_like(both)
-    assert align(chart, radius, FRONT, RIGHT, first, second, few).radius_mm.max() == 0.0
+    assert align(chart, radius, FRONT, first, (Seen(RIGHT, second, few),)).radius_mm.max() == 0.0
 
 
 def test_ridges_move_as_surface_and_mirror_do() -> None:
@@ -165,6 +163,11 @@ def test_settings_are_checked() -> None:
     for wrong in ({"steepest_deg": 95.0}, {"power": 0.0}, {"fade_mm": 0.0}, {"deviation_floor_um": 0.0}):
         with pytest.raises(BadInput, match="fuse"):
             BlendSettings(**wrong)
-    for wrong in ({"window_mm": 0.1}, {"step_mm": 9.0}, {"least_peak": 1.5}, {"least_lead": 1.0}, {"least_share": 0.0}):
-        with pytest.raises(BadInput, match="fuse"):
-            DisparitySettings(**wrong)
+    for wrong in (
+        {"across_mm": (-1.0, 0.1)},
+        {"along_mm": (0.1, 0.0)},
+        {"deviations": (0.0, 0.1, 0.1)},
+        {"doubt": -1.0},
+    ):
+        with pytest.raises(BadInput, match=r"rolled\.search"):
+            SearchSettings(**wrong)

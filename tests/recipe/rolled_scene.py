@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitknit.fuse import plane_of
+from splitknit.recipe.rolled_body import body_between_mirrors
+from splitknit.recipe.rolled_light import Glass
+from splitknit.recipe.rolled_work import MirrorView, MirrorViews
+from splitknit.shape import MirrorShapeSettings, Views
 from splitknit.types import Band, Camera, Capture, Led, Mirror, Rig
 
 A, B, CAP, TOP = 8.0, 6.5, 8.0, -0.5
@@ -113,3 +118,16 @@ def capture(names: tuple[str, ...] = ("left", "right")) -> tuple[Capture, dict[s
     pixels = np.round(60000 * frames / frames.max()).astype(np.uint16)[..., None]
     band = Band("white", pixels, tuple((k,) for k in range(7)), np.ones(7), np.zeros(7))
     return Capture(made, {"white": band}, material="opaque"), masks
+
+
+def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
+    """All views with their true masks and mirrors, and the body that fits their outlines."""
+    built = {mirror.name: mirror for mirror in capture.rig.mirrors}
+    sides = {name: mask for name, mask in masks.items() if name != "front"}
+    ellipse = MirrorShapeSettings(section="ellipse")
+    body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig.camera, built, settings=ellipse).body
+    glasses = {
+        name: Glass(name, plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
+        for name, mirror in built.items()
+    }
+    return MirrorViews(tuple(MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()), body)

@@ -9,34 +9,20 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.check import BadInput
-from splitknit.fuse import SearchSettings, coverage_deg, plane_of, ridge_band
+from splitknit.fuse import SearchSettings, coverage_deg, ridge_band
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.rolled import MirrorView, Rolled, rolled_finger
+from splitknit.recipe.rolled import Rolled, rolled_finger
 from splitknit.recipe.rolled_capture import check_mirrors
-from splitknit.recipe.rolled_light import Glass
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.types import Capture
 
-QUICK = RolledSettings(
-    pitch_mm=0.07,
-    exponent=2.0,
-    search=SearchSettings(bulge_mm=(0.3, 0.06), shift_mm=(0.15, 0.15), turn_deg=(0.2, 0.2)),
-)
-
-
-def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> list[MirrorView]:
-    built = {mirror.name: mirror for mirror in capture.rig.mirrors}
-    glasses = {
-        name: Glass(name, plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
-        for name, mirror in built.items()
-    }
-    return [MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()]
+QUICK = RolledSettings(pitch_mm=0.07, search=SearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3))
 
 
 @pytest.fixture(scope="module")
 def finger() -> Rolled:
     capture, masks = scene.capture()
-    return rolled_finger(capture, views_of(capture, masks), preset_settings("metric"), QUICK)
+    return rolled_finger(capture, scene.views_of(capture, masks), preset_settings("metric"), QUICK)
 
 
 def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
@@ -84,8 +70,9 @@ def test_one_mirror_is_enough_and_none_is_refused() -> None:
     capture, masks = scene.capture()
     settings = preset_settings("metric")
     # the left mirror's light counts, its view does not
-    views = [replace(view, mask=None) if view.name == "left" else view for view in views_of(capture, masks)]
-    one = rolled_finger(capture, views, settings, replace(QUICK, elastic=False))
+    whole = scene.views_of(capture, masks)
+    views = replace(whole, views=tuple(replace(view, mask=None) if view.name == "left" else view for view in whole))
+    one = rolled_finger(capture, views, settings, QUICK)
     assert one.names == ("front", "right")
     truth, slant = truth_of(one)
     pitch, known = one.chart.pitch_mm, one.blended.known
@@ -97,9 +84,9 @@ def test_one_mirror_is_enough_and_none_is_refused() -> None:
     assert seen[np.abs(degrees - 95).argmin()]
     assert not seen[np.abs(degrees + 95).argmin()]
     with pytest.raises(BadInput, match="no mirror beside the finger shows it"):
-        rolled_finger(capture, views_of(capture, {"front": masks["front"]}), settings, QUICK)
+        rolled_finger(capture, replace(whole, views=whole.views[:1]), settings, QUICK)
     with pytest.raises(BadInput, match="front view"):
-        rolled_finger(capture, views_of(capture, {"right": masks["right"]}), settings, QUICK)
+        rolled_finger(capture, replace(whole, views=whole.views[1:]), settings, QUICK)
 
 
 def test_captures_that_cannot_be_rolled_are_told_so() -> None:
@@ -116,6 +103,6 @@ def test_captures_that_cannot_be_rolled_are_told_so() -> None:
 
 
 def test_settings_are_checked() -> None:
-    for wrong in ({"around_deg": 170.0}, {"pitch_mm": 0.0}, {"exponent": 1.0}, {"turns": 0}):
+    for wrong in ({"around_deg": 170.0}, {"pitch_mm": 0.0}, {"turns": 0}):
         with pytest.raises(BadInput, match="rolled"):
             RolledSettings(**wrong)

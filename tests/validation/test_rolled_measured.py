@@ -9,19 +9,15 @@ import numpy as np
 import pytest
 
 from script_folder import scripts_of
-from splitknit.fuse import plane_of
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.rolled import MirrorView, rolled_finger
-from splitknit.recipe.rolled_light import Glass
+from splitknit.recipe.rolled import rolled_finger
 from splitknit.recipe.rolled_settings import RolledSettings, SearchSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"
 QUICK = RolledSettings(
     pitch_mm=0.07,
-    exponent=2.0,
-    elastic=False,
-    search=SearchSettings(bulge_mm=(0.12, 0.06), shift_mm=(0.0, 0.1), turn_deg=(0.0, 0.1)),
+    search=SearchSettings(across_mm=(0.3, 0.06), along_mm=(0.0, 0.06), candidates=2),
 )
 
 
@@ -36,16 +32,18 @@ def scene():
 
 def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
     capture, masks = scene.capture(("right",))
-    mirror = capture.rig.mirrors[0]
-    glass = Glass("right", plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
-    views = [MirrorView("front", masks["front"]), MirrorView("right", masks["right"], glass)]
-    rolled = rolled_finger(capture, views, preset_settings("metric"), QUICK)
+    rolled = rolled_finger(capture, scene.views_of(capture, masks), preset_settings("metric"), QUICK)
     x = (np.arange(scene.SIZE[1]) - (scene.SIZE[1] - 1) / 2) / scene.PX
     y = ((scene.SIZE[0] - 1) / 2 - np.arange(scene.SIZE[0])) / scene.PX
     x, y = np.meshgrid(x, y - 2.0)
     truth = {"mask": masks["front"], "view_right_mask": masks["right"]}
     for name, lines, axis in (("relief_um", x, "z"), ("view_right_relief_um", x - scene.LEAN, "+x")):
-        truth[name] = 1e3 * scene.ridges(scene.on_finger(lines, y, axis)[0])
+        points = scene.on_finger(lines, y, axis)[0]
+        truth[name] = 1e3 * scene.ridges(points)
+        # the skin's own coordinates: length around the finger, place along it
+        around = 7.2 * np.arctan2(points[..., 0], points[..., 2] - scene.TOP + scene.B)
+        skin = np.stack([around, points[..., 1]], axis=-1).astype(np.float32)
+        truth["chart_mm" if name == "relief_um" else "view_right_chart_mm"] = skin
     with scripts_of(FOLDER) as script:
         measured = script("rolled_measure")
         front = measured.front_alone(rolled)
@@ -53,6 +51,12 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
         wrong = measured._against_truth(
             rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]}
         )
+        apart = measured.ridges_apart(rolled, truth)["right"]
+        moved = measured.ridges_apart(rolled, {**truth, "chart_mm": truth["chart_mm"] + np.float32([0.0, 0.5])})[
+            "right"
+        ]
+    assert apart < 250  # not half a ridge
+    assert moved == pytest.approx(500, abs=apart)
     assert front.blended.known.sum() < 0.85 * rolled.blended.known.sum()
     assert found["rolled"]["0-30"] > 0.9
     assert found["rolled"]["60-90"] > 0.8
@@ -73,7 +77,8 @@ def test_tables_of_rolls_and_captures() -> None:
     bands = {"0-30": 0.9, "30-60": None}
     captures = [
         {"seed": k, "coverage_deg": 200.0 + k, "coverage_front_deg": 140.0, "seams": {"left": seam, "right": None},
-         "rolled": bands, "front": bands, "surface_rms_mm": 0.2}
+         "rolled": bands, "front": bands, "surface_rms_mm": 0.2, "cut": ["left"] * (k == 1),
+         "ridges_apart_um": {"left": 50.0, "right": None}}
         for k in range(3)
     ]  # fmt: skip
     with scripts_of(FOLDER) as script:
@@ -87,4 +92,7 @@ def test_tables_of_rolls_and_captures() -> None:
     assert table["rolled_minutiae"]["genuine 40 deg"]["above every impostor"] == 1.0
     assert whole["coverage_deg"] == [201.0, 200.0, 202.0]
     assert whole["seam_step_um"] == [6.0, 6.0, 6.0]
+    assert whole["seam_step_pooled_um"] == 6.0
+    assert (whole["seams"], whole["seams_above_10_um"], whole["views_cut"]) == (3, 0, 1)
+    assert whole["ridges_apart_um"] == [50.0, 50.0, 50.0]
     assert whole["rolled"] == {"0-30": [0.9, 0.9, 0.9], "30-60": None}

@@ -146,11 +146,23 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         return [round(float(v), 3) for v in (np.median(known), min(known), max(known))]
 
     steps = [seam for row in rows for seam in row["seams"].values() if seam]
+
+    def pooled(word: str) -> float:
+        """Root mean square over all seams, each weighing by its length."""
+        squares = [seam[word] ** 2 * seam["length_mm"] for seam in steps]
+        return round(float(np.sqrt(sum(squares) / max(sum(seam["length_mm"] for seam in steps), 1e-9))), 2)
+
     result: dict[str, Any] = {
         "captures": len(rows),
         "fingers": len({row["seed"] for row in rows}),
         "coverage_deg": spread([row["coverage_deg"] for row in rows]),
         "coverage_front_deg": spread([row["coverage_front_deg"] for row in rows]),
+        "seams": len(steps),
+        "seams_above_10_um": sum(seam["faded_um"] > 10.0 for seam in steps),
+        "seam_step_pooled_um": pooled("faded_um"),
+        "same_step_beside_the_seams_pooled_um": pooled("no_seam_um"),
+        "ridges_apart_um": spread([value for row in rows for value in row["ridges_apart_um"].values()]),
+        "views_cut": sum(len(row["cut"]) for row in rows),
         "seam_step_um": spread([seam["faded_um"] for seam in steps]),
         "same_step_beside_the_seams_um": spread([seam["no_seam_um"] for seam in steps]),
         "seam_step_hard_cut_um": spread([seam["cut_um"] for seam in steps]),

@@ -48,7 +48,7 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
         truth = {
             name: arrays[name]
             for name in arrays.files
-            if name.startswith(("body_", "mirror_", "view_", "relief_um", "mask"))
+            if name.startswith(("body_", "mirror_", "view_", "relief_um", "mask", "chart_mm"))
         }
     facts = rolled_facts(rolled)
     row = {
@@ -56,10 +56,11 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
         "coverage_deg": facts["coverage_deg"]["median"],
         "coverage_front_deg": rolled_facts(front)["coverage_deg"]["median"],
         "views": list(rolled.names),
-        "squares": facts["squares_matched"],
         "views_meet": facts["views_meet"],
         "poses": _poses(rolled, views, truth),
         "surface_rms_mm": _surface_error(rolled, truth),
+        "cut": [view.name for view in views if view.cut],
+        "ridges_apart_um": ridges_apart(rolled, truth),
         **_against_truth(rolled, front, truth),
     }
     prints = {name: _print(one) for name, one in (("rolled", rolled), ("front", front))}
@@ -124,6 +125,27 @@ def _truth_of(rolled: Rolled, view: int, truth: dict[str, Any]) -> NDArray[np.fl
     field = np.where(truth[mask], truth[relief] * np.float32(1e-3), np.float32(np.nan)).astype(np.float32)
     places = rolled.places[view, ::STEP, ::STEP]
     return read(field, places[..., 0], places[..., 1])
+
+
+def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | None]:
+    """How far apart (rms, um) the skin lies that the front and each mirror show at one place of the print, where both
+    count: the skin's own coordinates tell."""
+    skin = []
+    for view, name in enumerate(rolled.names):
+        place, mask = ("chart_mm", "mask") if name == "front" else (f"view_{name}_chart_mm", f"view_{name}_mask")
+        field = np.where(truth[mask][..., None], truth[place], np.float32(np.nan)).astype(np.float32)
+        at = rolled.places[view, ::STEP, ::STEP]
+        parts = [read(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1]) for k in range(2)]
+        skin.append(np.stack(parts, axis=-1))
+    length = rolled.chart.length_mm[::STEP, None]
+    shares = rolled.blended.shares[:, ::STEP, ::STEP]
+    result: dict[str, float | None] = {}
+    for view, name in enumerate(rolled.names[1:], start=1):
+        apart = np.linalg.norm(skin[view] - skin[0], axis=-1)
+        both = (np.minimum(shares[0], shares[view]) > 0.2) & (length <= CAP_MM) & (length >= -BASE_MM)
+        values = apart[both & np.isfinite(apart)]
+        result[name] = round(1000.0 * float(np.sqrt((values**2).mean())), 1) if values.size > 100 else None
+    return result
 
 
 def _surface_error(rolled: Rolled, truth: dict[str, Any]) -> float:

@@ -72,6 +72,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
     ]
     if "rolled" in facts:
         lines.append(_rolled_words(facts["rolled"]))
+        lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
     if "distortion" in facts:
         figures = facts["distortion"]
         lines.append(

@@ -1,7 +1,8 @@
-"""What makes two views' ridges meet: the finger's shape between its outlines, the mirror's pose, and a small warp."""
+"""What makes two views' ridges meet: the finger's shape between its outlines, and the mirror's pose."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,8 +13,8 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from splitknit.fuse.bands import evened
 from splitknit.fuse.chart import Chart
-from splitknit.fuse.disparity import Disparity
 from splitknit.fuse.sight import Sight
 from splitknit.types import BoolArray, FloatArray
 
@@ -21,32 +22,36 @@ Array = NDArray[np.float64]
 
 KNOT_MM = 2.5
 """Distance of the knots of the correction of the surface."""
-POSE_PRIOR = (0.01, 0.01, 0.2)
+POSE_PRIOR = (0.004, 0.002, 0.05)
 """Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
-DEPTH_PRIOR_MM = 2.0
+DEPTH_PRIOR_MM = 0.15
 """Standard deviation of the surface against where it is taken to be."""
-OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.3, 10.0
+UNSEEN_PRIOR_MM = 0.03
+"""The same where no two views show it."""
+OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
 """The same where the front's outline tells the surface, this near to a right angle from the front."""
-BEND_PRIOR_MM = 0.25
+BEND_PRIOR_MM = 0.04
 """Standard deviation of the correction's second difference from knot to knot."""
 ALIKE_MM = 0.3
 """Ridges say something new at about this distance."""
 ROBUST = 1.0
 """Difference of two views' ridges, of unit contrast, from which it counts less and less."""
 ROUNDS = 12
+FEW = 500
+"""Pixels that both views show; with fewer a mirror is left as it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What moves the surface and a mirror."""
+    """What moves the surface and the mirrors."""
 
     radius_mm: Array
     """(n, m) to be added to the surface on the chart."""
-    pose: tuple[float, float, float]
-    """Two turns (rad) and a shift (mm) of the mirror, see :meth:`splitknit.fuse.reflection.Plane.moved`."""
-    before: float
-    """Correlation of the two views' ridges where both see them, as it was."""
-    after: float
+    poses: tuple[tuple[float, float, float], ...]
+    """Of each mirror two turns (rad) and a shift (mm), see :meth:`splitknit.fuse.reflection.Plane.moved`."""
+    before: tuple[float, ...]
+    """Correlation of each mirror's ridges with the front's where both see them, as it was."""
+    after: tuple[float, ...]
 
 
 def shifts_by(
@@ -87,65 +92,106 @@ def _pixels(sight: Sight, points: Array) -> Array:
     return np.stack([seen[..., 0], -seen[..., 1]], axis=-1)
 
 
-def align(  # noqa: PLR0917
-    chart: Chart, radius_mm: Array, front: Sight, mirror: Sight, first: FloatArray, second: FloatArray,
-    both: BoolArray, pose_free: bool = True,
-) -> Correction:  # fmt: skip
-    """Bend the surface and move the mirror until its ridges lie on the front's, all of them at once.
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A mirror's ridges on the chart."""
 
-    Gauss-Newton on the difference of the two ridge bands, each of unit local contrast. Unknown are the knots of a
-    smooth correction of the surface and the mirror's pose, with priors on both. Ridges must lie within a quarter of a
-    period to begin with: see :mod:`splitknit.fuse.search`.
+    sight: Sight
+    band: FloatArray
+    """(n, m) ridge band, zero where not seen."""
+    both: BoolArray
+    """(n, m) where the front sees the finger, too."""
+
+
+def align(  # noqa: PLR0917
+    chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, mirrors: Sequence[Seen], pose_free: bool = True
+) -> Correction:
+    """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at once.
+
+    Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
+    correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
+    within a quarter of a period to begin with: see :mod:`splitknit.fuse.search`.
 
     Parameters
     ----------
     chart, radius_mm : the surface (n, m)
-    first, second : (n, m) ridge bands of the front and of the mirror's view, zero where not seen
-    both : (n, m) where both see the finger
-    pose_free : whether the mirror may move
+    first : (n, m) ridge band of the front, zero where not seen
+    mirrors : the views that are brought onto it
+    pose_free : whether mirrors may move
 
     References
     ----------
     Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
     """
-    rows, columns = np.nonzero(both)
-    if rows.size < 500:
-        return Correction(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0, 0.0)
     every = max(2, round(KNOT_MM / chart.pitch_mm))
     knots = (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
     count = knots[0] * knots[1]
-    modes = _modes(chart, radius_mm, (front, mirror), (rows, columns))
-    spread = _hats(columns / every, rows / every, knots)
-    one, other = (evened(band, both, chart.pitch_mm) for band in (first, second))
-    slopes = np.gradient(other, axis=1), np.gradient(other, axis=0)
-    target = one[rows, columns]
-    prior = _priors(knots, _depth_prior(chart, every, knots[1]), pose_free)
+    parts = [
+        _Part(chart, radius_mm, front, first, one, every, knots) if int(one.both.sum()) >= FEW else None
+        for one in mirrors
+    ]
     weight = (chart.pitch_mm / ALIKE_MM) ** 2  # neighbouring pixels say the same
-    values = np.zeros(count + 3)
-    scores: list[tuple[float, Array]] = []
+    seen = np.any([one.both for one in mirrors], axis=0)
+    prior = _priors(knots, _depth_prior(chart, seen, every, knots), pose_free, len(mirrors))
+    values = np.zeros(count + 3 * len(mirrors))
+    scores: list[tuple[float, list[float], Array]] = []
     for _ in range(ROUNDS):
-        by_depth = spread @ values[:count]
-        moved = modes[..., 0] * by_depth[:, None] + modes[..., 1:] @ values[count:]
-        column, row = columns + moved[:, 0], rows + moved[:, 1]
-        seen, across, down = (_read(field, column, row) for field in (other, *slopes))
-        scores.append((float(np.corrcoef(seen, target)[0, 1]) if seen.std() > 0 else 0.0, values))
-        jacobian = across[:, None] * modes[:, 0] + down[:, None] * modes[:, 1]  # (K, 4)
-        left = target - seen
-        trust = 1.0 / (1.0 + (left / ROBUST) ** 2)
-        matrix: Any = scipy.sparse.hstack(
-            [scipy.sparse.diags_array(jacobian[:, 0]) @ spread, scipy.sparse.csr_array(jacobian[:, 1:])]
-        ).tocsr()
-        scaled = scipy.sparse.diags_array(trust * weight)
-        normal = matrix.T @ scaled @ matrix + prior
-        step = scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), matrix.T @ (scaled @ left) - prior @ values)
-        values = values + step
-    best, values = max(scores, key=lambda item: item[0])
+        normal, right, alike = prior.copy(), -prior @ values, []
+        for k, part in enumerate(parts):
+            if part is None:
+                alike.append(0.0)
+                continue
+            own = slice(count + 3 * k, count + 3 * k + 3)
+            matrix, left, score = part.linearised(values[:count], values[own])
+            alike.append(score)
+            matrix = scipy.sparse.hstack(
+                [
+                    matrix[:, :count],
+                    scipy.sparse.csr_array((matrix.shape[0], 3 * k)),
+                    matrix[:, count:],
+                    scipy.sparse.csr_array((matrix.shape[0], 3 * (len(parts) - k - 1))),
+                ]
+            ).tocsr()
+            trust = scipy.sparse.diags_array(weight / (1.0 + (left / ROBUST) ** 2))
+            normal = normal + matrix.T @ trust @ matrix
+            right = right + matrix.T @ (trust @ left)
+        scores.append((float(np.mean(alike)) if alike else 0.0, alike, values))
+        values = values + scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), right)
+    _, after, values = max(scores, key=lambda item: item[0])
     grid = values[:count].reshape(knots).astype(np.float32)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / every for n in chart.shape[::-1]))
     smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
-    first_turn, second_turn, shift = (float(v) for v in values[count:])
-    return Correction(np.asarray(smooth, dtype=np.float64), (first_turn, second_turn, shift), scores[0][0], best)
+    poses = [(float(a), float(b), float(c)) for a, b, c in values[count:].reshape(-1, 3)]
+    return Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
+
+
+class _Part:
+    """One mirror's share in the equations."""
+
+    def __init__(  # noqa: PLR0917
+        self, chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, seen: Seen, every: int,
+        knots: tuple[int, int],
+    ) -> None:  # fmt: skip
+        self.rows, self.columns = np.nonzero(seen.both)
+        self.modes = _modes(chart, radius_mm, (front, seen.sight), (self.rows, self.columns))
+        self.spread = _hats(self.columns / every, self.rows / every, knots)
+        one, other = (evened(band, seen.both, chart.pitch_mm) for band in (first, seen.band))
+        self.fields = other, np.gradient(other, axis=1), np.gradient(other, axis=0)
+        self.target = one[self.rows, self.columns]
+
+    def linearised(self, depths: Array, pose: Array) -> tuple[Any, Array, float]:
+        """Derivatives (K, knots + 3) of the mirror's ridges, what they lack (K,), and the correlation."""
+        by_depth = self.spread @ depths
+        moved = self.modes[..., 0] * by_depth[:, None] + self.modes[..., 1:] @ pose
+        column, row = self.columns + moved[:, 0], self.rows + moved[:, 1]
+        seen, across, down = (_read(field, column, row) for field in self.fields)
+        score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
+        jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
+        matrix: Any = scipy.sparse.hstack(
+            [scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread, scipy.sparse.csr_array(jacobian[:, 1:])]
+        ).tocsr()
+        return matrix, self.target - seen, score
 
 
 def _modes(
@@ -159,15 +205,6 @@ def _modes(
         shifts_by(sight, chart, points[at], rays[at], (right[at], down[at])) for sight in sights
     )
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
-
-
-def evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
-    """(n, m) ridge band over its local standard deviation."""
-    size = sigma_mm / pitch_mm
-    share = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
-    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / share
-    typical = float(np.median(power[known])) if known.any() else 1.0
-    return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
 
 
 def _read(field: FloatArray, columns: Array, rows: Array) -> Array:
@@ -190,16 +227,19 @@ def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.c
     return scipy.sparse.coo_array((np.concatenate(entries), (lines, np.concatenate(places))), shape=shape).tocsr()
 
 
-def _depth_prior(chart: Chart, every: int, columns: int) -> Array:
-    """(columns,) standard deviation of the surface at the knots' angles, mm."""
+def _depth_prior(chart: Chart, seen: BoolArray, every: int, knots: tuple[int, int]) -> Array:
+    """(knots) standard deviation of the surface at the knots, mm: away from what two views show it stays as it is."""
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
-    degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(columns))
+    degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(knots[1]))
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
-    return np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
+    told = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
+    reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
+    row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in zip(knots, seen.shape, strict=True))
+    return np.where(reach[np.ix_(row, column)] > 0, told[None], UNSEEN_PRIOR_MM)
 
 
-def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool) -> Any:
-    """Inverse covariance of knots and pose; `deviation_mm` (columns,) of the surface."""
+def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirrors: int) -> Any:
+    """Inverse covariance of knots and poses; `deviation_mm` (knots) of the surface."""
     rows, columns = knots
 
     def bends(count: int) -> Any:
@@ -210,22 +250,8 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool) -> Any
     down = scipy.sparse.kron(bends(rows), scipy.sparse.eye_array(columns))
     across = scipy.sparse.kron(scipy.sparse.eye_array(rows), bends(columns))
     smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
-    near = scipy.sparse.diags_array(np.tile(1.0 / deviation_mm**2, rows))
+    near = scipy.sparse.diags_array(1.0 / deviation_mm.ravel() ** 2)
     spreads = np.array(POSE_PRIOR) if pose_free else np.full(3, 1e-9)
-    return scipy.sparse.block_diag([smooth + near, scipy.sparse.diags_array(1.0 / spreads**2)]).tocsr()
-
-
-def warp_field(found: Disparity, shape: tuple[int, int], pitch_mm: float, smooth_mm: float = 1.5) -> FloatArray:
-    """(n, m, 2) smooth shift, in columns and rows, through the measured ones; falls to zero away from them."""
-    weight = np.zeros(shape, dtype=np.float32)
-    total = np.zeros((*shape, 2), dtype=np.float32)
-    middle = np.median(found.shift, axis=0) if len(found.peak) else np.zeros(2)
-    for column, row, shift, peak in zip(found.columns, found.rows, found.shift, found.peak, strict=True):
-        if np.abs(shift - middle).max() * pitch_mm > 0.6:  # a ridge too far
-            continue
-        weight[int(row), int(column)] += peak
-        total[int(row), int(column)] += peak * shift
-    sigma = smooth_mm / pitch_mm
-    spread = cv2.GaussianBlur(weight, (0, 0), sigma)
-    dense = max(float(np.quantile(spread[spread > 0], 0.5)) if (spread > 0).any() else 1.0, 1e-9)
-    return np.asarray(cv2.GaussianBlur(total, (0, 0), sigma) / (spread + 0.1 * dense)[..., None], dtype=np.float32)
+    return scipy.sparse.block_diag(
+        [smooth + near, scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))]
+    ).tocsr()

@@ -45,11 +45,6 @@ class Sight:
         column = seen[..., 0] * scale + (columns - 1) / 2
         return column.astype(np.float32), ((rows - 1) / 2 - seen[..., 1] * scale).astype(np.float32)
 
-    def pixel_of(self, origin_mm: Array, across: Array, along: Array) -> Array:
-        """(2, 3) column and row at (u, v, 1) of the plane of points origin + u across + v along, rig's frame."""
-        at = [np.stack(self.pixels(p)).astype(np.float64) for p in (origin_mm, origin_mm + across, origin_mm + along)]
-        return np.stack([at[1] - at[0], at[2] - at[0], at[0]], axis=1)
-
     def cosine(self, normals: Array) -> Array:
         """Cosine (...) of the angle between normals (..., 3) of the rig's frame and the line of sight."""
         towards = self.turned(np.array([0.0, 0.0, 1.0]))

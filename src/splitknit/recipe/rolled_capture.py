@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -12,10 +14,13 @@ from splitknit.check import require
 from splitknit.fuse import Plane
 from splitknit.preprocess import find_crease, find_upright, finger_mask
 from splitknit.radiance import linear_survey, pick_channel
+from splitknit.recipe.mirrors import skin_slopes
 from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rolled import MirrorView
+from splitknit.recipe.rolled_body import body_between_mirrors
 from splitknit.recipe.rolled_light import Glass
-from splitknit.shape import find_views, mirror_shape, view_binning
+from splitknit.recipe.rolled_work import MirrorView, MirrorViews
+from splitknit.shape import find_views, view_binning
+from splitknit.shape.planes import MirrorPlane
 from splitknit.types import BoolArray, Capture, FloatArray, Mirror
 
 Array = NDArray[np.float64]
@@ -45,7 +50,7 @@ def check_mirrors(capture: Capture) -> None:
     )
 
 
-def find_mirror_views(capture: Capture, settings: PipelineSettings) -> list[MirrorView]:
+def find_mirror_views(capture: Capture, settings: PipelineSettings) -> MirrorViews:
     """Views of the finger in one picture, and mirrors where the views' outlines have them.
 
     Raises
@@ -56,7 +61,7 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> list[Mirr
     check_mirrors(capture)
     camera = capture.rig.camera
     binning = view_binning(camera.px_per_mm)
-    mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
+    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
     views = find_views(mean, camera, mirrors, partial(finger_mask, settings=settings.mask), binning)
     seen = [name for name in SIDES if name in views.mirrors]
@@ -65,19 +70,43 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> list[Mirr
         "only the front view of the finger can be used: no mirror beside it shows it; turn the mirrors towards the "
         "finger, or print with --method unroll.",
     )
-    shape = mirror_shape(views, camera, mirrors, tip_direction_deg=capture.tip_direction_deg or 0.0)
+    sides = replace(views, mirrors={name: views.mirrors[name] for name in seen})
+    between = body_between_mirrors(
+        sides,
+        camera,
+        mirrors,
+        capture.tip_direction_deg or 0.0,
+        settings.shape.mirror,
+        lambda shape: skin_slopes(capture, grey, views, shape),
+    )
     front = _enlarged(views.front, capture.shape, binning)
     found = [MirrorView("front", _above_crease(front, views.front, mean, capture, settings, binning))]
-    cut = shape.facts.get("views_cut_off", ())
     for name, mirror in mirrors.items():
-        usable = name in seen and name not in cut
-        mask = _enlarged(views.mirrors[name], capture.shape, binning) if usable else None
-        found.append(MirrorView(name, mask, _glass(mirror, *shape.plane(mirror))))
-    require(
-        any(view.glass is not None and view.mask is not None for view in found),
-        "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle.",
-    )
-    return found
+        plane = between.planes.get(name, MirrorPlane.nominal(mirror))
+        mask = _enlarged(views.mirrors[name], capture.shape, binning) if name in between.planes else None
+        found.append(MirrorView(name, mask, _glass(mirror, plane.normal, plane.offset_mm), name in between.cut))
+    unseen = [name for name in SIDES if name in mirrors and name not in seen]
+    return MirrorViews(tuple(found), between.body, _notes(between.cut, between.useless, unseen))
+
+
+def _notes(cut: Sequence[str], useless: Sequence[str], unseen: Sequence[str]) -> tuple[str, ...]:
+    """What became of views that are not as they should be."""
+    found = [
+        f"the view in the {name} mirror is cut off at the picture's border or the mirror's, so that its outline tells "
+        "less of where the mirror lies: lay the finger in the middle, so that the mirror shows all of its pad."
+        for name in cut
+    ]
+    found += [
+        f"the view in the {name} mirror is cut off so much that it is left out, and that side of the finger is missing "
+        "from the print: lay the finger in the middle."
+        for name in useless
+    ]
+    found += [
+        f"no finger was found in the {name} mirror, so that that side of it is missing from the print: check the "
+        "mirror's pose in rig.json, and the light on that side."
+        for name in unseen
+    ]
+    return tuple(found)
 
 
 def _glass(mirror: Mirror, normal: Array, offset_mm: float) -> Glass:

@@ -1,19 +1,16 @@
-"""The chart around a finger, a body from its outlines, and how views see it."""
+"""The chart around a finger, and how views see it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
 from splitknit.fuse import (
     Chart,
     Plane,
     Sight,
-    body_from_outlines,
     chart_over,
     heights,
-    outline,
     read,
     sampled,
     surface_normals,
@@ -88,35 +85,3 @@ def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:
     side = heights(RIGHT, chart, radius, z + 28.0, y)
     assert np.abs(side - (A * np.sqrt(1 - (z[None] / B) ** 2 - cap**2) - 28.0)).max() < 0.02
     assert np.isnan(heights(FRONT, chart, radius, np.array([9.0, 30.0]), y)).all()
-
-
-def test_a_body_is_built_from_its_outlines() -> None:
-    rows = (CAMERA.image_size[0] - 1) / 2 - np.arange(CAMERA.image_size[0])
-    columns = np.arange(CAMERA.image_size[1]) - (CAMERA.image_size[1] - 1) / 2
-    y, x = rows[:, None] / CAMERA.px_per_mm, columns[None] / CAMERA.px_per_mm
-    cap = np.maximum(y, 0) / CAP
-    front = (x / A) ** 2 + cap**2 < 1
-    side = ((x - 28.0) / B) ** 2 + cap**2 < 1
-    along = np.arange(-14, 12, 0.1)
-    zero = np.zeros(3)
-    sides = outline(front, FRONT.pixel_of(zero, np.eye(3)[0], np.eye(3)[1]), (-15.0, 15.0), along)
-    levels = outline(side, RIGHT.pixel_of(zero, np.eye(3)[2], np.eye(3)[1]), (-15.0, 15.0), along)
-    middle = np.abs(along) < 1e-6
-    assert sides[1][middle][0] == pytest.approx(A, abs=0.05)
-    assert levels[0][middle][0] == pytest.approx(-B, abs=0.05)
-    assert np.isnan(sides[0][-1])
-    body = body_from_outlines(along, sides, levels, exponent=2.0)
-    chart = capsule_chart()
-    error = body.radius(chart) - capsule_radius(chart)
-    assert np.abs(error)[chart.length_mm < 7].max() < 0.15
-    assert np.sqrt((error**2).mean()) < 0.06
-    squarer = body.squarer(2.6).radius(chart)[-20]
-    corner = np.abs(np.rad2deg(chart.angle_rad) - 45.0).argmin()
-    assert squarer[corner] > 1.04 * body.radius(chart)[-20][corner]
-
-
-def test_too_little_in_common_is_refused() -> None:
-    along = np.arange(0, 5, 0.1)
-    none = np.full(along.size, np.nan)
-    with pytest.raises(BadInput, match=r"0\.0 mm of the finger's length together"):
-        body_from_outlines(along, (none, none), (none, none))

@@ -1,0 +1,198 @@
+"""The smooth finger between its mirrors, and where these lie: outlines of all views, also of those that are cut.
+
+The parts are those of :mod:`splitknit.shape`; what is added here is that a view which the border of the picture or of
+its mirror cuts still tells what the rest of its outline shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import BadInput, require
+from splitknit.fuse import Chart
+from splitknit.shape import MirrorShape, MirrorShapeSettings, Slopes, Views, mirror_outline
+from splitknit.shape.body import Body
+from splitknit.shape.first import cap, first_body, turn_of_tips
+from splitknit.shape.fit import fit_body
+from splitknit.shape.mirror import TURN_DEG
+from splitknit.shape.outline import Rows, finger_axis, is_cut, pad_side, rows_of
+from splitknit.shape.planes import MirrorPlane, Touching, touching
+from splitknit.shape.state import Fit, Pose, SeenIn
+from splitknit.shape.verdict import refuse_misfit
+from splitknit.types import BoolArray, Camera, Mirror
+from splitknit.view import pixels_of
+
+Array = NDArray[np.float64]
+
+EVERY = 2
+"""Of the rows, that many make one point of an outline in the fit."""
+FEW = 20
+"""A view with fewer points of its outline left is not used."""
+MOST_MISSING = 0.4
+"""Of the pad's outline; what is left of it then is not the mirror's edge."""
+NEAR_EDGE_MM = 3.0
+"""A straight outline this near to where the mirror should end is the mirror's edge."""
+ROLL_OF_SHEAR, MOST_ROLL_RAD = -3.1, 0.3
+"""Radians of roll to the right for each unit of a body's shear; and the most that is believed."""
+CUT_ROUNDS = 20
+"""Corrections of the fit where views are cut."""
+CUT_TURN_DEG = 0.6
+"""Standard deviation of a mirror's turn as the tips tell it where the view is cut."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyBetweenMirrors:
+    """What the outlines tell."""
+
+    body: Body
+    planes: Mapping[str, MirrorPlane]
+    """Of the mirrors whose views are used."""
+    cut: tuple[str, ...]
+    """Of them, those whose view is cut."""
+    useless: tuple[str, ...]
+    """Mirrors whose view is cut so much that it tells nothing."""
+
+
+def body_between_mirrors(  # noqa: PLR0917
+    views: Views,
+    camera: Camera,
+    mirrors: Mapping[str, Mirror],
+    tip_direction_deg: float = 0.0,
+    settings: MirrorShapeSettings | None = None,
+    slopes_on: Callable[[MirrorShape], Slopes | None] | None = None,
+) -> BodyBetweenMirrors:
+    """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front.
+
+    Parameters
+    ----------
+    views : of the front and of the mirrors beside the finger
+    camera, mirrors : the mirrors where they nominally are, by name
+    tip_direction_deg : of the capture
+    settings : MirrorShapeSettings
+    slopes_on : measures the skin's slopes, given a first shape: they tell how the finger is rolled
+
+    Raises
+    ------
+    BadInput
+        If no mirror shows enough, or the views do not fit one finger.
+    """
+    chosen = settings or MirrorShapeSettings()
+    turn = np.deg2rad(tip_direction_deg)
+    hint = np.array([-np.sin(turn), np.cos(turn)])
+    axis, front = finger_axis(views.front, camera, views.binning, hint, chosen.row_mm)
+    seen: dict[str, SeenIn] = {}
+    rows: dict[str, Rows] = {}
+    poses: dict[str, Pose] = {}
+    cut, useless = [], []
+    for name in sorted(views.mirrors):
+        mirror, mask = mirrors[name], views.mirrors[name]
+        plane = MirrorPlane.nominal(mirror)
+        outline = rows_of(mask, camera, views.binning, plane.image_axis(axis), chosen.row_mm)
+        side = pad_side(mirror, outline)
+        if is_cut(outline, side):
+            left = _still_shown(outline, side, mirror, camera)
+            if left is not None:
+                cut.append(name)
+                outline = left
+        parts = touching_both(camera, outline)
+        if len(parts.offset_mm) < FEW:
+            useless.append(name)
+            continue
+        caps = [cap(part, camera, views.binning, axis, chosen) for part in (views.front, mask)]
+        tips = turn_of_tips(camera, plane, caps[0], caps[1], axis)
+        if tips is None and name not in cut:
+            raise BadInput(
+                f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the one in front; "
+                "check that the rig file's mirrors are those in the picture and that one finger alone is in view."
+            )
+        poses[name] = Pose(turn_rad=0.0 if tips is None else tips)
+        spread = None if tips is None else float(np.deg2rad(TURN_DEG if name not in cut else CUT_TURN_DEG))
+        seen[name] = SeenIn(parts, plane, mirror.point_mm, turn_rad=poses[name].turn_rad, turn_sd_rad=spread)
+        if int(np.isfinite(outline.width_mm).sum()) >= FEW:
+            rows[name] = outline
+    require(
+        bool(rows),
+        "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle.",
+    )
+    whole_first = sorted(rows, key=lambda name: (name in cut, name))
+    body = first_body(front, {name: rows[name] for name in whole_first}, seen, poses, chosen)
+    planes = touching_both(camera, front.beyond(body.tip_mm - body.length_mm))
+    if cut:  # the first guess is further off
+        chosen = replace(chosen, rounds=max(chosen.rounds, CUT_ROUNDS))
+    fit: Fit = fit_body(body, planes, seen, poses, chosen)
+    if slopes_on is not None and chosen.slopes:
+        slopes = slopes_on(MirrorShape(camera, fit.body, {}, {"front": (front,)}, fit))
+        if slopes is not None:
+            fit = fit_body(body, planes, seen, poses, chosen, slopes)
+    refuse_misfit(fit, seen, chosen)
+    found = {name: fit.poses[name].of(seen[name]) for name in seen}
+    return BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in seen), tuple(useless))
+
+
+def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows | None:
+    """What a cut view's outline still tells; None if it is straight, but not by its mirror's edge.
+
+    The picture's border leaves a part of the pad's outline; a mirror's edge takes its place.
+    """
+    edge = rows.left_mm if side == "left" else rows.right_mm
+    known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
+    low, high = (int(known[0] + share * (known[-1] - known[0])) for share in (0.1, 0.6))
+    if float(np.isfinite(edge[low:high]).mean()) < 1.0 - MOST_MISSING:
+        return rows
+    places = rows.places(side)[0]
+    at = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])).astype(np.float32)
+    border = mirror_outline(mirror, camera).astype(np.float32)
+    away = [cv2.pointPolygonTest(border, (float(x), float(y)), True) for x, y in at[:: max(1, len(at) // 20)]]
+    if float(np.median(np.abs(away))) > NEAR_EDGE_MM * camera.px_per_mm:
+        return None
+    nothing = np.full_like(edge, np.nan)
+    return replace(rows, left_mm=nothing) if side == "left" else replace(rows, right_mm=nothing)
+
+
+def touching_both(camera: Camera, rows: Rows) -> Touching:
+    """Planes that touch the finger along both sides of a view's outline."""
+    parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in ("left", "right")]
+    return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
+
+
+def radius_of(body: Body, chart: Chart) -> Array:
+    """(n, m) distance of the body's skin along the rays of a chart."""
+    start, directions = chart.rays()
+    low = np.zeros(chart.shape)
+    high = np.full(chart.shape, 1.5 * float(np.abs(body.coefficients[2:]).max()) + chart.cap_mm)
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        out = outside(body, start[:, None] + middle[..., None] * directions)
+        high, low = np.where(out, middle, high), np.where(out, low, middle)
+    return np.asarray(0.5 * (low + high))
+
+
+def rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
+    """(n, m) to be added to the skin's distance where a finger is rolled: its flat pad is rolled, too.
+
+    A body's sections shear when it rolls, but their flat side stays where it faces the camera. With squareness k and
+    roll phi the pad of k sin^2(2 w) / 4 of the radius turns by phi, to first order -phi k sin(4 w) / 2: nothing at the
+    outlines of front and sides, all of it between them.
+    """
+    expected = MirrorShapeSettings().squareness
+    flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
+    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MOST_ROLL_RAD, MOST_ROLL_RAD))
+    turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
+    return np.asarray(-0.5 * flat * roll * turned[None] * radius_mm)
+
+
+def outside(body: Body, points_mm: Array) -> BoolArray:
+    """Whether points (..., 3) of the rig's frame lie outside a body; beyond its base its last section goes on."""
+    t, u, z = body.to_frame(points_mm.reshape(-1, 3), place=True).T
+    sections = body.sections(u)
+    rise = z - sections.z
+    across = (t - sections.t - sections.shear * rise) / np.maximum(sections.a, 1e-6)
+    squared = np.minimum(across * across, 1.0)
+    most = np.sqrt(1.0 - squared) * (1.0 + sections.squareness * squared)
+    out = (np.abs(rise) > sections.b * most) | (np.abs(across) >= 1.0) | (u > body.tip_mm)
+    return np.asarray(out.reshape(points_mm.shape[:-1]))
