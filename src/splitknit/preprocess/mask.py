@@ -187,7 +187,12 @@ def check_image(mean_image: FloatArray) -> FloatArray:
         image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3)),
         f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.",
     )
-    require(min(image.shape[:2]) >= 16, f"the mean image is too small for a finger: {image.shape[:2]} pixels.")
+    rows, columns = image.shape[:2]
+    require(
+        min(rows, columns) >= 16,
+        f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for, and 16 each way are "
+        "needed; check the rig's px_per_mm, or take larger images.",
+    )
     image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
     require(bool(np.isfinite(image).all()), "the mean image contains NaN or infinite values.")
     return image
