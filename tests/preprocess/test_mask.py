@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.preprocess import MaskSettings, check_borders, finger_mask, photometric_mask, touched_borders
+from splitknit.preprocess import (
+    MaskSettings,
+    check_borders,
+    finger_mask,
+    finger_outline,
+    finger_region,
+    photometric_mask,
+    touched_borders,
+)
 from splitknit.preprocess.clusters import two_means
 from splitknit.preprocess.evidence import chromaticity
 from splitknit.preprocess.regions import fill_holes, largest_component, remove_spurs
@@ -41,6 +49,30 @@ def test_finds_the_finger_whatever_its_tone(draw_finger, tone, disturbance, leas
     assert mask.dtype == np.bool_
     assert overlap(mask, scene.mask) > least
     np.testing.assert_array_equal(mask, fill_holes(largest_component(mask)))
+
+
+@pytest.mark.parametrize(
+    "disturbance", [{}, {"shadow": "side"}, {"specks": 60}, {"yaw_deg": 40.0, "tip_at": (-8.0, 8.0)}]
+)
+def test_in_two_steps_the_outline_is_the_same(draw_finger, disturbance):
+    scene = draw_finger("medium", px_per_mm=20.0, **disturbance)
+    settings = MaskSettings(coarse_px_per_mm=4.0, fine_px_per_mm=10.0)
+    rough = finger_region(scene.rgb, scene.px_per_mm, settings)
+    assert overlap(rough, scene.mask) > 0.97
+    found = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm, settings)
+    assert overlap(found, scene.mask) > 0.98
+    assert overlap(found, finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(fine_px_per_mm=10.0))) > 0.99
+
+
+def test_in_two_steps_the_same_is_refused(draw_finger):
+    scene = draw_finger("medium", px_per_mm=20.0)
+    with pytest.raises(BadInput, match="no finger was found"):
+        finger_region(np.full_like(scene.rgb, 0.03), scene.px_per_mm)
+    wide = draw_finger("medium", half_width=16.0, tip_at=(0.0, 12.0))
+    with pytest.raises(BadInput, match=r"touches 3 borders .*move it back"):
+        finger_region(wide.rgb, wide.px_per_mm)
+    with pytest.raises(BadInput, match="no finger was found"):
+        finger_outline(scene.rgb, np.zeros((40, 30), bool), scene.px_per_mm)
 
 
 @pytest.mark.parametrize("tone", ["medium", "very light"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -208,3 +208,46 @@ def test_bad_input_is_refused(change, words):
 def test_bad_settings(name, value):
     with pytest.raises(BadInput, match="bands" if name == "fine_mm" else name):
         RegistrationSettings(**{name: value})
+
+
+def test_a_shift_and_a_turn_are_one_affine_map_and_elastic_shifts_are_none(scene, found):
+    flow = replace(found.flow, origin_mm=(1.2, -0.7))
+    rows, columns = (slice(40, 90), slice(30, 120))
+    across, down = flow.maps(0, PX, (rows, columns))
+    matrix = flow.affine(0, PX)
+    places = np.stack([*np.meshgrid(np.arange(30, 120), np.arange(40, 90)), np.ones((50, 90))])
+    np.testing.assert_allclose(np.einsum("ij,jhw->ihw", matrix, places), np.stack([across, down]), atol=2e-3)
+    assert np.abs(matrix - np.eye(2, 3)).max() > 1.0
+    nodes = flow.nodes_mm.copy()
+    nodes[0, 0, 5, 5] += 0.01
+    assert replace(flow, nodes_mm=nodes).affine(0, PX) is None
+
+
+def near_lights(places_mm):
+    """(7, 3, ...) light of seven LEDs 40 mm above the plane, at places (2, ...) from its middle, right and up."""
+    angles = 2 * np.pi * np.arange(7) / 7
+    leds = np.stack([22.0 * np.cos(angles), 22.0 * np.sin(angles), np.full(7, 40.0)], axis=1)
+    points = np.concatenate([places_mm, np.zeros((1, *places_mm.shape[1:]))])
+    towards = leds.reshape(7, 3, *[1] * (places_mm.ndim - 1)) - points
+    return 45.0**2 * towards / np.linalg.norm(towards, axis=1, keepdims=True) ** 3
+
+
+def test_under_near_lights_their_light_at_every_place_is_needed():
+    rng = np.random.default_rng(3)
+    height, width = round(20 * PX), round(16 * PX)
+    x, y = np.meshgrid((np.arange(width) - (width - 1) / 2) / PX, ((height - 1) / 2 - np.arange(height)) / PX)
+    relief = 0.012 * np.sin(2 * np.pi * np.hypot(x - 3.0, y + 9.0) / 0.5) - 0.02 * (x**2 + 0.5 * y**2)
+    down, right = np.gradient(relief, 1.0 / PX)
+    normal = np.stack([-right, down, np.ones_like(x)]) / np.sqrt(1.0 + right**2 + down**2)
+    stack = np.einsum("lchw,chw->lhw", near_lights(np.stack([x, y])), normal)
+    mask = np.hypot(x / 7.0, y / 9.0) < 1.0
+    stack = np.where(mask, 0.4 * stack, 0.02)
+    stack = (stack + 0.002 * rng.standard_normal(stack.shape)).astype(np.float32)
+    nodes = np.stack(np.meshgrid(np.linspace(x[0, 0], x[0, -1], 9), np.linspace(y[0, 0], y[-1, 0], 11)))
+    core = np.nonzero(np.hypot(x / 6.0, y / 8.0) < 1.0)[::-1] / np.float64(PX)
+    errors = []
+    for lights in (near_lights(np.zeros(2)), near_lights(nodes)):
+        found = register_shots(stack, lights, mask, PX, reference=3, settings=QUICK)
+        errors.append(np.abs(found.flow.at(*core)).max())
+    assert errors[1] < 0.01
+    assert errors[0] > 2 * errors[1]

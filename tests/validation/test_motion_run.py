@@ -24,7 +24,7 @@ def _moved(seed: int, amplitude: float, corrected: float) -> dict:
         "corrected": figures,
         "oracle": {**figures, "ridge_correlation": 0.94},
         "undone": True,
-        "finger_s": 1.0,
+        "registration_cpu_s": 1.0,
         "error_um": {"white": 10.0, "nir": 20.0},
     }
 

@@ -89,7 +89,7 @@ def tables(results: dict[str, Any]) -> list[str]:
         "uncorrected, best shift": lambda r: r["uncorrected"]["ridge_correlation_shifted"],
         "error white, um": lambda r: r.get("error_um", {}).get("white"),
         "error nir, um": lambda r: r.get("error_um", {}).get("nir"),
-        "registration, s": lambda r: r.get("finger_s"),
+        "registration, CPU s": lambda r: r.get("registration_cpu_s"),
     }
     lines += ["| motion, mm | undone | refused | " + " | ".join(columns) + " |", "| --- | --- | --- |" + " --- |" * 4]
     for amplitude, rows in by_amplitude(results["moved"]):

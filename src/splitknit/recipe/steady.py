@@ -49,11 +49,11 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
     if not wanted or not enough:
         return capture, finger
     with watch("finger"):
-        registered = _register(capture, finger, settings)
+        registered = register(capture, finger, settings)
         if motion.correct == "auto" and not _worth_it(registered, seen_mm, settings):
             return capture, finger
         _check(registered, settings)
-        steadied = _resampled(capture, finger, registered)
+        steadied = resampled(capture, finger, registered)
     again = find_finger(steadied, settings, watch)
     facts = {**again.facts, **registered.facts}
     note = (
@@ -63,7 +63,7 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Registered:
+class Registered:
     """Motion of every band."""
 
     flows: dict[str, Flow]
@@ -85,7 +85,7 @@ def _seen_mm(finger: Finger, settings: PipelineSettings) -> float:
     return max(found)
 
 
-def _register(capture: Capture, finger: Finger, settings: PipelineSettings) -> _Registered:
+def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Registered:
     """Registration of the white band, of the others to it, and what a report says of them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
@@ -120,10 +120,10 @@ def _register(capture: Capture, finger: Finger, settings: PipelineSettings) -> _
         facts[f"motion_{name}"] = told
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
-    return _Registered(flows, most, _rms(found.before), _rms(found.after), facts)
+    return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
 
 
-def _worth_it(registered: _Registered, seen_mm: float, settings: PipelineSettings) -> bool:
+def _worth_it(registered: Registered, seen_mm: float, settings: PipelineSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
@@ -133,7 +133,7 @@ def _worth_it(registered: _Registered, seen_mm: float, settings: PipelineSetting
     return registered.after < HELPS * registered.before
 
 
-def _check(registered: _Registered, settings: PipelineSettings) -> None:
+def _check(registered: Registered, settings: PipelineSettings) -> None:
     """Refuse motion that cannot be undone."""
     motion = settings.motion
     require(
@@ -187,7 +187,7 @@ def _reduced(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool
     return np.asarray(small)
 
 
-def _resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capture:
+def resampled(capture: Capture, finger: Finger, registered: Registered) -> Capture:
     """The capture with every image taken from where its skin is, once, in the values that are stored."""
     px_per_mm = capture.rig.camera.px_per_mm
     window = around(capture, finger)
