@@ -42,7 +42,7 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
     """
     finger = find_finger(capture, settings, watch)
     motion = settings.motion
-    seen_mm = _seen_mm(finger, settings)
+    seen_mm = seen_motion_mm(finger, settings)
     suspect = capture.material == "skin" and seen_mm >= motion.correct_mm  # gloss of other things looks like motion
     wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
     enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
@@ -76,7 +76,7 @@ class Registered:
     facts: dict[str, Any]
 
 
-def _seen_mm(finger: Finger, settings: PipelineSettings) -> float:
+def seen_motion_mm(finger: Finger, settings: PipelineSettings) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
