@@ -50,7 +50,7 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
         return capture, finger
     with watch("finger"):
         registered = register(capture, finger, settings)
-        if motion.correct == "auto" and not _worth_it(registered, seen_mm, settings):
+        if motion.correct == "auto" and not worth_undoing(registered, seen_mm, settings):
             return capture, finger
         _check(registered, settings)
         steadied = resampled(capture, finger, registered)
@@ -123,7 +123,7 @@ def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Re
     return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
 
 
-def _worth_it(registered: Registered, seen_mm: float, settings: PipelineSettings) -> bool:
+def worth_undoing(registered: Registered, seen_mm: float, settings: PipelineSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
