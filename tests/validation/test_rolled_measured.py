@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from script_folder import scripts_of
+from splitknit.check import BadInput
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled import rolled_finger
 from splitknit.recipe.rolled_settings import RolledSettings, SearchSettings
@@ -96,3 +97,19 @@ def test_tables_of_rolls_and_captures() -> None:
     assert (whole["seams"], whole["seams_above_10_um"], whole["views_cut"]) == (3, 0, 1)
     assert whole["ridges_apart_um"] == [50.0, 50.0, 50.0]
     assert whole["rolled"] == {"0-30": [0.9, 0.9, 0.9], "30-60": None}
+
+
+def test_a_capture_that_is_refused_is_kept_as_such(tmp_path: Path, monkeypatch, capsys) -> None:
+    with scripts_of(FOLDER) as script:
+        module = script("rolled")
+
+        def refuse(capture: Path) -> None:
+            raise BadInput(f"{capture.name} shows no finger.")
+
+        monkeypatch.setattr(module, "measure", refuse)
+        (tmp_path / "7_1").mkdir()
+        (tmp_path / "7_1" / "capture.json").write_text("{}")
+        for _ in range(2):  # made, and read again
+            row, prints = module.kept(tmp_path, 7, 1, keep=True)
+            assert row == {"seed": 7, "roll_deg": 20, "refused": "7_1 shows no finger."}
+            assert prints == {}

@@ -21,6 +21,7 @@ import numpy as np
 from rolled_measure import measure
 
 from splitknit.apps.cli import main as splitknit
+from splitknit.check import BadInput
 from splitknit.match import Template, make_template, ridge_band, ridge_match
 from splitknit.match.minutiae import extract, minutiae_match
 
@@ -58,16 +59,21 @@ def kept(folder: Path, seed: int, number: int, keep: bool) -> tuple[dict[str, An
     file = folder / f"{seed}_{number}.npz"
     if not file.is_file():
         capture = simulated(folder, seed, number)
-        made = measure(capture)
         arrays = {}
-        for name, (image, values, known) in made.prints.items():
-            arrays |= {f"{name}_image": image, f"{name}_values": values, f"{name}_known": known}
-        row = {"seed": seed, "roll_deg": ROLLS_DEG[number], **made.row}
+        row: dict[str, Any] = {"seed": seed, "roll_deg": ROLLS_DEG[number]}
+        try:
+            made = measure(capture)
+        except BadInput as refusal:
+            row["refused"] = str(refusal)
+        else:
+            row |= made.row
+            for name, (image, values, known) in made.prints.items():
+                arrays |= {f"{name}_image": image, f"{name}_values": values, f"{name}_known": known}
         with file.open("wb") as stream:
             np.savez_compressed(stream, row=np.array(json.dumps(row)), **arrays)
         if not keep:
             shutil.rmtree(capture)
-        print(seed, ROLLS_DEG[number], row["coverage_deg"], row["rolled"], flush=True)
+        print(seed, ROLLS_DEG[number], row.get("refused") or row["rolled"], flush=True)
     with np.load(file) as arrays:
         return json.loads(str(arrays["row"])), {name: arrays[name] for name in arrays.files if name != "row"}
 
@@ -185,12 +191,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE / "rolled.json")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    rows, sides = [], {}
+    rows, refused, sides = [], [], {}
     for number in range(options.rolls):
         for seed in range(options.seed, options.seed + options.fingers):
             if options.done and not (options.folder / f"{seed}_{number}.npz").is_file():
                 continue
             row, prints = kept(options.folder, seed, number, options.keep)
+            if "refused" in row:
+                refused.append(row)
+                continue
             rows.append(row)
             sides[seed, number] = prints
     pairs = compared(sides)
@@ -199,6 +208,7 @@ def main() -> None:
         "mirrors": ["left", "right"],
         "values": "median, least, largest over the captures; correlation of the ridge band by slant (deg)",
         "summary": summary(rows),
+        "refused": refused,
         "roll": roll_table(pairs) if any(pair["genuine"] for pair in pairs) else None,
         "captures": rows,
     }
