@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ import rolled_scene as scene
 from splitknit.check import BadInput
 from splitknit.fuse import SearchSettings, coverage_deg, ridge_band
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.rolled import Rolled, rolled_finger
-from splitknit.recipe.rolled_capture import check_mirrors
+from splitknit.recipe.rolled import Rolled, _apart, rolled_finger
+from splitknit.recipe.rolled_capture import _notes, check_mirrors
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.types import Capture
 
@@ -106,3 +107,14 @@ def test_settings_are_checked() -> None:
     for wrong in ({"around_deg": 170.0}, {"pitch_mm": 0.0}, {"turns": 0}):
         with pytest.raises(BadInput, match="rolled"):
             RolledSettings(**wrong)
+
+
+def test_what_became_of_a_view_is_told_in_a_sentence_each() -> None:
+    told = _notes(["left"], ["right"], [])
+    assert len(told) == 2
+    assert told[0].startswith("the view in the left mirror is cut off")
+    assert "left out" in told[1]
+    assert "no finger was found in the right mirror" in _notes([], [], ["right"])[0]
+    work = SimpleNamespace(correlation={"left": [0.5, 0.1], "right": [0.2, 0.6]})
+    (said,) = _apart(work)  # type: ignore[arg-type]
+    assert said.startswith("ridges of the left mirror's view do not lie on the front's (correlation 0.10)")
