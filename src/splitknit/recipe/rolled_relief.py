@@ -20,6 +20,7 @@ from splitknit.metric.learned import relief_by_network
 from splitknit.metric.light import fine_lighting, slant_of, trust_of
 from splitknit.normals import pseudo_normals
 from splitknit.radiance import Window, has_colour, linear_channels
+from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.rolled_light import Glass, skin_points, view_light
 from splitknit.recipe.rolled_normals import held_normals
@@ -119,11 +120,15 @@ def view_relief(  # noqa: PLR0917
     grid = replace(grid, mask=grid.mask & reach)
     names = ("red", "green", "blue") if has_colour(white) else ("grey",)
     images = BandImages(names, linear_channels(white, capture.encoding, names, window, binning), light.rig)
-    relief, deviation, trust, how = _ridges(
-        images, grid, low, filled, smooth, factor, light.inner, prior, capture, settings
-    )
     facing = np.cos(np.deg2rad(slant_of(smooth, grid.pitch_mm)))
     inside = grid.mask
+    finer = settings.metric.relief == "network" and capture.material == "skin"
+    finer = finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
+    if finer:
+        grid, images, factor = finer_grid(grid), finer_images(images), factor * FACTOR
+        smooth = refine(np.where(known, height, 0).astype(np.float32), known, factor, grid.shape)
+    *fields, how = _ridges(images, grid, low, filled, smooth, factor, light.inner, prior, capture, settings)
+    relief, deviation, trust = (coarser(field) for field in fields) if finer else fields
 
     def placed(field: FloatArray) -> FloatArray:
         return np.where(inside, field, np.float32(np.nan)).astype(np.float32)
