@@ -32,7 +32,7 @@ SCALE = 0.6
 PRINT_PITCH_MM = 25.4 / 500.0
 
 
-def simulated(folder: Path, seed: int, number: int) -> Path:
+def simulated(folder: Path, seed: int, number: int, scale: float = SCALE) -> Path:
     """The capture of a finger at one of the rolls, from the folder or made now."""
     out = folder / f"{seed}_{number}"
     if not (out / "capture.json").is_file():
@@ -44,7 +44,7 @@ def simulated(folder: Path, seed: int, number: int) -> Path:
             "--seed",
             str(seed),
             "--scale",
-            str(SCALE),
+            str(scale),
             "--mirrors",
             "left,right",
         ]
@@ -54,11 +54,13 @@ def simulated(folder: Path, seed: int, number: int) -> Path:
     return out
 
 
-def kept(folder: Path, seed: int, number: int, keep: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+def kept(
+    folder: Path, seed: int, number: int, keep: bool, scale: float = SCALE
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Row and prints of one capture, from the folder or made now."""
     file = folder / f"{seed}_{number}.npz"
     if not file.is_file():
-        capture = simulated(folder, seed, number)
+        capture = simulated(folder, seed, number, scale)
         arrays = {}
         row: dict[str, Any] = {"seed": seed, "roll_deg": ROLLS_DEG[number]}
         try:
@@ -185,6 +187,7 @@ def main() -> None:
     parser.add_argument("--fingers", type=int, default=8)
     parser.add_argument("--seed", type=int, default=103)
     parser.add_argument("--rolls", type=int, default=len(ROLLS_DEG), help="how many of 0, 20, -20, 10, -10 deg")
+    parser.add_argument("--scale", type=float, default=SCALE, help="of the camera of 44 px/mm; each in its own folder")
     parser.add_argument("--folder", type=Path, default=Path("/tmp/rolled-captures"))
     parser.add_argument("--keep", action="store_true", help="keep the captures")
     parser.add_argument("--done", action="store_true", help="only what is there already")
@@ -196,7 +199,7 @@ def main() -> None:
         for seed in range(options.seed, options.seed + options.fingers):
             if options.done and not (options.folder / f"{seed}_{number}.npz").is_file():
                 continue
-            row, prints = kept(options.folder, seed, number, options.keep)
+            row, prints = kept(options.folder, seed, number, options.keep, options.scale)
             if "refused" in row:
                 refused.append(row)
                 continue
@@ -204,7 +207,7 @@ def main() -> None:
             sides[seed, number] = prints
     pairs = compared(sides)
     facts = {
-        "scale": SCALE,
+        "scale": options.scale,
         "mirrors": ["left", "right"],
         "values": "median, least, largest over the captures; correlation of the ridge band by slant (deg)",
         "summary": summary(rows),
