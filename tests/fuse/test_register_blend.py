@@ -159,8 +159,25 @@ def test_views_fade_into_each_other() -> None:
     assert np.median(around) == pytest.approx(72 + 100, abs=12)
 
 
+def test_what_is_as_uncertain_as_ridges_are_deep_is_not_shown() -> None:
+    known = np.ones((60, 60), dtype=bool)
+    deviation = np.full((60, 60), 0.010, np.float32)
+    deviation[:, 30:] = 0.060
+    weight = view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1))
+    assert (weight[:, :20] > 0).all()
+    assert not weight[:, 40:].any()
+    spared = view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1, most_deviation_um=100.0))
+    assert (spared[:, 40:] > 0).all()
+
+
 def test_settings_are_checked() -> None:
-    for wrong in ({"steepest_deg": 95.0}, {"power": 0.0}, {"fade_mm": 0.0}, {"deviation_floor_um": 0.0}):
+    for wrong in (
+        {"steepest_deg": 95.0},
+        {"power": 0.0},
+        {"fade_mm": 0.0},
+        {"deviation_floor_um": 0.0},
+        {"most_deviation_um": -1.0},
+    ):
         with pytest.raises(BadInput, match="fuse"):
             BlendSettings(**wrong)
     for wrong in (

@@ -11,9 +11,12 @@ import rolled_scene as scene
 
 from splitknit.check import BadInput
 from splitknit.fuse import SearchSettings, coverage_deg, ridge_band
+from splitknit.metric.grid import Grid
+from splitknit.metric.light import FineLight
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.rolled import Rolled, _apart, rolled_finger
+from splitknit.recipe.rolled import Rolled, _apart, _base, rolled_finger
 from splitknit.recipe.rolled_capture import _notes, check_mirrors
+from splitknit.recipe.rolled_relief import _lit
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.types import Capture
 
@@ -118,3 +121,20 @@ def test_what_became_of_a_view_is_told_in_a_sentence_each() -> None:
     work = SimpleNamespace(correlation={"left": [0.5, 0.1], "right": [0.2, 0.6]})
     (said,) = _apart(work)  # type: ignore[arg-type]
     assert said.startswith("ridges of the left mirror's view do not lie on the front's (correlation 0.10)")
+
+
+def test_all_views_end_where_the_front_does() -> None:
+    front = np.zeros((40, 60), dtype=bool)
+    front[5:30, 10:50] = True
+    front[30:34, 10:30] = True  # a slanted crease
+    assert _base(front) == 30
+    assert _base(np.zeros((40, 60), dtype=bool)) == 40
+
+
+def test_skin_with_fewer_than_three_lights_is_not_trusted() -> None:
+    grid = Grid(np.ones((50, 80), dtype=bool), np.arange(80) * 0.05, -np.arange(50) * 0.05, 0.05, (False,) * 4)
+    trust = np.ones((6, 50, 80), dtype=np.float32)
+    trust[2:, :, 40:] = 0.1
+    found = _lit(FineLight(np.zeros((6, 3, 50, 80), np.float32), np.ones_like(trust), trust), grid)
+    assert (found[:, :25] > 0.99).all()
+    assert not found[:, 55:].any()

@@ -28,12 +28,16 @@ class BlendSettings:
     """Width over which a view fades in from the outline of what it shows."""
     deviation_floor_um: float = 4.0
     """Added to the relief's standard deviation, so that no view is trusted without limit."""
+    most_deviation_um: float = 35.0
+    """Where the relief's standard deviation is as large as this, ridges are not known; from three quarters of it on, a
+    view counts less."""
 
     def __post_init__(self) -> None:
         require(30.0 <= self.steepest_deg <= 89.0, "fuse.steepest_deg must lie in [30, 89].")
         require(0.5 <= self.power <= 10.0, "fuse.power must lie in [0.5, 10].")
         require(0.0 < self.fade_mm <= 5.0, "fuse.fade_mm must lie in (0, 5].")
-        require(self.deviation_floor_um > 0.0, "fuse.deviation_floor_um must be positive.")
+        for name in ("deviation_floor_um", "most_deviation_um"):
+            require(getattr(self, name) > 0.0, f"fuse.{name} must be positive.")
 
 
 def view_weight(
@@ -56,8 +60,10 @@ def view_weight(
     floor = 1e-3 * settings.deviation_floor_um
     smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
     share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    certain = floor**2 / (floor**2 + (smooth / np.maximum(share, 1e-3)) ** 2)
-    return np.asarray(facing * fade * certain * inside, dtype=np.float32)
+    deviation = smooth / np.maximum(share, np.float32(1e-3))
+    certain = floor**2 / (floor**2 + deviation**2)
+    sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * settings.most_deviation_um)), 0.0, 1.0)
+    return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_light import Glass
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.recipe.rolled_work import LEAST_MEETING, MirrorViews, Work
-from splitknit.types import Capture, FloatArray
+from splitknit.types import BoolArray, Capture, FloatArray
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,9 @@ def _fused(work: Work) -> Rolled:
         weights.append(weight * trust)
         places.append(np.stack(sights[name].pixels(points), axis=-1))
     stacked = np.stack(reliefs).astype(np.float32)
-    blended = blend(stacked, np.stack(deviations).astype(np.float32), np.stack(weights).astype(np.float32))
+    weighed = np.stack(weights).astype(np.float32)
+    weighed[:, _base(weighed[0] > 0) :] = 0.0
+    blended = blend(stacked, np.stack(deviations).astype(np.float32), weighed)
     facts = {
         "views": list(names),
         "relief_by": {name: work.reliefs[name].how for name in names},
@@ -108,6 +110,14 @@ def _fused(work: Work) -> Rolled:
         chart, points.astype(np.float32), normals.astype(np.float32), blended, names, stacked,
         np.stack(places), tuple(work.glasses.values()), facts,
     )  # fmt: skip
+
+
+def _base(front: BoolArray) -> int:
+    """First row below what the front (n, m) shows in nine tenths of its usual breadth: all views end there."""
+    breadth = front.sum(axis=1)
+    if not breadth.any():
+        return len(front)
+    return int(np.flatnonzero(breadth >= 0.9 * np.median(breadth[breadth > 0]))[-1]) + 1
 
 
 def _apart(work: Work) -> list[str]:

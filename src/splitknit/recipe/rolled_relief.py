@@ -17,7 +17,7 @@ from splitknit.metric import can_learn
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.metric.learned import relief_by_network
-from splitknit.metric.light import fine_lighting, slant_of, trust_of
+from splitknit.metric.light import FineLight, fine_lighting, slant_of, trust_of
 from splitknit.normals import pseudo_normals
 from splitknit.radiance import Window, has_colour, linear_channels
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
@@ -30,6 +30,8 @@ from splitknit.view import view_of
 
 Array = NDArray[np.float64]
 
+LIT, LEAST_LIT, FADE_MM = 0.5, 3, 0.2
+"""Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
 UNKNOWN_MM = 0.02
 """Standard deviation of a relief that no network vouches for."""
 
@@ -150,13 +152,14 @@ def _ridges(  # noqa: PLR0917
 ) -> tuple[FloatArray, FloatArray, FloatArray, str]:
     """Relief along the line of sight, its standard deviation, trust, and how they were found."""
     light = fine_lighting(images.rig, low, low_height, factor, grid)
+    lit = _lit(light, grid)
     light = replace(light, trust=np.maximum(light.trust * _enlarged(inner, factor, grid.shape), np.float32(1e-3)))
     networks = shipped_networks(settings) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
         g = held_normals(images.stack / light.entering, light, smooth, grid, prior)
         found = relief_by_network(images, grid, smooth, light, networks.relief, g)
-        return found.relief_mm, found.deviation_mm, found.trust, "network"
-    trust = trust_of(slant_of(smooth, grid.pitch_mm), grid)
+        return found.relief_mm, found.deviation_mm, found.trust * lit, "network"
+    trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
     stack = images.stack.mean(axis=0)
     entering = light.entering if capture.material == "skin" else np.ones_like(light.entering)
     weights = light.trust * entering * entering
@@ -170,6 +173,13 @@ def _ridges(  # noqa: PLR0917
     relief = shapelets(evened[0].astype(np.float32), evened[1].astype(np.float32), grid.mask, bank)
     relief = np.nan_to_num(relief, nan=0.0) * np.float32(grid.pitch_mm) * trust
     return relief, np.full(grid.shape, np.float32(UNKNOWN_MM)), trust, "shapelets"
+
+
+def _lit(light: FineLight, grid: Grid) -> FloatArray:
+    """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which tell no slope."""
+    enough = ((light.trust > LIT).sum(axis=0) >= LEAST_LIT).astype(np.float32)
+    wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
+    return np.asarray(np.clip(2.0 * wide - 1.0, 0.0, 1.0), dtype=np.float32)
 
 
 def _enlarged(fields: FloatArray, factor: int, shape: tuple[int, int]) -> FloatArray:
