@@ -121,6 +121,8 @@ def test_what_became_of_a_view_is_told_in_a_sentence_each() -> None:
     work = SimpleNamespace(correlation={"left": [0.5, 0.1], "right": [0.2, 0.6]})
     (said,) = _apart(work)  # type: ignore[arg-type]
     assert said.startswith("ridges of the left mirror's view do not lie on the front's (correlation 0.10)")
+    (said,) = _apart(SimpleNamespace(correlation={"left": [0.5, 0.35], "right": [0.2, 0.41]}))  # type: ignore[arg-type]
+    assert said.startswith("ridges of the left mirror's view may not lie on the front's (correlation 0.35)")
 
 
 def test_all_views_end_where_the_front_does() -> None:

@@ -40,6 +40,10 @@ class Rolled:
     facts: Mapping[str, object]
 
 
+SURE_MEETING = 0.4
+"""Correlation of two views' ridges below which it is said that they may not meet."""
+
+
 def rolled_finger(
     capture: Capture,
     views: MirrorViews,
@@ -121,10 +125,11 @@ def _base(front: BoolArray) -> int:
 
 
 def _apart(work: Work) -> list[str]:
-    """Views whose ridges do not meet the front's, in sentences."""
+    """Views whose ridges do not meet the front's, or may not, in sentences."""
     return [
-        f"ridges of the {name} mirror's view do not lie on the front's (correlation {values[-1]:.2f}), so that they "
-        "may be kinked where the views meet: check the mirror's pose in rig.json, and that ridges are seen in it."
+        f"ridges of the {name} mirror's view {'do' if values[-1] < LEAST_MEETING else 'may'} not lie on the front's "
+        f"(correlation {values[-1]:.2f}), so that they may be kinked where the views meet: check the mirror's pose in "
+        "rig.json, and that ridges are seen in it."
         for name, values in work.correlation.items()
-        if values and values[-1] < LEAST_MEETING
+        if values and values[-1] < SURE_MEETING
     ]
