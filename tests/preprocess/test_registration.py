@@ -11,6 +11,7 @@ import pytest
 from splitknit.check import BadInput
 from splitknit.preprocess import RegistrationSettings, Seen, register_band, register_shots, without_glare
 from splitknit.preprocess.registration_flow import finger_family, places_of, still
+from splitknit.preprocess.registration_level import details_of
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)
@@ -245,9 +246,29 @@ def test_under_near_lights_their_light_at_every_place_is_needed():
     stack = (stack + 0.002 * rng.standard_normal(stack.shape)).astype(np.float32)
     nodes = np.stack(np.meshgrid(np.linspace(x[0, 0], x[0, -1], 9), np.linspace(y[0, 0], y[-1, 0], 11)))
     core = np.nonzero(np.hypot(x / 6.0, y / 8.0) < 1.0)[::-1] / np.float64(PX)
-    errors = []
-    for lights in (near_lights(np.zeros(2)), near_lights(nodes)):
-        found = register_shots(stack, lights, mask, PX, reference=3, settings=QUICK)
-        errors.append(np.abs(found.flow.at(*core)).max())
-    assert errors[1] < 0.01
+    noise = np.float32(1e-7) * rng.standard_normal(stack.shape).astype(np.float32)
+    given = (near_lights(np.zeros(2)), stack), (near_lights(nodes), stack), (near_lights(nodes), stack + noise)
+    flows = [
+        register_shots(images, lights, mask, PX, reference=3, settings=QUICK).flow.at(*core) for lights, images in given
+    ]
+    errors = [np.abs(flow).max() for flow in flows]
+    assert errors[1] < 0.005
     assert errors[0] > 2 * errors[1]
+    # a trace of noise moves next to nothing: no steps in what is minimised
+    assert np.abs(flows[2] - flows[1]).max() < 0.005
+
+
+def test_details_vary_with_the_shift_without_steps():
+    x, y = np.meshgrid(np.arange(90) / PX, np.arange(80) / PX)
+    wave = np.sin(2 * np.pi * (x + 0.4 * y) / 1.1).astype(np.float32)
+    level = details_of(1.0 + 0.1 * np.stack([wave] * 5), np.ones(wave.shape, bool), PX, (0.05, 5.0), PX)
+    inner = (level.columns > 20) & (level.columns < 70) & (level.rows > 20) & (level.rows < 60)
+    shifts = np.arange(25) / (24 * PX) / 8  # an eighth of a pixel
+    seen = []
+    for shift in shifts:
+        moved = np.zeros((5, 2, level.columns.size), np.float32)
+        moved[:, 0] = shift
+        seen.append(level.seen(moved)[0, 0][inner])
+    change = np.diff(seen, axis=0)
+    moves = np.sqrt((change**2).mean(axis=1))
+    assert moves.max() < 3.5 * moves.mean()  # six times with steps

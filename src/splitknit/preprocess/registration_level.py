@@ -17,6 +17,8 @@ SAMPLES = 16_000
 """Of the pixels of a level, at least so many are looked at, evenly spread; where it has fewer, all."""
 ALIKE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
+STEPS = np.float32(32.0)
+"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
 LINE = 128
 """Samples in one row of what OpenCV resamples."""
 FLOPS = 200_000
@@ -47,9 +49,13 @@ class Level:
         found = np.empty((len(self.images), 3, count), dtype=np.float32)
         size = np.float32(self.px_per_mm)
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
-            columns, rows = _in_lines(self.columns + shift[0] * size), _in_lines(self.rows + shift[1] * size)
-            taken = cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
+            near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
+            across, down = (_in_lines(places) for places in near)
+            taken = cv2.remap(image, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
             found[k] = taken.reshape(-1, 3)[:count].T
+            # details vary with the shift without steps: what lies between is told by the slopes
+            found[k, 0] += (found[k, 1] * (columns - near[0]) + found[k, 2] * (rows - near[1])) / size
         return found
 
 
