@@ -13,16 +13,14 @@ import argparse
 import json
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from splitknit.pipeline import preset_settings
-from splitknit.preprocess import finger_outline, finger_region
-from splitknit.recipe.mirrors import OUTLINE_PX_PER_MM
-from splitknit.shape import find_views, mirror_shape, view_binning
+from splitknit.recipe.mirrors import views_in
+from splitknit.shape import mirror_shape, view_binning
 from splitknit.simulate.finger import Pose, draw_finger, finger_surface, place
 from splitknit.simulate.finger_shape import FingerBody
 from splitknit.simulate.mirror_parts import mirror_rig
@@ -74,22 +72,13 @@ def timed(work: Callable[[], Any], rounds: int) -> tuple[Any, dict[str, float]]:
 def bench(image: np.ndarray, rig: Any, names: tuple[str, ...], rounds: int) -> dict[str, Any]:
     """All steps with these mirrors alone."""
     settings = preset_settings("metric")
-    mask = replace(settings.mask, fine_px_per_mm=OUTLINE_PX_PER_MM, coarse_px_per_mm=0.55 * OUTLINE_PX_PER_MM)
     binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
     mirrors = {mirror.name: mirror for mirror in rig.mirrors if mirror.name in names}
 
     def views() -> Any:
         size = (image.shape[1] // binning, image.shape[0] // binning)
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        return find_views(
-            small,
-            rig.camera,
-            mirrors,
-            lambda part, scale: finger_region(part, scale, mask),
-            binning,
-            settings.shape.mirror.views,
-            lambda part, rough, scale: finger_outline(part, rough, scale, mask),
-        )
+        return views_in(small, rig.camera, mirrors, binning, settings)
 
     found, first = timed(views, rounds)
     shape, second = timed(lambda: mirror_shape(found, rig.camera, mirrors), rounds)

@@ -111,8 +111,8 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
             mask = np.asarray(capture.mask)
             wide = mask
         else:
-            wide = _enlarged(wider & (usable | ~kept), full, binning)
-            mask = _enlarged(usable, full, binning) & wide
+            wide = enlarged(wider & (usable | ~kept), full, binning)
+            mask = enlarged(usable, full, binning) & wide
         _check_width(kept if given else usable, small_px, given)
         notes = [upright.note] if upright.note else []
         if cut and not crease.found:
@@ -222,7 +222,7 @@ def _reduced(mask: BoolArray | None, shape: tuple[int, ...]) -> BoolArray:
     return np.asarray(small)
 
 
-def _enlarged(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
+def enlarged(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
     """A mask of blocks on the full grid, its outline smooth."""
     if factor == 1:
         return mask

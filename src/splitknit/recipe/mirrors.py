@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.fuse import Plane, facing_share, led_image, mirrored_share
+from splitknit.fuse import facing_share, led_image, mirrored_share
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.knit import crossover
 from splitknit.normals import pseudo_normals
@@ -20,6 +20,7 @@ from splitknit.radiance import Window, linear_survey
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rays import unevenness
+from splitknit.recipe.rolled_light import Glass, glass_in
 from splitknit.recipe.surfaces import SurfaceParts
 from splitknit.shape import (
     MirrorShape,
@@ -31,7 +32,7 @@ from splitknit.shape import (
     mirror_shape,
     view_binning,
 )
-from splitknit.types import BoolArray, Camera, Capture, FloatArray, Led, Rig, Shade
+from splitknit.types import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
 from splitknit.view import pixels_of, view_of
 
 SLOPES_MM = 0.25
@@ -169,21 +170,27 @@ def _views_and_images(capture: Capture, settings: PipelineSettings) -> tuple[Vie
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
     binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
+    return views_in(mean, rig.camera, mirrors, binning, settings), grey
+
+
+def views_in(
+    mean: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int, settings: PipelineSettings
+) -> Views:
+    """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
     mask = replace(
         settings.mask,
         fine_px_per_mm=min(settings.mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
         coarse_px_per_mm=min(settings.mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
     )
-    views = find_views(
+    return find_views(
         mean,
-        rig.camera,
+        camera,
         mirrors,
         lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
         binning,
         settings.shape.mirror.views,
         lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
     )
-    return views, grey
 
 
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
@@ -239,25 +246,9 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Glass:
-    """A mirror where it was found."""
-
-    plane: Plane
-    corners_mm: NDArray[np.float64]
-    """(K, 3) outline of its face."""
-    reflectance: float
-
-
 def glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
     """The rig's mirrors, in the poses that the outlines gave."""
-    found = []
-    for mirror in rig.mirrors:
-        normal, offset = shape.plane(mirror)
-        corners = np.asarray(mirror.corners_mm, dtype=np.float64)
-        corners = corners - np.outer(corners @ normal - offset, normal)
-        found.append(Glass(Plane(corners.mean(axis=0), normal), corners, mirror.reflectance))
-    return tuple(found)
+    return tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in rig.mirrors)
 
 
 def with_images(

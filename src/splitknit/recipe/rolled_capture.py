@@ -6,22 +6,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.fuse import Plane
 from splitknit.preprocess import find_crease, find_upright, finger_mask
 from splitknit.radiance import linear_survey, pick_channel
+from splitknit.recipe.finger import BEYOND_CREASE_MM, enlarged
 from splitknit.recipe.mirrors import skin_slopes
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_body import body_between_mirrors
-from splitknit.recipe.rolled_light import Glass
+from splitknit.recipe.rolled_light import glass_in
 from splitknit.recipe.rolled_work import MirrorView, MirrorViews
 from splitknit.shape import find_views, view_binning
 from splitknit.shape.planes import MirrorPlane
-from splitknit.types import BoolArray, Capture, FloatArray, Mirror
+from splitknit.types import BoolArray, Capture, FloatArray
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")
@@ -79,12 +78,12 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> MirrorVie
         settings.shape.mirror,
         lambda shape: skin_slopes(capture, grey, views, shape),
     )
-    front = _enlarged(views.front, capture.shape, binning)
+    front = enlarged(views.front, capture.shape, binning)
     found = [MirrorView("front", _above_crease(front, views.front, mean, capture, settings, binning))]
     for name, mirror in mirrors.items():
         plane = between.planes.get(name, MirrorPlane.nominal(mirror))
-        mask = _enlarged(views.mirrors[name], capture.shape, binning) if name in between.planes else None
-        found.append(MirrorView(name, mask, _glass(mirror, plane.normal, plane.offset_mm), name in between.cut))
+        mask = enlarged(views.mirrors[name], capture.shape, binning) if name in between.planes else None
+        found.append(MirrorView(name, mask, glass_in(mirror, plane.normal, plane.offset_mm), name in between.cut))
     unseen = [name for name in SIDES if name in mirrors and name not in seen]
     return MirrorViews(tuple(found), between.body, _notes(between.cut, between.useless, unseen))
 
@@ -109,13 +108,6 @@ def _notes(cut: Sequence[str], useless: Sequence[str], unseen: Sequence[str]) ->
     return tuple(found)
 
 
-def _glass(mirror: Mirror, normal: Array, offset_mm: float) -> Glass:
-    """A mirror in the plane that was found; its outline is the drawn one, laid into that plane."""
-    corners = np.asarray(mirror.corners_mm, dtype=np.float64)
-    corners = corners - (corners @ normal - offset_mm)[:, None] * normal
-    return Glass(mirror.name, Plane(corners.mean(axis=0), normal), corners, mirror.reflectance)
-
-
 def _above_crease(  # noqa: PLR0917
     mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, settings: PipelineSettings, binning: int
 ) -> BoolArray:
@@ -130,18 +122,5 @@ def _above_crease(  # noqa: PLR0917
     across, along, offset = upright.upright_from_input[1]
     columns = (np.arange(mask.shape[1], dtype=np.float32) + 0.5) / binning - 0.5
     rows = (np.arange(mask.shape[0], dtype=np.float32) + 0.5) / binning - 0.5
-    beyond = np.float32(crease.row + MARGIN_MM * px_per_mm)
+    beyond = np.float32(crease.row + BEYOND_CREASE_MM * px_per_mm)
     return np.asarray(mask & (columns[None, :] * across + rows[:, None] * along + offset < beyond))
-
-
-MARGIN_MM = 2.5
-"""Skin beyond the crease is kept this far: light from it reaches the phalange under the skin."""
-
-
-def _enlarged(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
-    """A mask of blocks on the full grid, its outline smooth."""
-    if factor == 1:
-        return mask
-    size = (mask.shape[1] * factor, mask.shape[0] * factor)
-    large = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
-    return np.pad(large, ((0, shape[0] - large.shape[0]), (0, shape[1] - large.shape[1])), mode="edge")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.fuse import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
-from splitknit.types import FloatArray, Led, Rig, Shade
+from splitknit.types import FloatArray, Led, Mirror, Rig, Shade
 
 Array = NDArray[np.float64]
 EDGE_BAND_MM = 0.3
@@ -30,6 +30,13 @@ class Glass:
     corners_mm: Array
     """(K, 3) outline of its face."""
     reflectance: float
+
+
+def glass_in(mirror: Mirror, normal: Array, offset_mm: float) -> Glass:
+    """A mirror in the plane that was found; its outline is the drawn one, laid into that plane."""
+    corners = np.asarray(mirror.corners_mm, dtype=np.float64)
+    corners = corners - (corners @ normal - offset_mm)[:, None] * normal
+    return Glass(mirror.name, Plane(corners.mean(axis=0), normal), corners, mirror.reflectance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
