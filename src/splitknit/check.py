@@ -6,6 +6,8 @@ line prints it and exits with code 2.
 
 from __future__ import annotations
 
+import os
+import stat
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,56 @@ def require(condition: bool, message: str) -> None:
     """Raise :class:`BadInput` with `message` unless `condition` holds."""
     if not condition:
         raise BadInput(message)
+
+
+def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
+    """Read a whole regular file of at most `max_bytes`; every reader of a file goes through here.
+
+    Devices and pipes are refused without being opened for reading, and the size is checked before memory is taken
+    (and again while reading, for a file that grows and for those of ``/proc``, which have no size).
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, not a regular file, too large, or cannot be read.
+
+    Examples
+    --------
+    >>> read_bytes("/dev/zero", 1000)
+    Traceback (most recent call last):
+    ...
+    splitknit.check.BadInput: /dev/zero is not a file.
+    """
+    name = shown_path(path)
+    try:
+        # a pipe without a writer would block the open itself
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(descriptor, "rb") as stream:
+            status = os.fstat(descriptor)
+            require(stat.S_ISREG(status.st_mode), f"{name} is not a file.")
+            require(
+                status.st_size <= max_bytes,
+                f"{name} is too large: {status.st_size} bytes, at most {max_bytes} are read.",
+            )
+            data = stream.read(status.st_size + 1)
+            while len(data) > status.st_size and len(data) <= max_bytes and (more := stream.read(1 << 16)):
+                data += more
+    except FileNotFoundError as error:
+        raise BadInput(f"{name} does not exist; add the file or correct the name.") from error
+    except IsADirectoryError as error:
+        raise BadInput(f"{name} is not a file.") from error
+    except BadInput:
+        raise
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{name} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+    require(len(data) <= max_bytes, f"{name} is too large: more than {max_bytes} bytes.")
+    return data
+
+
+def shown_path(path: str | os.PathLike[str]) -> str:
+    """Return a path as messages give it, on one line."""
+    text = os.fspath(path)
+    return text if text.isprintable() else ascii(text)
 
 
 def check_stack(stack: Any, *, least: int = 1, name: str = "stack") -> NDArray[np.float32]:

@@ -8,8 +8,7 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-from splitknit.check import BadInput, require
-from splitknit.io.images import ImageSettings, read_bytes
+from splitknit.check import BadInput, read_bytes, require
 
 MAX_JSON_BYTES = 16_000_000
 
@@ -22,7 +21,7 @@ def read_json(path: Path) -> tuple[Any, bytes]:
     BadInput
         If the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity or a key twice in one object.
     """
-    data = read_bytes(path, ImageSettings(max_bytes=MAX_JSON_BYTES))
+    data = read_bytes(path, MAX_JSON_BYTES)
     return parse_json(data, str(path)), data
 
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import read_bytes
+from splitknit.io.images import DEFAULTS
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import quiet_tifffile
 from splitknit.types import FloatArray
@@ -62,7 +62,7 @@ def read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray
     BadInput
         If the file is missing, damaged or not one of ours.
     """
-    data, name = read_bytes(path), os.fspath(path)
+    data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     try:
         page = quiet_tifffile().TiffFile(io.BytesIO(data)).pages[0]
         field = np.asarray(page.asarray(maxworkers=1))

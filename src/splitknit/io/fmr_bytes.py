@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
-from splitknit.io.images import ImageSettings, read_bytes
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.minutiae_record import MOST_MINUTIAE, FingerView, MinutiaeRecord
 
-FMR_FILE = ImageSettings(max_bytes=20_000_000)
+_MAX_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""
 ISO_STEPS, ANSI_STEPS = 256, 180
 """Directions in a turn: steps of 1.40625 and of 2 deg."""
@@ -54,7 +53,7 @@ def read_record_bytes(path: Any) -> bytes:
     BadInput
         If it is missing, larger, or cannot be read.
     """
-    return read_bytes(path, FMR_FILE)
+    return read_bytes(path, _MAX_BYTES)
 
 
 def check_length(data: bytes, said: int, name: str) -> None:

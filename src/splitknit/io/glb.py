@@ -20,15 +20,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import read_bytes
 from splitknit.types import FloatArray
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT, _UBYTE = 5126, 5125, 5121
 _VERTICES, _INDICES = 34962, 34963
 _METRES_PER_MM = 0.001
+_MAX_BYTES = 700_000_000
+"""A mesh of ten million vertices."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +148,7 @@ def read_glb(path: str | os.PathLike[str]) -> GlbMesh:
     BadInput
         If it is missing, damaged, or laid out in another way.
     """
-    data, name = read_bytes(path), os.fspath(path)
+    data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
     try:
         magic, version, total, length, kind = struct.unpack_from("<5I", data)
         require((magic, version, total, kind) == (_MAGIC, 2, len(data), _JSON), f"{name} is no glTF 2.0, or cut short.")

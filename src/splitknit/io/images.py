@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io import jpeg, png, tiff
 from splitknit.io.atomic import atomic_file
 from splitknit.types import PixelArray
@@ -79,28 +79,13 @@ def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS)
     >>> read_image(path).shape
     (2, 3, 1)
     """
-    return decode_image(read_bytes(path, settings), str(path), settings=settings)
+    return decode_image(read_bytes(path, settings.max_bytes), str(path), settings=settings)
 
 
 def image_size(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> tuple[int, int]:
     """Rows and columns of an image file, without decoding it."""
-    info = image_info(read_bytes(path, settings), str(path), settings)
+    info = image_info(read_bytes(path, settings.max_bytes), str(path), settings)
     return info.rows, info.columns
-
-
-def read_bytes(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> bytes:
-    """Read a whole file, with the reason in words where that fails."""
-    try:
-        file = Path(path)
-        require(file.exists(), f"{_shown(path)} does not exist; add the file or correct the name.")
-        require(file.is_file(), f"{_shown(path)} is not a file.")
-        size = file.stat().st_size
-        require(size <= settings.max_bytes, f"{_shown(path)} is too large: {size} bytes, at most {settings.max_bytes}.")
-        return file.read_bytes()
-    except BadInput:
-        raise
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{_shown(path)} cannot be read: {error}.") from error
 
 
 def image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> ImageInfo:
@@ -169,7 +154,7 @@ class StackReader:
         size : rows, columns that every image must have
         expected_by : who says so, for the message
         """
-        first = read_bytes(files[0], self._settings)
+        first = read_bytes(files[0], self._settings.max_bytes)
         info = image_info(first, str(files[0]), self._settings)
         _check_size(info, size, str(files[0]), expected_by)
         stack = np.empty((len(files), *size, info.channels), dtype=info.dtype)
@@ -189,7 +174,7 @@ class StackReader:
         self, file: Path, data: bytes | None, like: ImageInfo, first: str, out: PixelArray, expected_by: str
     ) -> str:
         name = str(file)
-        data = read_bytes(file, self._settings) if data is None else data
+        data = read_bytes(file, self._settings.max_bytes) if data is None else data
         info = image_info(data, name, self._settings)
         _check_size(info, (like.rows, like.columns), name, expected_by)
         require(
@@ -251,8 +236,3 @@ def _check_size(info: ImageInfo, size: tuple[int, int], name: str, expected_by: 
         f"{name} has {info.rows} x {info.columns} pixels (rows x columns), but {size[0]} x {size[1]} are expected "
         f"by {expected_by}.",
     )
-
-
-def _shown(path: str | os.PathLike[str]) -> str:
-    text = os.fspath(path)
-    return text if text.isprintable() else ascii(text)

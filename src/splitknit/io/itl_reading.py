@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.finger_codes import FINGER_CODES, ITL_IMPRESSIONS, name_of
-from splitknit.io.images import ImageSettings, read_bytes
 from splitknit.io.itl_transaction import COMPRESSIONS, Transaction, TransactionFacts, TransactionPrint, itl_package
 from splitknit.io.png import decode_png, png_header
 from splitknit.io.wsq_image import decode_wsq
 
-_FILE = ImageSettings(max_bytes=200_000_000)
+_MAX_BYTES = 200_000_000
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _MOST_RECORDS = 1000
 _MOST_PIXELS = 64_000_000
@@ -62,7 +61,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
 
 def read_transaction(path: str | os.PathLike[str]) -> Transaction:
     """Read a transaction's file; see :func:`decode_transaction`."""
-    return decode_transaction(read_bytes(path, _FILE), os.fspath(path))
+    return decode_transaction(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
 
 def _check_frame(data: bytes, name: str) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, check_lights, require
+from splitknit.check import BadInput, check_lights, read_bytes, require
 from splitknit.io.content import check_content, mask_from_image
-from splitknit.io.images import ImageSettings, StackReader, image_size, read_bytes
+from splitknit.io.images import StackReader, image_size
 from splitknit.types import Band, Camera, Capture, Led, Rig
 
 Background = float | str | os.PathLike[str] | None
@@ -29,7 +29,7 @@ def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """
     name = os.fspath(path)
     try:
-        text = read_bytes(path, ImageSettings(max_bytes=10_000_000)).decode("utf-8-sig")
+        text = read_bytes(path, 10_000_000).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadInput(f"{name} is not a text file.") from error
     rows: list[list[float]] = []

@@ -18,9 +18,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import read_bytes
 from splitknit.types import FloatArray
 
 _VERTEX = np.dtype([("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")])
@@ -28,6 +27,8 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 _CHUNK = 1 << 16
 _VERTEX_LINES = tuple(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "quality"))
 _FACE_LINES = ("property list uchar int vertex_indices",)
+_MAX_BYTES = 700_000_000
+"""A mesh of ten million vertices."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +126,7 @@ def read_ply(path: str | os.PathLike[str]) -> Mesh:
     BadInput
         If the file is missing, truncated, or laid out in another way.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, _MAX_BYTES)
     name = os.fspath(path)
     end = data.find(b"end_header\n")
     require(data.startswith(b"ply\n") and end > 0, f"{name} is not a PLY file.")

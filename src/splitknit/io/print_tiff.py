@@ -15,9 +15,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.check import read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import ImageSettings, decode_image, read_bytes
+from splitknit.io.images import ImageSettings, decode_image
 from splitknit.io.prints import PrintFile
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import SIGNATURES, quiet_tifffile
@@ -72,7 +72,7 @@ def read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
     BadInput
         If the file is missing, damaged, not 8-bit grey, or its pixels are not square.
     """
-    data, name = read_bytes(path, _PRINT), os.fspath(path)
+    data, name = read_bytes(path, _PRINT.max_bytes), os.fspath(path)
     require(data.startswith(SIGNATURES), f"{name} is not a TIFF file; name another one.")
     pixels = decode_image(data, name, settings=_PRINT)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")

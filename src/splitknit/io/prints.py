@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import encode_image, read_bytes
+from splitknit.io.images import DEFAULTS, encode_image
 from splitknit.io.png import decode_png
 from splitknit.io.provenance import canonical_json
 
@@ -82,7 +82,7 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     BadInput
         If the file is missing, damaged, or not 8-bit grey.
     """
-    data, name = read_bytes(path), os.fspath(path)
+    data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     pixels = decode_png(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
     resolution, text = None, {}

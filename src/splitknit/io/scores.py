@@ -14,14 +14,12 @@ import os
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
-from splitknit.io.images import ImageSettings, read_bytes
+from splitknit.check import BadInput, read_bytes, require
 
 IDS = ("finger", "subject", "session")
 COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")
@@ -29,7 +27,7 @@ LARGEST = 1e150
 """Of a score: its square is a number, too."""
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 _EXPECTED = "a line of column names and a line for each comparison are expected"
-_LIMIT = ImageSettings(max_bytes=2_000_000_000)
+_MAX_BYTES = 2_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +139,7 @@ def _codes(*columns: _Names) -> tuple[NDArray[np.int64], tuple[str, ...]]:
 
 
 def _bytes(path: str | os.PathLike[str]) -> bytes:
-    data = read_bytes(Path(path), _LIMIT)
+    data = read_bytes(path, _MAX_BYTES)
     require(bool(data.strip()), f"{os.fspath(path)} is empty: {_EXPECTED}.")
     return data
 

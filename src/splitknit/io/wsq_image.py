@@ -20,9 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import ImageSettings, read_bytes
 from splitknit.io.prints import PrintFile
 from splitknit.io.wsq_structure import wsq_header
 
@@ -33,7 +32,7 @@ LEAST_SIDE_PX = 96
 """Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
 LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
-_WSQ_FILE = ImageSettings(max_bytes=100_000_000)
+_MAX_BYTES = 100_000_000
 _CHILD = f"""
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -113,7 +112,7 @@ def write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi:
 
 def read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
     """Read a WSQ file; see :func:`decode_wsq`."""
-    return decode_wsq(read_bytes(path, _WSQ_FILE), os.fspath(path))
+    return decode_wsq(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
 
 def _run(task: str, data: bytes) -> bytes | None:

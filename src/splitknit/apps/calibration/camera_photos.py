@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from splitknit.calibrate import Board, find_board, size_in_view
 from splitknit.calibrate.disc import find_disc
-from splitknit.check import BadInput, require
-from splitknit.io.images import decode_image, read_bytes
+from splitknit.check import BadInput, read_bytes, require
+from splitknit.io.images import DEFAULTS, decode_image
 from splitknit.types import PixelArray
 
 Points = NDArray[np.float64]
@@ -67,7 +67,7 @@ def _label(file: Path, folder: Path) -> str:
 
 def read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tuple[PixelArray, str]:
     """Pixels and SHA-256 of an image that must have `size` (rows, columns), if one is expected."""
-    data = read_bytes(path)
+    data = read_bytes(path, DEFAULTS.max_bytes)
     pixels = decode_image(data, str(path))
     if size is not None:
         require(

@@ -16,10 +16,10 @@ from splitknit.apps.calibration.lights_of_nail import Task, finish
 from splitknit.apps.verb import Outcome, Refused
 from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit.calibrate.shadow import NailView, find_nail
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io import atomic_file, write_image
 from splitknit.io.fields import Fields, read_json
-from splitknit.io.images import decode_image, read_bytes
+from splitknit.io.images import DEFAULTS, decode_image
 from splitknit.types import FloatArray
 
 LISTING = "nails.json"
@@ -132,7 +132,7 @@ def read_stack(
 
 
 def _read(path: Path, size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path) -> FloatArray:
-    data = read_bytes(path)
+    data = read_bytes(path, DEFAULTS.max_bytes)
     pixels = decode_image(data, str(path))
     require(
         pixels.shape[:2] == size,

@@ -12,9 +12,8 @@ from splitknit.apps.calibration.lights_inputs import RigInputs, write_lights
 from splitknit.apps.verb import Outcome, Refused
 from splitknit.calibrate.light_table import Tip, read_tips
 from splitknit.calibrate.lights import Circle
-from splitknit.check import BadInput
+from splitknit.check import BadInput, read_bytes
 from splitknit.io import plain_json, provenance
-from splitknit.io.images import ImageSettings, read_bytes
 
 Report = Callable[[str, float], None]
 
@@ -32,7 +31,7 @@ class Task:
 def lights_of_table(task: Task, progress: Report) -> Outcome:
     """Calibrate from a typed table."""
     options = task.options
-    data = read_bytes(options.table, ImageSettings(max_bytes=16_000_000))
+    data = read_bytes(options.table, 16_000_000)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
