@@ -28,7 +28,7 @@ from splitknit.apps.match_verb import add_match
 from splitknit.apps.print_verb import add_print
 from splitknit.apps.separate_verb import add_separate
 from splitknit.apps.training.verbs import add_train
-from splitknit.apps.verb import Refused, group
+from splitknit.apps.verb import Refused, group, run_verb
 from splitknit.apps.view_verb import add_view
 from splitknit.check import BadInput
 
@@ -105,7 +105,7 @@ def _add_rig(verbs: Any) -> None:
 def _guarded(options: argparse.Namespace) -> int:
     """Run the verb; turn what goes wrong into one line and an exit code."""
     try:
-        facts, lines = options.run(options)
+        facts, lines = run_verb(options)
         if facts or lines:  # `view` says what there is to say when it starts
             _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
     except BadInput as error:
