@@ -119,6 +119,18 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     assert visible(tmp_path) == {"file": "x"}
 
 
+def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "result") as outer:
+        with atomic_folder(outer) as inner:
+            assert inner == outer
+            (inner / "one").write_text("1")
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+    with atomic_folder(tmp_path / "result") as outer, atomic_folder(outer) as inner:
+        (inner / "one").write_text("1")
+    assert visible(tmp_path / "result") == {"one": "1"}
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_permission(tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)

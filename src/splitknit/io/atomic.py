@@ -30,6 +30,8 @@ GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
 _LEFT_OVER = re.compile(r"\.(?P<target>.{1,100})\.[0-9a-f]{12}\.(?P<ending>tmp|old)", re.DOTALL)
 _LONGEST_NAME = 100
+_AT_WORK: set[Path] = set()
+"""Temporary folders that this process is filling."""
 
 
 @contextlib.contextmanager
@@ -39,6 +41,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     An existing `out` is replaced as a whole, but only if it is empty or if every file in it was written by splitknit
     (its manifest, ``.splitknit``, lists them); a folder with anything else in it is refused, never deleted. Parent
     folders are created. After an exception or an interrupt `out` is as it was and the temporary folder is gone.
+    Everything in it becomes private (see above). Where `out` is itself such a temporary folder, it is yielded as it is.
 
     Raises
     ------
@@ -46,16 +49,21 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
         If `out` is a file, holds files that are not ours, exists while `overwrite` is false, or cannot be written.
     """
     target = _resolved(out)
+    if target in _AT_WORK:
+        yield target
+        return
     _check_replaceable(target, overwrite)
     with _parents(target), _refuse_os_errors(target):
         _sweep(target.parent)
         temporary, lock = _new_sibling(target, _make_folder)
         try:
+            _AT_WORK.add(temporary)
             yield temporary
             _write_manifest(temporary)
             _make_private(temporary)
             _swap(temporary, target, overwrite)
         finally:
+            _AT_WORK.discard(temporary)
             shutil.rmtree(temporary, ignore_errors=True)
             os.close(lock)
 
@@ -261,7 +269,7 @@ def _swap(temporary: Path, target: Path, overwrite: bool) -> None:
         return
     old, lock = _sibling(target, "old"), os.open(target, os.O_RDONLY)
     try:
-        _lock(lock, wait=True)
+        _lock(lock, wait=False)  # it fails where another program replaces `target` as well, or has it swept
         target.rename(old)
         try:
             temporary.rename(target)
