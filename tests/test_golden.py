@@ -1,4 +1,4 @@
-"""The comparison of ``tools/golden.py``; its cases take two minutes and are run by hand around a change of structure."""
+"""The comparison of ``tools/golden.py``; its cases take two minutes and are run by hand when the structure changes."""
 
 from __future__ import annotations
 
