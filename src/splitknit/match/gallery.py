@@ -130,7 +130,7 @@ class Gallery:
         )
 
     def __len__(self) -> int:
-        with self._rows.reading() as database:
+        with self._rows.reading(verified=False) as database:
             return int(database.execute("SELECT count(*) FROM finger NOT INDEXED").fetchone()[0])
 
     def add(self, captures: Iterable[NewCapture], *, replace: bool = False) -> list[bool]:
