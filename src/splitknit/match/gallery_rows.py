@@ -57,9 +57,9 @@ class Row:
     @property
     def sound(self) -> bool:
         """Whether its columns are of the kinds that are written."""
-        kinds = (bytes, bytes | None, int | None, bytes)
-        cells = (self.tag, self.version, self.code_version, self.entry)
-        return all(isinstance(cell, kind) for cell, kind in zip(cells, kinds, strict=True))
+        bound = isinstance(self.tag, bytes) and isinstance(self.entry, bytes)
+        version = self.version is None or isinstance(self.version, bytes)
+        return bound and version and (self.code_version is None or isinstance(self.code_version, int))
 
     def context(self, content: str) -> bytes:
         """Place of one of its contents."""
@@ -151,7 +151,7 @@ class Rows:
     def _same_key(self) -> None:
         same = read_about(self.database, self.path) == (self.version, self.about)
         require(
-            same, f"the key of the gallery '{self.path}' was changed meanwhile; run the same again with the new one."
+            same, f"the key of the gallery '{self.path}' was changed meanwhile, or its version; run the same again."
         )
 
     def verify(self) -> None:
