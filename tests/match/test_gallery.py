@@ -324,6 +324,30 @@ def test_journals_are_overwritten_before_they_go(file: Path, key: Key | None, tm
     assert stored[-16:] not in file.read_bytes()
 
 
+@pytest.mark.parametrize("table", ["finger", "template"])
+@pytest.mark.parametrize("act", ["remove", "replace"])
+def test_second_copies_in_a_page_go_with_a_removal(file: Path, key: Key | None, table: str, act: str) -> None:
+    """SQLite may leave a second copy of a row between a page's pointers and its cells; here one is put there."""
+    raw = sqlite3.connect(file)
+    (page,) = raw.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+    (size,) = raw.execute("PRAGMA page_size").fetchone()
+    raw.close()
+    data = bytearray(file.read_bytes())
+    begin = (page - 1) * size
+    assert data[begin] == 13  # a leaf
+    cells = int.from_bytes(data[begin + 5 : begin + 7], "big")
+    assert not any(data[begin + cells - 16 : begin + cells])
+    data[begin + cells - 16 : begin + cells] = b"a second copy of"
+    file.write_bytes(data)
+    with Gallery.open(file, key) as gallery:
+        assert gallery.problems() == []
+        if act == "remove":
+            gallery.remove([2])
+        else:
+            gallery.add([new("Ann", 9)], replace=True)
+    assert b"a second copy of" not in file.read_bytes()
+
+
 def test_a_gallery_never_shrinks(file: Path, key: Key | None) -> None:
     """What a file system takes from the end of a file is not overwritten."""
     with Gallery.open(file, key) as gallery:

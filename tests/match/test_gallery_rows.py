@@ -6,6 +6,7 @@ import json
 import shutil
 import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from splitknit.check import BadInput
 from splitknit.match.gallery import Gallery
 from splitknit.match.gallery_file import ROWS
 from splitknit.match.gallery_key import Key
+from splitknit.match.gallery_rows import Row
 
 CODED = {"code": b"code", "code_version": 1}
 
@@ -307,3 +309,12 @@ def test_a_copy_of_version_1_is_older_than_its_migration(tmp_path: Path) -> None
     read_all(path, key)
     with pytest.raises(BadInput, match="is an older copy"):
         read_all(copy, key)
+
+
+def test_contents_are_bound_to_their_row_and_entry() -> None:
+    row = Row(1, b"t" * 16, b"v" * 16, 1, b"entry")
+    others = [replace(row, tag=b"T" * 16), replace(row, version=b"V" * 16), replace(row, entry=b"another")]
+    for content in ("code", "template", "images"):
+        assert row.context(content) not in [other.context(content) for other in others]
+    assert row.context("code") != replace(row, code_version=2).context("code")
+    assert len({row.context(content) for content in ("entry", "code", "template", "images")}) == 4
