@@ -14,9 +14,12 @@ import numpy as np
 import pytest
 from enrolled import facts_of, refusal_of, words_of
 
+from first_gallery import of_version_1
 from splitknit.apps.cli import main
 from splitknit.check import BadInput
 from splitknit.io import read_print_png
+from splitknit.match.gallery import NewCapture
+from splitknit.match.gallery_entry import Entry
 
 PHRASE, OTHER = "a phrase for tests", "another phrase for tests"
 
@@ -24,12 +27,9 @@ PHRASE, OTHER = "a phrase for tests", "another phrase for tests"
 @pytest.fixture(autouse=True)
 def cheap_passphrases(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keys in half a millisecond instead of half a second; none from outside."""
-    from splitknit.match import gallery_rows
-    from splitknit.match.gallery_key import ScryptSettings
+    from splitknit.match.gallery_key import ScryptSettings, lock
 
-    lock = gallery_rows.lock
-    for module in ("gallery_rows", "gallery"):
-        monkeypatch.setattr(f"splitknit.match.{module}.lock", lambda key, scrypt: lock(key, ScryptSettings(log2_n=10)))
+    monkeypatch.setattr("splitknit.match.gallery.lock", lambda key, scrypt: lock(key, ScryptSettings(log2_n=10)))
     monkeypatch.delenv("SPLITKNIT_GALLERY_KEY", raising=False)
     monkeypatch.delenv("SPLITKNIT_GALLERY_NEW_KEY", raising=False)
 
@@ -337,13 +337,64 @@ def test_damage_is_found_and_taken_out(gallery: Path, capsys) -> None:
     assert facts_of(capsys, "gallery", "check", gallery)["sound"]
 
 
-def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
+def test_a_row_that_was_put_back_is_found_and_accepted_only_when_asked(gallery: Path, capsys) -> None:
     import sqlite3
 
-    with sqlite3.connect(gallery) as raw:
-        raw.execute("UPDATE finger SET code = NULL, code_version = NULL WHERE id = 2")
-        raw.execute("UPDATE finger SET code_version = 99 WHERE id = 3")
+    raw = sqlite3.connect(gallery)
+    earlier = [raw.execute(f"SELECT * FROM {table} WHERE id = 2").fetchone() for table in ("finger", "template")]
     raw.close()
+    facts_of(capsys, "gallery", "remove", gallery, "--row", 2)
+    raw = sqlite3.connect(gallery)
+    raw.execute("INSERT INTO finger VALUES (?, ?, ?, ?, ?, ?)", earlier[0])
+    raw.execute("INSERT INTO template VALUES (?, ?)", earlier[1])
+    raw.commit()
+    raw.close()
+    for arguments in (["list"], ["remove", "--row", 3], ["rekey", "--plain"], ["index"], ["export", "--out", "x"]):
+        said = refusal_of(capsys, "gallery", arguments[0], gallery, *arguments[1:])
+        assert "not those that were last written" in said
+        assert "gallery repair" in said
+    assert main(["gallery", "check", str(gallery), "--json"]) == 2
+    assert [one["row"] for one in json.loads(capsys.readouterr().out)["problems"]] == [None]
+    assert "Took 0 rows out" in words_of(capsys, "gallery", "repair", gallery)
+    assert facts_of(capsys, "gallery", "check", gallery)["captures"] == 6
+
+
+def test_a_counter_beside_the_key_finds_an_older_copy(people_folder: Path, tmp_path: Path, capsys) -> None:
+    file, key = tmp_path / "g.skg", tmp_path / "key"
+    key.write_text("0f" * 32)
+    key.chmod(0o600)
+    (tmp_path / "key.counter").touch()
+    with_key = ("--key-file", key)
+    for number, session in enumerate("12"):
+        source = people_folder / f"S01/session_{session}/left_thumb"
+        facts_of(capsys, "enroll", file, source, "--person", "Ann", "--finger", "left_thumb", *with_key)
+        shutil.copy(file, tmp_path / str(number))
+    shutil.copy(tmp_path / "0", file)
+    for arguments in (["gallery", "list", file], ["identify", file, source], ["gallery", "check", file]):
+        assert "is an older copy" in refusal_of(capsys, *arguments, *with_key)
+    shutil.copy(tmp_path / "1", file)
+    assert len(who(capsys, file, *with_key)) == 2
+
+
+def test_a_gallery_of_version_1_is_migrated_by_one_command(tmp_path: Path, people_folder: Path, capsys) -> None:
+    capture = NewCapture(Entry("Ann", "right_index", "1", "result", "0" * 64), b"")
+    file = tmp_path / "first.skg"
+    of_version_1(file, [capture], None, "5e" * 32)
+    assert facts_of(capsys, "gallery", "info", file)["version"] == 1
+    assert who(capsys, file) == [("Ann", "right_index", "1")]
+    source = people_folder / "S01/session_1/left_thumb"
+    said = refusal_of(capsys, "enroll", file, source, "--person", "Bob", "--finger", "left_thumb")
+    assert "gallery migrate" in said
+    assert "(1 capture) is a gallery of version 2 now" in words_of(capsys, "gallery", "migrate", file)
+    assert "of version 2 already" in refusal_of(capsys, "gallery", "migrate", file)
+    assert facts_of(capsys, "gallery", "check", file)["sound"]
+
+
+def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
+    from splitknit.match.gallery import Gallery
+
+    with Gallery.open(gallery) as opened:
+        opened.set_codes({2: b"an older one", 3: b"another"}, 99)
     assert facts_of(capsys, "gallery", "index", gallery)["coded"] == 2
     assert facts_of(capsys, "gallery", "index", gallery)["coded"] == 0
     assert facts_of(capsys, "gallery", "check", gallery)["sound"]

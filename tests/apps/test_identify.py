@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ from enrolled import facts_of, refusal_of, words_of
 
 from splitknit.apps.cli import main
 from splitknit.apps.matching import false_match_rate, similarity_at
+from splitknit.match.gallery import Gallery
 
 
 @pytest.fixture(scope="module")
@@ -143,10 +143,8 @@ def test_a_search_by_codes(gallery: Path, probe: Path, tmp_path: Path, capsys) -
         assert one["expected_false_matches"] == pytest.approx(4 * one["fmr"])
     # codes that are missing or of another version are made for the search, and said to be
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
-    with sqlite3.connect(file) as raw:
-        raw.execute("UPDATE finger SET code = NULL, code_version = NULL WHERE id = 1")
-        raw.execute("UPDATE finger SET code_version = 99 WHERE id = 4")
-    raw.close()
+    with Gallery.open(file) as opened:
+        opened.set_codes({1: b"an older one", 4: b"another"}, 99)
     again = facts_of(capsys, "identify", file, probe, *few)
     assert again["candidates"] == facts["candidates"]
     assert again["searched"]["without_code"] == 2

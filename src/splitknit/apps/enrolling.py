@@ -95,12 +95,13 @@ def enroll_files(
 
 
 def opened(gallery: Path, key: Key | None, settings: MatchingSettings) -> Gallery | None:
-    """Open a gallery that takes templates of these settings; None if there is no such file."""
+    """Open a gallery that can be changed and takes templates of these settings; None if there is no such file."""
     if not gallery.exists():
         require(gallery.parent.is_dir(), f"there is no folder '{gallery.parent}' for the gallery; make it first.")
         return None
     found = Gallery.open(gallery, key)
     try:
+        found.require_changeable()
         found.require_comparable(templates_hash(settings))
     except BaseException:
         found.close()

@@ -13,6 +13,7 @@ from splitknit.apps.enrolling import gallery_facts
 from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder
+from splitknit.io.fields import read_json
 from splitknit.io.templates import encode_template, read_template
 from splitknit.match import VERSION, unpack
 from splitknit.match.code import CODE_VERSION, code_of
@@ -94,11 +95,11 @@ def _read_about(folder: Path) -> dict[str, Any]:
     file = folder / FACTS_FILE
     require(file.is_file(), f"'{folder}' is no export of a gallery: it holds no {FACTS_FILE}.")
     try:
-        document = dict(json.loads(file.read_text(encoding="utf-8")))
+        document = dict(read_json(file)[0])
         known = document["format"] == _FORMAT and re.fullmatch("[0-9a-f]{64}", document["settings_sha256"]) is not None
         require(known, "not ours")
         versions = int(document["version"]), int(document["template_version"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise BadInput(f"'{file}' is damaged, or not of an export; export the gallery again.") from error
     require(
         versions == (_VERSION, VERSION),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from splitknit.recipe.matchable import MatchingSettings
 
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
+COUNTER = ".counter"
+"""End of the name of the counter file that may lie beside a key file."""
 
 
 def add_gallery(verb: argparse.ArgumentParser) -> None:
@@ -29,12 +32,13 @@ def add_key(verb: argparse.ArgumentParser) -> None:
         type=Path,
         default=None,
         metavar="FILE",
-        help=f"key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable {KEY_VARIABLE})",
+        help=f"key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable {KEY_VARIABLE}); "
+        f"FILE{COUNTER}, where it is there, remembers the last change, so that older copies of a gallery are refused",
     )
 
 
 def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
-    """Key from a file, else from the environment; None where neither has one.
+    """Key from a file (with the counter file beside it), else from the environment; None where neither has one.
 
     Raises
     ------
@@ -50,7 +54,8 @@ def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise BadInput(f"the key file '{file}' cannot be read: {reason}.") from error
-        return key_from_bytes(content, f"the key file '{file}'")
+        counter = file.with_name(file.name + COUNTER)
+        return replace(key_from_bytes(content, f"the key file '{file}'"), counter=counter if counter.exists() else None)
     text = os.environ.get(variable)
     return None if text is None else key_from_bytes(os.fsencode(text), f"the variable {variable}")
 

@@ -1,4 +1,4 @@
-"""``splitknit gallery list|info|remove|export|import|check|index|rekey``."""
+"""``splitknit gallery list|info|remove|export|import|check|repair|index|rekey|migrate``."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def add_gallery_verbs(verbs: Any) -> None:
     )
     imported.add_argument("folder", type=Path, metavar="FOLDER", help="what 'splitknit gallery export' wrote")
     imported.add_argument("--replace", action="store_true", help="let captures take the place of others")
-    _kind(kinds, "check", "look for damage", _check)
+    _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
+    _kind(kinds, "repair", "take out rows that cannot be opened, and accept the others as they are", _repair)
     _kind(
         kinds, "index", "make the codes that a search through very many fingers needs, where they are missing", _index
     )
@@ -43,6 +44,7 @@ def add_gallery_verbs(verbs: Any) -> None:
         help=f"the new key: a passphrase, or 64 hexadecimal digits (or the variable {NEW_KEY_VARIABLE})",
     )
     changed.add_argument("--plain", action="store_true", help="take the encryption away")
+    _kind(kinds, "migrate", "make a gallery of version 1 one of version 2, in place", _migrate)
 
 
 def _kind(
@@ -129,6 +131,26 @@ def _check(options: argparse.Namespace, key: Any) -> Outcome:
 
     facts = check_gallery(options.gallery, key=key)
     return facts, [f"{facts['gallery']} is sound: all {facts['captures']} captures can be opened."]
+
+
+def _repair(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.apps.gallery_work import repair_gallery  # noqa: PLC0415
+
+    facts = repair_gallery(options.gallery, key=key)
+    rows = f" (rows {', '.join(map(str, facts['removed']))})" if facts["removed"] else ""
+    return facts, [
+        f"Took {count(len(facts['removed']), 'row')}{rows} out of {facts['gallery']}; {facts['captures']} others are "
+        "accepted as they are."
+    ]
+
+
+def _migrate(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.apps.gallery_work import migrate_gallery  # noqa: PLC0415
+
+    facts = migrate_gallery(options.gallery, key=key)
+    return facts, [
+        f"{facts['gallery']} ({count(facts['captures'], 'capture')}) is a gallery of version {facts['version']} now."
+    ]
 
 
 def _index(options: argparse.Namespace, key: Any) -> Outcome:

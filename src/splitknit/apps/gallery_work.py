@@ -1,4 +1,4 @@
-"""What ``splitknit gallery`` does, but for export and import: look, remove, index, check, change the key."""
+"""What ``splitknit gallery`` does, but for export and import: look, remove, index, check, mend, rewrap."""
 
 from __future__ import annotations
 
@@ -92,6 +92,7 @@ def index_gallery(gallery: Path, *, key: Key | None = None, progress: Progress =
     """Make the search codes that are missing or of another version, and keep them."""
     made = 0
     with Gallery.open(gallery, key) as opened:
+        opened.require_changeable()
         rows = [one.row for one in opened.entries() if one.template_bytes > 0 and one.code_version != CODE_VERSION]
         for start in range(0, len(rows), 256):  # in short transactions: what is done is kept
             progress("coding", start / len(rows))
@@ -121,7 +122,10 @@ def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
     if problems:
         rows = sorted({row for row, _ in problems if row is not None})
         shown = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
-        where = f"rows {shown}; 'splitknit gallery remove --row N' takes a row out" if rows else problems[0][1]
+        where = f"rows {shown}; 'splitknit gallery remove --row N' takes a row out"
+        whole = [what.rstrip(".") for row, what in problems if row is None]
+        if whole:
+            where = f"rows {shown}; {whole[0]}" if rows else whole[0]
         raise Refused(f"the gallery '{gallery}' is damaged in {len(problems)} places ({where}).", facts)
     return facts
 
@@ -141,3 +145,21 @@ def rekey_gallery(gallery: Path, *, key: Key | None, new: Key | None, plain: boo
     )
     with Gallery.open(gallery, key) as opened:
         return {"gallery": str(gallery), "captures": opened.rekey(new), "encrypted": opened.encrypted}
+
+
+def repair_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
+    """Take out the rows that cannot be opened, and accept the others as they are."""
+    with Gallery.open(gallery, key) as opened:
+        return {"gallery": str(gallery), "removed": opened.repair(), "captures": len(opened)}
+
+
+def migrate_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
+    """Make a gallery of version 1 one of version 2.
+
+    Raises
+    ------
+    BadInput
+        If it is of version 2 already, or damaged; it is then as before.
+    """
+    with Gallery.open(gallery, key) as opened:
+        return {"gallery": str(gallery), "captures": opened.migrate(), "version": 2}
