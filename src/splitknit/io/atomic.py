@@ -69,7 +69,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 
 
 @contextlib.contextmanager
-def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends without exception.
 
     Parent folders are created. The file is private (see above).
@@ -77,7 +77,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     Raises
     ------
     BadInput
-        If `path` is a folder or cannot be written.
+        If `path` is a folder, exists while `overwrite` is false, or cannot be written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):
@@ -90,9 +90,24 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
                 yield stream
                 stream.flush()
                 temporary.chmod(private_modes()[0])
-                temporary.replace(target)
+                if overwrite:
+                    temporary.replace(target)
+                else:
+                    _place(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def _place(temporary: Path, target: Path) -> None:
+    """Rename, unless there is a file of that name; a link fails then, unlike a renaming."""
+    try:
+        target.hardlink_to(temporary)
+    except FileExistsError:
+        raise
+    except OSError:  # a disk without links
+        if target.exists():
+            raise
+        temporary.rename(target)
 
 
 def private_modes() -> tuple[int, int]:

@@ -13,13 +13,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import secrets
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from splitknit.check import BadInput, read_bytes, require, shown_path
+from splitknit.io.atomic import atomic_file
 
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file."""
@@ -51,38 +51,25 @@ _BUSY, _READONLY, _FULL, _CANTOPEN = (5, 6), 8, 13, 14
 
 
 def create_file(path: Path, about: str, state: bytes) -> bool:
-    """Make an empty gallery that only its owner may read (0600); False if there is a file of that name already."""
-    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}.tmp")
+    """Make an empty gallery; False if there is a file of that name already."""
+    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
+        database.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        database.execute(f"PRAGMA user_version={VERSION}")
+        for statement in _SCHEMAS[VERSION]:
+            database.execute(statement)
+        database.execute("INSERT INTO about VALUES (?)", (about,))
+        database.execute("INSERT INTO state VALUES (?)", (state,))
+        content = database.serialize()
     try:
-        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BadInput(f"cannot write '{path}': {reason}; choose another place for the gallery.") from error
-    try:
-        with told(path), contextlib.closing(sqlite3.connect(temporary, isolation_level=None)) as database:
-            database.execute(f"PRAGMA application_id={APPLICATION_ID}")
-            database.execute(f"PRAGMA user_version={VERSION}")
-            database.execute("PRAGMA synchronous=EXTRA")
-            database.execute("BEGIN")
-            for statement in _SCHEMAS[VERSION]:
-                database.execute(statement)
-            database.execute("INSERT INTO about VALUES (?)", (about,))
-            database.execute("INSERT INTO state VALUES (?)", (state,))
-            database.execute("COMMIT")
-        try:
-            os.link(temporary, path)  # fails where one exists, unlike a renaming
-        except FileExistsError:
+        with atomic_file(path, overwrite=False) as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+    except BadInput:
+        if path.exists():
             return False
-        except OSError as error:  # a disk without links
-            if path.exists():
-                return False
-            try:
-                temporary.rename(path)
-            except OSError:
-                raise BadInput(f"cannot write '{path}': {error.strerror}; choose another place.") from error
-        return True
-    finally:
-        temporary.unlink(missing_ok=True)
+        raise
+    return True
 
 
 def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
@@ -261,20 +248,14 @@ def write_counter(file: Path, gallery: str, change: int) -> None:
     seen = read_counter(file)
     if seen.get(gallery, -1) >= change:
         return
-    target = file.resolve()
-    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.tmp")
+    content = json.dumps(seen | {gallery: change}, sort_keys=True, indent=1) + "\n"
     try:
-        with os.fdopen(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "wb") as stream:
-            stream.write(json.dumps(seen | {gallery: change}, sort_keys=True, indent=1).encode("ascii") + b"\n")
+        with atomic_file(file) as stream:
+            stream.write(content.encode("ascii"))
             stream.flush()
             os.fsync(stream.fileno())
-        temporary.replace(target)
-    except OSError as error:
-        raise BadInput(
-            f"the gallery is changed, but its counter '{shown_path(file)}' cannot be written: {error.strerror}."
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    except BadInput as error:
+        raise BadInput(f"the gallery is changed, but its counter is not: {error}") from error
 
 
 def describe(path: Path) -> dict[str, Any]:
