@@ -32,7 +32,8 @@ def load_torch() -> Any:
         return importlib.import_module("torch")
     except ImportError as error:
         raise BadInput(
-            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: make install EXTRAS=train."
+            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: "
+            "make install EXTRAS=train."
         ) from error
 
 
