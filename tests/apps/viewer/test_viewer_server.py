@@ -209,6 +209,17 @@ def test_a_folder_is_listed(shown: Path, asking: Serve) -> None:
     assert max(cv2.imdecode(np.frombuffer(data, np.uint8), 1).shape) <= 360
 
 
+def test_names_do_not_turn_the_text_around_them(shown: Path, asking: Serve, tmp_path: Path) -> None:
+    folder = tmp_path / "\N{RIGHT-TO-LEFT OVERRIDE}gnp" / "\N{HEBREW LETTER ALEF}\N{RIGHT-TO-LEFT MARK}"
+    folder.mkdir(parents=True)
+    shutil.copy(shown / "metric" / "height.npz", folder)
+    (folder / "report.json").write_text(json.dumps({"preset": "\N{RIGHT-TO-LEFT ISOLATE}ae"}))
+    server = asking(tmp_path)
+    listed = document(server.get("api/catalogue"))["results"]
+    assert [(one["name"], one["preset"]) for one in listed] == [("\ufffdgnp/\N{HEBREW LETTER ALEF}\ufffd", "\ufffdae")]
+    assert document(asking(folder).get("api/catalogue"))["title"] == "\N{HEBREW LETTER ALEF}\ufffd"
+
+
 def test_a_damaged_result_in_a_folder_says_so(shown: Path, asking: Serve, tmp_path: Path) -> None:
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "height.npz").write_bytes(b"PK\x03\x04 nothing")

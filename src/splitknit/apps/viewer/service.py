@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splitknit.apps.viewer.about import describe, listed
+from splitknit.apps.viewer.about import describe, listed, shown
 from splitknit.apps.viewer.catalogue import Catalogue, Entry
 from splitknit.apps.viewer.paths import Pieces, open_below, read_below
 from splitknit.apps.viewer.surface import Surface, read_surface
@@ -67,7 +67,7 @@ class Service:
         self._surfaces: OrderedDict[str, Surface] = OrderedDict()
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
-        self._pairing = threading.Lock()
+        self._large = threading.Lock()  # held by what needs several times the memory of a surface
         self._marks = lru_cache(maxsize=8)(self._read_marks)
         self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
@@ -142,7 +142,8 @@ class Service:
             case ["export", kind]:
                 from splitknit.apps.viewer.exports import export  # noqa: PLC0415
 
-                made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
+                with self._large:
+                    made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
                 saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
                 return Answer(made.kind, made.size, made.chunks, saved)
         raise BadInput(_NOT_FOUND)
@@ -153,7 +154,7 @@ class Service:
 
     def _list(self) -> dict[str, Any]:
         return {
-            "title": self.catalogue.title,
+            "title": shown(self.catalogue.title),
             "chosen": list(self.catalogue.chosen),
             "results": [listed(entry) for entry in self.catalogue.entries],
             "people": None if self.gallery is None else self.gallery.document(),
@@ -196,7 +197,7 @@ class Service:
 
         one, two = self.catalogue.entry(first), self.catalogue.entry(second)
         try:
-            with self._pairing:  # it needs several times the memory of a surface
+            with self._large:
                 found = align(one, self.surface(one), two, self.surface(two))
         except BadInput as error:
             return {"alignment": None, "why_not": str(error)}
