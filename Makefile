@@ -1,6 +1,8 @@
 # make demo: simulate a finger, reconstruct it, compare it with the truth, write ./demo/
 # make test: lint, types, import rules, tests
 # make examples: run every example and write docs/examples.md
+# make install: all that `splitknit` needs; with EXTRAS=rig,train (docs/index.md) other parts as well
+# make lock: write constraints.txt for the dependencies in pyproject.toml; with LOCK_ARGS=--upgrade in newer releases
 # make clean: remove what these made
 
 PYTHON ?= python3
@@ -9,12 +11,16 @@ BIN := $(VENV)/bin
 # two processes; PYTEST_ARGS="-n 0 -k name" for one
 PYTEST_ARGS ?= -n 2
 
-# Both names: pip reads the first for everything it installs (older pip for build tools too), the second for build tools.
-export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
+EXTRAS ?= batch,minutiae
+LOCK_ARGS ?=
+
+# Every file that is installed must have a hash of constraints.txt, build tools (PIP_BUILD_CONSTRAINT) too.
+INSTALL := $(BIN)/python -m pip install --quiet --require-hashes -c constraints.txt
+pinned = sed -n '/^$(1)==/,/[^\\]$$/p' constraints.txt
 export PIP_BUILD_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test examples clean
+.PHONY: demo test examples install lock clean
 
 demo: $(VENV)/.ready
 	$(BIN)/splitknit demo --out demo
@@ -29,15 +35,33 @@ test: $(VENV)/.ready-dev
 examples: $(VENV)/.ready
 	$(BIN)/python tools/build_examples.py
 
+install: $(VENV)/.ready
+	$(INSTALL) 'splitknit[$(EXTRAS)]'
+
+# The pip of Python 3.11 does not take hashes from constraints, so a newer one is installed first. The project itself is
+# a folder, which has no hash; then it is there, and pip only adds what it needs.
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splitknit needs Python 3.11 or later: make PYTHON=python3.11 ...")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[batch,minutiae]'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(call pinned,pip) > $(VENV)/pip.txt
+	$(BIN)/python -m pip install --quiet --require-hashes -r $(VENV)/pip.txt
+	$(BIN)/python -m pip install --quiet --no-deps -e .
+	$(INSTALL) 'splitknit[batch,minutiae]'
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	$(INSTALL) 'splitknit[dev]'
 	@touch $@
+
+# Hashes are those of all files of a release, for every platform, and those that are there already: torch's first one is
+# of its CPU build for x86-64 Linux, which is offered elsewhere; `pip hash FILE` gives the one of another release.
+lock:
+	$(PYTHON) -m venv $(VENV)/lock
+	$(call pinned,uv) > $(VENV)/lock/uv.txt
+	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
+	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
+		--extra dev --extra browser --extra reference --extra rig --extra train --group install \
+		$(LOCK_ARGS) --output-file constraints.txt pyproject.toml
 
 clean:
 	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks

@@ -30,7 +30,7 @@ def refused(capsys, *arguments):
 def test_without_build123d_one_sentence_says_what_to_install(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "build123d", None)
     error = refused(capsys, "--out", str(tmp_path / "parts"))
-    assert "pip install -c constraints.txt '.[rig]'" in error
+    assert "make install EXTRAS=rig" in error
     assert not (tmp_path / "parts").exists()
 
 

@@ -48,7 +48,7 @@ def test_without_torch_nothing_is_written(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(train_network.importlib, "import_module", absent)
     assert main(["train", "separation", "--out", str(tmp_path / "out"), *TINY]) == 2
     said = capsys.readouterr()
-    assert said.err.count("\n") == 1 and "pip install '.[train]'" in said.err
+    assert said.err.count("\n") == 1 and "make install EXTRAS=train" in said.err
     assert not (tmp_path / "out").exists()
 
 

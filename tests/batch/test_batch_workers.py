@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -11,13 +13,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from batch_stores import EA, chunks
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 
-from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
-from splitknit.batch.execution import run_tasks
+from splitknit.apps.cli import main
+from splitknit.batch import BatchSettings, Cluster, Store, preset_cases, run_batch
+from splitknit.batch.execution import connected, run_tasks
 from splitknit.batch.packages import load
 from splitknit.check import BadInput
 
@@ -74,13 +82,156 @@ def test_packages_that_are_missing_are_named(monkeypatch: pytest.MonkeyPatch) ->
             load(module, extra)
 
 
+def certificates(folder: Path) -> Path:
+    """Write a CA, a certificate that it signed, and the key of that."""
+    folder.mkdir()
+    keys = [ec.generate_private_key(ec.SECP256R1()) for _ in range(2)]
+    names = [x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)]) for name in ("ca", "node")]
+    now = datetime.now(UTC)
+    for file, name, key in zip(("ca.pem", "cert.pem"), names, keys, strict=True):
+        builder = x509.CertificateBuilder().subject_name(name).issuer_name(names[0]).public_key(key.public_key())
+        builder = builder.serial_number(x509.random_serial_number())
+        builder = builder.not_valid_before(now - timedelta(hours=1)).not_valid_after(now + timedelta(days=1))
+        signed = builder.add_extension(x509.BasicConstraints(file == "ca.pem", None), True).sign(
+            keys[0], hashes.SHA256()
+        )
+        (folder / file).write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+    pem = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    (folder / "key.pem").write_bytes(keys[1].private_bytes(*pem))
+    return folder
+
+
+def options(folder: Path) -> list[str]:
+    return [f"--cluster-{name}={folder / file}.pem" for name, file in (("ca", "ca"), ("cert", "cert"), ("key", "key"))]
+
+
+@pytest.fixture(scope="module")
+def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, Path]]:
+    """Address of a cluster, the certificates of its CA, and those of another one."""
+    distributed = pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("tls")
+    good, other = certificates(folder / "good"), certificates(folder / "other")
+    pair = {
+        f"tls_{role}_{kind}": str(good / f"{kind}.pem")
+        for role in ("scheduler", "worker", "client")
+        for kind in ("cert", "key")
+    }
+    security = distributed.Security(require_encryption=True, tls_ca_file=str(good / "ca.pem"), **pair)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tls://", host="127.0.0.1", security=security,
+        dashboard_address="127.0.0.1:0", silence_logs="CRITICAL",
+    ) as cluster:  # fmt: skip
+        yield cluster.scheduler_address, good, other
+
+
+def listening() -> int:
+    """Ports that this process listens on."""
+    import psutil
+
+    return sum(one.status == "LISTEN" for one in psutil.Process().net_connections("tcp"))
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["nonsense://", "127.0.0.1:8786", "http://127.0.0.1:8786", "inproc://127.0.0.1/1/1", "tls://host", "tls://host:0",
+     "tls://host:99999", "tls://host:8786/", "ucx://host:8786", "tcp://127.0.0.1:8786\n", ""],
+)  # fmt: skip
+def test_other_addresses_are_refused(address: str) -> None:
+    with pytest.raises(BadInput, match="is not the address of a cluster"):
+        Cluster(address)
+
+
+def test_code_goes_to_other_computers_only_encrypted_or_on_demand() -> None:
+    for host in ("people.example", "10.0.0.1", "127.0.0.1.example", "0.0.0.0", "[::]", "[2001:db8::1]"):
+        with pytest.raises(BadInput, match="can send code that its workers run"):
+            Cluster(f"tcp://{host}:8786")
+        Cluster(f"tcp://{host}:8786", insecure=True)
+        Cluster(f"tls://{host}:8786")
+    for host in ("127.0.0.1", "127.1.2.3", "localhost", "[::1]"):
+        Cluster(f"tcp://{host}:8786")
+    with pytest.raises(BadInput, match="certificates are for tls://"):
+        Cluster("tcp://127.0.0.1:8786", Path("ca.pem"))
+    with pytest.raises(BadInput, match="needs its certificate"):
+        Cluster("tls://127.0.0.1:8786", Path("ca.pem"), key_file=Path("key.pem"))
+
+
 def test_a_cluster_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("splitknit.batch.execution.PATIENCE_S", 0.5)
-    with pytest.raises(BadInput, match="cannot be reached"):
-        list(run_tasks(double, [1], 1, "tcp://127.0.0.1:9"))
-    with pytest.raises(BadInput, match="cannot be reached"):
-        list(run_tasks(double, [1], 1, "nonsense://"))
+    with pytest.raises(BadInput, match=r"cannot be reached.*refused"), connected(Cluster("tcp://127.0.0.1:9")):
+        pass
+
+
+def test_a_cluster_is_used_by_whom_its_ca_knows(
+    tls: tuple[str, Path, Path], people: Path, tmp_path: Path, capsys: Any
+) -> None:
+    address, good, other = tls
+    words = ["batch", str(people), "--cases", "ea", "--matchers", "none", "--cluster"]
+    refused, out = str(tmp_path / "refused"), tmp_path / "store"
+    mixed = [*options(other)[:1], *options(good)[1:]], [*options(good)[:1], *options(other)[1:]]
+    for wrong, said in (
+        ([address, *options(other)], "certificate verify failed"),
+        ([address, *mixed[0]], "certificate verify failed"),
+        ([address, *mixed[1]], "cannot be reached"),
+        ([address], "needs certificates: name --cluster-ca"),
+        ([address, *options(tmp_path)], "No such file"),
+        ([address, *options(good)[:2], f"--cluster-key={other / 'key.pem'}"], "KEY_VALUES_MISMATCH"),
+        ([address.replace("tls", "tcp")], "cannot be reached"),
+        (["tcp://10.0.0.1:8786"], "--insecure-cluster"),
+    ):
+        assert main([*words, *wrong, "--out", refused]) == 2
+        err = capsys.readouterr().err
+        assert said in err and err.count("\n") == 1
+    assert not Path(refused).exists()
+    assert main([*words, address, *options(good), "--out", str(out)]) == 0
+    capsys.readouterr()
+    run_batch(people, tmp_path / "here", BatchSettings(cases=preset_cases(("ea",)), matchers=()), jobs=1)
+    assert chunks(out) == chunks(tmp_path / "here")
+    assert main(["batch", str(people), "--out", str(out), "--insecure-cluster"]) == 2
+    assert "name it with --cluster" in capsys.readouterr().err
+
+
+def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls: tuple[str, Path, Path]) -> None:
+    import dask
+
+    address, good, other = tls
+    files = {"ca-file": "ca.pem", "client.cert": "cert.pem", "client.key": "key.pem"}
+    configured = {f"distributed.comm.tls.{name}": str(good / file) for name, file in files.items()}
+    before = listening()
+    with dask.config.set(configured), connected(Cluster(address)) as client:
+        assert list(run_tasks(double, [4], 1, client)) == [8]
+        assert listening() == before
+    weak = {"distributed.comm.require-encryption": False, "distributed.comm.tls.ciphers": "eNULL:aNULL"}
+    wrong = Cluster(address, other / "ca.pem", good / "cert.pem", good / "key.pem")
+    with dask.config.set(weak):
+        with pytest.raises(BadInput, match="verify failed"), connected(wrong):
+            pass
+        with connected(replace(wrong, ca_file=good / "ca.pem")) as client:
+            assert list(run_tasks(double, [4], 1, client)) == [8]
+
+
+def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Commands of docs/batch.md: what OpenSSL writes is taken, and Dask understands its options."""
+    pytest.importorskip("distributed")
+    from distributed.cli.dask_scheduler import main as scheduler
+    from distributed.cli.dask_worker import main as worker
+
+    page = (Path(__file__).resolve().parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
+    making, starting = re.findall(r"```sh\n(.*?)```", page[page.index("## On several computers") :], re.DOTALL)[:2]
+    monkeypatch.chdir(tmp_path)
+    subprocess.run(["sh", "-e"], input=making, text=True, check=True, capture_output=True)
+    assert (tmp_path / "ca-key.pem").stat().st_mode & 0o77 == 0
+    lines = [shlex.split(line, comments=True) for line in starting.replace("\\\n", " ").splitlines()]
+    commands = {line[1]: line[2:] for line in lines if line[:1] == ["dask"]}
+    for name, command in (("scheduler", scheduler), ("worker", worker)):
+        understood = command.make_context(name, commands[name]).params
+        assert not understood["dashboard"]
+        assert [understood[f"tls_{kind}"] for kind in ("ca_file", "cert", "key")] == [
+            str(tmp_path / file) for file in ("ca.pem", "cert.pem", "key.pem")
+        ]
+    subprocess.run(["openssl", "verify", "-CAfile", "ca.pem", "cert.pem"], check=True, capture_output=True)
 
 
 @pytest.mark.slow
@@ -89,7 +240,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path
     out = tmp_path / "cluster"
     settings = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge", "thesis"), chunk_captures=1)
     with distributed.LocalCluster(
-        n_workers=3, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
+        n_workers=3, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs="CRITICAL"
     ) as cluster:
         pids = [worker.pid for worker in cluster.workers.values()]
         with when_begun(out, lambda: os.kill(pids[0], signal.SIGKILL)) as killed:

@@ -45,7 +45,15 @@ def add_batch(verbs: Any) -> None:
     )
     verb.add_argument("--jobs", type=natural, default=2, metavar="N", help="processes (default: 2)")
     verb.add_argument(
-        "--cluster", default=None, metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do it instead"
+        "--cluster", default=None, metavar="tls://HOST:PORT", help="Dask scheduler whose workers do it instead"
+    )
+    verb.add_argument("--cluster-ca", type=Path, default=None, metavar="FILE", help="CA of the cluster's certificates")
+    verb.add_argument("--cluster-cert", type=Path, default=None, metavar="FILE", help="certificate of this computer")
+    verb.add_argument("--cluster-key", type=Path, default=None, metavar="FILE", help="key of that certificate")
+    verb.add_argument(
+        "--insecure-cluster",
+        action="store_true",
+        help="allow tcp:// to another computer: anyone who reaches the cluster's ports can run code on it",
     )
 
 
@@ -53,6 +61,7 @@ def run_verb(options: argparse.Namespace) -> Outcome:
     """Run the batch."""
     from splitknit.batch import BatchSettings, preset_cases, run_batch  # noqa: PLC0415 - verbs import what they need
 
+    cluster = _cluster(options)
     cases = tuple(_case(text) for text in options.case)
     if options.cases is not None:
         cases = (*preset_cases(tuple(_names(options.cases, "--cases", "such as metric,ea"))), *cases)
@@ -70,11 +79,22 @@ def run_verb(options: argparse.Namespace) -> Outcome:
             options.out,
             settings,
             jobs=options.jobs,
-            cluster=options.cluster,
+            cluster=cluster,
             csv=options.csv,
             progress=progress.update,
         )
     return facts, _words(facts)
+
+
+def _cluster(options: argparse.Namespace) -> Any:
+    from splitknit.batch import Cluster  # noqa: PLC0415
+
+    files = (options.cluster_ca, options.cluster_cert, options.cluster_key)
+    if options.cluster is None:
+        unused = options.insecure_cluster or any(file is not None for file in files)
+        require(not unused, "certificates and --insecure-cluster are of a cluster; name it with --cluster.")
+        return None
+    return Cluster(options.cluster, *files, insecure=options.insecure_cluster)
 
 
 def _names(text: str, option: str, such: str) -> list[str]:

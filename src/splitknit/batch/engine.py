@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.execution import run_tasks
+from splitknit.batch.execution import Cluster, connected, run_tasks
 from splitknit.batch.export import write_csv
 from splitknit.batch.features import reconstruct_group
 from splitknit.batch.lock import alone
@@ -40,7 +41,7 @@ class _Run:
     population: Population
     settings: BatchSettings
     jobs: int
-    cluster: str | None
+    client: Any
     progress: Progress
     peaks_mb: list[float] = field(default_factory=list)
 
@@ -49,7 +50,7 @@ class _Run:
         total, made, results = max(sum(sizes), 1), 0, []
         if tasks:
             self.progress(words, 0.0)
-        for result in run_tasks(work, tasks, self.jobs, self.cluster):
+        for result in run_tasks(work, tasks, self.jobs, self.client):
             results.append(result)
             made += result.size
             self.peaks_mb.append(result.peak_memory_mb)
@@ -63,7 +64,7 @@ def run_batch(
     settings: BatchSettings | None = None,
     *,
     jobs: int = 2,
-    cluster: str | None = None,
+    cluster: str | Cluster | None = None,
     csv: Path | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -78,7 +79,7 @@ def run_batch(
     out : folder of the store
     settings : BatchSettings, optional
     jobs : processes; nothing but time depends on their number
-    cluster : address of a Dask scheduler whose workers do it instead; they must see both folders under the same names
+    cluster : Cluster or its address; its workers do it instead, and must see both folders under the same names
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
     progress : called with words and the share that is done
 
@@ -86,17 +87,20 @@ def run_batch(
     ------
     BadInput
         If the population holds no capture, the store is of something else, damaged or being written by another run, a
-        worker is killed, or the cluster cannot be reached.
+        worker is killed, or the cluster cannot be reached or must not be used.
     """
     started = time.perf_counter()
     settings = settings or BatchSettings()
     load("pyarrow", "batch")
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
+    cluster = Cluster(cluster) if isinstance(cluster, str) else cluster
     there = read_population(population)
-    check_target(out)
-    folder = out.resolve()
-    with alone(folder):
-        run = _Run(open_store(folder, there, settings), there, settings, jobs, cluster, progress)
+    with contextlib.ExitStack() as stack:
+        client = None if cluster is None else stack.enter_context(connected(cluster))
+        check_target(out)
+        folder = out.resolve()
+        stack.enter_context(alone(folder))
+        run = _Run(open_store(folder, there, settings), there, settings, jobs, client, progress)
         sweep(folder)
         facts = _reconstruct(run) | {"scores": _match(run)}
         written = _export(run, folder / "csv" if csv is None else csv)

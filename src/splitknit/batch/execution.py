@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import os
+import re
 import signal
 import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from splitknit.batch.packages import load
@@ -25,9 +29,78 @@ PATIENCE_S = 30.0
 """How long a cluster is waited for."""
 
 
-def run_tasks(
-    work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, cluster: str | None = None
-) -> Iterator[Done]:
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """A Dask scheduler, and the certificates by which it and this computer recognise each other.
+
+    Raises
+    ------
+    BadInput
+        If the address is none, or anyone in the network could send code to the workers and `insecure` is not set.
+    """
+
+    address: str
+    """``tls://HOST:PORT``, or ``tcp://HOST:PORT`` for a scheduler on this computer."""
+    ca_file: Path | None = None
+    """PEM file of the CA that signed the scheduler's certificate; Dask's configuration names it where this does not."""
+    cert_file: Path | None = None
+    """PEM file of this computer's certificate; the same."""
+    key_file: Path | None = None
+    """PEM file of its key, where `cert_file` does not hold it."""
+    insecure: bool = False
+    """Allow ``tcp://`` to another computer."""
+
+    def __post_init__(self) -> None:
+        found = re.fullmatch(r"(tls|tcp)://(?:([^\s:/\[\]]+)|\[([0-9A-Fa-f:.]+)\]):([0-9]{1,5})", self.address)
+        if found is None or not 0 < int(found[4]) < 65536:
+            raise BadInput(
+                f"'{self.address}' is not the address of a cluster: name tls://HOST:PORT, or tcp://127.0.0.1:PORT for "
+                "one on this computer."
+            )
+        require(self.cert_file is not None or self.key_file is None, "a cluster's key needs its certificate as well.")
+        if found[1] == "tls":
+            return
+        require(
+            self.ca_file is None and self.cert_file is None,
+            f"certificates are for tls://, but the cluster is '{self.address}'; name tls://HOST:PORT.",
+        )
+        require(
+            self.insecure or _is_loopback(found[2] or found[3]),
+            f"the cluster '{self.address}' is on another computer, without encryption: anyone who reaches its port can "
+            "send code that its workers run, and read the fingerprints; use tls:// and certificates (docs/batch.md), "
+            "or --insecure-cluster in a network that only you can reach.",
+        )
+
+
+@contextlib.contextmanager
+def connected(cluster: Cluster) -> Iterator[Any]:
+    """Connect to a cluster that has a worker; give the client.
+
+    Raises
+    ------
+    BadInput
+        If the cluster cannot be reached, the certificates do not fit, or there is no worker.
+    """
+    distributed = load("distributed", "cluster")
+    security = _security(distributed, cluster)
+    try:
+        client = _client(distributed, cluster.address, security)
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        raise BadInput(
+            f"the cluster '{cluster.address}' cannot be reached ({_cause(error)}); start a scheduler and workers, with "
+            "certificates of the same CA for tls:// (docs/batch.md), and name the scheduler's address."
+        ) from error
+    try:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except (TimeoutError, OSError) as error:
+            raise BadInput(f"the cluster '{cluster.address}' has no workers; start some (docs/batch.md).") from error
+        yield client
+    finally:
+        client.close(timeout=5)
+
+
+def run_tasks(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, client: Any = None) -> Iterator[Done]:
     """Do all tasks, each on one thread; yield each one's result once, in the order in which they are done.
 
     Parameters
@@ -35,18 +108,18 @@ def run_tasks(
     work : function of a module, so that processes find it; doing a task twice must leave what doing it once leaves
     tasks : in the order in which they are begun
     jobs : processes; 1: in this process
-    cluster : address of a Dask scheduler, such as ``tcp://host:8786``, whose workers do the tasks instead
+    client : of :func:`connected`: the cluster's workers do the tasks instead
 
     Raises
     ------
     BadInput
-        If a process is killed, the cluster cannot be reached or is lost, or one of its own from `work`.
+        If a process is killed, the cluster is lost, or one of its own from `work`.
     """
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     if not tasks:
         return iter(())
-    if cluster is not None:
-        return _on_cluster(work, tasks, cluster)
+    if client is not None:
+        return _on_cluster(work, tasks, client)
     return _here(work, tasks) if jobs == 1 or len(tasks) == 1 else _in_processes(work, tasks, jobs)
 
 
@@ -99,45 +172,70 @@ def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
             results.close()
 
 
-def _client(distributed: Any, address: str) -> Any:
-    """Connect; on a machine under load the client's own thread may not start in its ten seconds, so try again."""
+def _is_loopback(host: str) -> bool:
     try:
-        return distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _security(distributed: Any, cluster: Cluster) -> Any:
+    """Certificates that are named here, or else in Dask's configuration, which must not weaken what is checked."""
+    if cluster.address.startswith("tcp:"):
+        return distributed.Security()
+    files: dict[str, Any] = {} if cluster.ca_file is None else {"tls_ca_file": str(cluster.ca_file)}
+    if cluster.cert_file is not None:
+        files["tls_client_cert"] = str(cluster.cert_file)
+        files["tls_client_key"] = None if cluster.key_file is None else str(cluster.key_file)
+    try:
+        security = distributed.Security(require_encryption=True, tls_ciphers=None, tls_min_version=None, **files)
+        certain = security.get_connection_args("client")["ssl_context"] is not None
+    except (OSError, ValueError) as error:
+        raise BadInput(
+            f"the certificates for '{cluster.address}' cannot be used ({_cause(error)}); name PEM files of the CA, the "
+            "certificate and its key."
+        ) from error
+    require(
+        certain,
+        f"'{cluster.address}' needs certificates: name --cluster-ca, --cluster-cert and --cluster-key, or set them in "
+        "Dask's configuration (docs/batch.md).",
+    )
+    return security
+
+
+def _client(distributed: Any, address: str, security: Any) -> Any:
+    """Connect; on a machine under load the client's own thread may not start in its ten seconds, so try again."""
+    named = {"timeout": PATIENCE_S, "set_as_default": False, "security": security}
+    try:
+        return distributed.Client(address, **named)
     except AssertionError:
-        return distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+        return distributed.Client(address, **named)
 
 
-def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], address: str) -> Iterator[Done]:
+def _cause(error: BaseException) -> str:
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return str(getattr(error, "strerror", None) or error)
+
+
+def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any) -> Iterator[Done]:
     """Tasks of a worker that dies are done by another; a task's result is yielded once."""
     distributed = load("distributed", "cluster")
     version = load("splitknit", "batch").__version__
+    futures = [client.submit(on_cluster, work, task, version, pure=False, retries=0) for task in tasks]
+    done: set[str] = set()
     try:
-        client = _client(distributed, address)
-    except (OSError, ValueError, TypeError) as error:
-        raise BadInput(
-            f"the cluster '{address}' cannot be reached; start a scheduler and workers (dask scheduler, dask worker) "
-            "and name its address, such as tcp://host:8786."
-        ) from error
-    futures: list[Any] = []
-    try:
-        try:
-            client.wait_for_workers(1, timeout=PATIENCE_S)
-        except (TimeoutError, OSError) as error:
-            raise BadInput(f"the cluster '{address}' has no workers; start some (dask worker {address}).") from error
-        futures = [client.submit(on_cluster, work, task, version, pure=False, retries=0) for task in tasks]
-        done: set[str] = set()
         for future in distributed.as_completed(futures, loop=client.loop):
             if future.key in done:
                 continue
             done.add(future.key)
-            yield _result(distributed, future, address)
+            yield _result(distributed, future)
     finally:
         for future in futures:
             future.release()
-        client.close(timeout=5)
 
 
-def _result(distributed: Any, future: Any, address: str) -> Any:
+def _result(distributed: Any, future: Any) -> Any:
     try:
         return future.result()
     except distributed.KilledWorker as error:
@@ -146,9 +244,7 @@ def _result(distributed: Any, future: Any, address: str) -> Any:
             "finished is kept: give the workers more memory and run the same again."
         ) from error
     except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError, OSError) as error:
-        raise BadInput(
-            f"the cluster '{address}' was lost; what is finished is kept: start it and run the same again."
-        ) from error
+        raise BadInput("the cluster was lost; what is finished is kept: start it and run the same again.") from error
 
 
 _watched: set[int] = set()

@@ -92,9 +92,7 @@ def require_build123d() -> None:
     try:
         import build123d  # noqa: F401, PLC0415 - large, and only parts need it
     except ImportError as error:
-        raise BadInput(
-            "drawing parts needs build123d; in splitknit's folder: .venv/bin/pip install -c constraints.txt '.[rig]'."
-        ) from error
+        raise BadInput("drawing parts needs build123d; in splitknit's folder: make install EXTRAS=rig.") from error
 
 
 def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None] | None = None) -> tuple[RigPart, ...]:

@@ -32,9 +32,9 @@ def load_torch() -> Any:
         return importlib.import_module("torch")
     except ImportError as error:
         raise BadInput(
-            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: .venv/bin/pip install "
-            "'.[train]'."
-        ) from (error)
+            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: "
+            "make install EXTRAS=train."
+        ) from error
 
 
 def unet(settings: TrainSettings, channels: int = 3) -> Any:

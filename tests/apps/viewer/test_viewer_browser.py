@@ -267,21 +267,87 @@ def test_a_server_that_is_gone_is_said(shown: Path, page: PageMaker) -> None:
     seen.wait("return document.getElementById('trouble').textContent.includes('no longer answers')")
 
 
+MARKUP = (
+    "<img src=x onerror=alert(1)>", '"><script>document.title="taken"</script>', "<svg onload=alert(2)>",
+    "'); alert(3); ('", "{{7*7}}${alert(4)}", "&lt;b&gt;", "\N{RIGHT-TO-LEFT OVERRIDE}gnp.eman",
+)  # fmt: skip
+
+
+def only_text(seen: Page, server: Asking) -> None:
+    """Nothing of a name became an element, ran, or led a request away."""
+    elements = "script:not([src]), img[src=x], [onerror], [onload], main svg:not(#chart svg, #prints svg), #notes b"
+    assert seen.run("return [...document.querySelectorAll(arguments[0])].map((e) => e.outerHTML)", elements) == []
+    assert seen.run("return document.title") != "taken"
+    ours = f"http://127.0.0.1:{server.server.server_port}/"
+    asked = seen.run("return performance.getEntriesByType('resource').map((e) => e.name)")
+    assert asked and all(url.startswith((ours, f"blob:{ours}")) for url in asked)
+    assert seen.complaints() == []  # what the policy stops is said there
+
+
 def test_names_from_a_report_are_only_text(shown: Path, asking: Serve, page: PageMaker, tmp_path: Path) -> None:
-    folder = tmp_path / "<img src=x onerror=alert(1)>"
-    folder.mkdir()
-    for name in ("height.npz", "preview.png"):
-        (folder / name).write_bytes((shown / "metric" / name).read_bytes())
     report = json.loads((shown / "metric" / "report.json").read_text())
-    report["preset"] = "<script>document.title='taken'</script>"
-    report["warnings"] = ["<b>bold</b>"]
-    (folder / "report.json").write_text(json.dumps(report))
+    report["preset"] = MARKUP[0]
+    report["warnings"] = list(MARKUP)
+    report["capture"] = {
+        "subject": {"id": MARKUP[1], "finger": MARKUP[2], "session": MARKUP[3]},
+        "material": MARKUP[4],
+        "captured_at": MARKUP[6],
+    }
+    report["software"] = {"name": MARKUP[0], "version": MARKUP[1]}
+    names = sorted(name.replace("/", "") for name in MARKUP)
+    for name in names:
+        folder = tmp_path / "results" / name
+        folder.mkdir(parents=True)
+        for file in ("height.npz", "preview.png", "print.png"):
+            (folder / file).write_bytes((shown / "metric" / file).read_bytes())
+        (folder / "report.json").write_text(json.dumps(report))
     seen = page(1280, 800)
-    seen.open(asking(folder).server.url)
-    assert seen.run("return document.querySelectorAll('#surface script, #surface b, header img').length") == 0
-    assert seen.run("return document.querySelector('#notes li').textContent") == "<b>bold</b>"
-    assert "taken" not in seen.run("return document.title")
-    assert seen.complaints() == []
+    server = asking(tmp_path / "results")
+    seen.driver.get(server.server.url)
+    seen.wait(f"return document.querySelectorAll('#result-list li').length === {len(names)}")
+    listed = seen.run("return [...document.querySelectorAll('#result-list b')].map((b) => b.textContent)")
+    plain = [name.replace("\N{RIGHT-TO-LEFT OVERRIDE}", "\N{REPLACEMENT CHARACTER}") for name in names]
+    assert listed == plain
+    facts = seen.run("return document.querySelector('#result-list small').textContent")
+    assert all(text in facts for text in MARKUP[:4])
+    only_text(seen, server)
+    seen.picture("names-listed")
+    for name in (MARKUP[0], MARKUP[6]):
+        seen.driver.get(server.server.url)
+        seen.wait(f"return document.querySelectorAll('#result-list li').length === {len(names)}")
+        buttons = seen.driver.find_elements("css selector", "#result-list li button")
+        seen.run("arguments[0].click()", buttons[names.index(name)])
+        seen.drawn()
+        assert seen.run("return [...document.querySelectorAll('#notes li')].map((li) => li.textContent)") == [
+            text.replace("\N{RIGHT-TO-LEFT OVERRIDE}", "\N{REPLACEMENT CHARACTER}") for text in MARKUP
+        ]
+        only_text(seen, server)
+    seen.picture("names")
+    beside = asking(tmp_path / "results" / names[0], tmp_path / "results" / names[1])
+    seen.open(beside.server.url)
+    seen.wait("return document.body.dataset.pair")
+    assert seen.run("return document.getElementById('title').textContent") == " | ".join(plain[:2])
+    seen.click("#tab-print")
+    seen.wait("return document.querySelectorAll('#prints img, #prints image').length >= 2")
+    only_text(seen, beside)
+
+
+def test_names_of_people_are_only_text(asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    people = [name for name in MARKUP if name.isprintable()]
+    with Gallery.create(tmp_path / "people.gallery", "0" * 64) as gallery:
+        gallery.add([
+            NewCapture(Entry(name, "right_index", "1", "result", f"{number:064x}", 0.0), b"")
+            for number, name in enumerate(people)
+        ])  # fmt: skip
+    seen = page(1280, 800)
+    server = asking(tmp_path / "people.gallery")
+    seen.driver.get(server.server.url)
+    seen.wait(f"return document.querySelectorAll('#people-list li').length === {len(people)}")
+    assert sorted(seen.run("return [...document.querySelectorAll('#people-list h2')].map((h) => h.textContent)")) == (
+        sorted(people)
+    )
+    only_text(seen, server)
+    seen.picture("names-of-people")
 
 
 def test_a_gallery(asking: Serve, page: PageMaker, tmp_path: Path) -> None:

@@ -51,6 +51,25 @@ def test_other_origins_are_refused(origin: str) -> None:
     assert ask(Origin=origin) == 403
 
 
+@pytest.mark.parametrize("name", ["Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Dest"])
+def test_a_header_that_decides_comes_once(name: str) -> None:
+    message = Message()
+    message["Host"] = f"127.0.0.1:{PORT}"
+    message[name] = same = {"Host": message["Host"], "Origin": f"http://127.0.0.1:{PORT}"}.get(name, "same-origin")
+    if name != "Host":
+        message[name] = same
+    found = refusal("GET", "/t0ken/api/catalogue", message, TOKEN, PORT)
+    assert found is not None and found[0] == 400
+
+
+@pytest.mark.parametrize(
+    "headers", [{"Content_Length": "1"}, {"Content_Length": "x"}, {"Transfer_Encoding": "chunked"}]
+)
+def test_reading_has_no_body(headers: dict[str, str]) -> None:
+    assert ask(**headers) == 400
+    assert ask(Content_Length="0") == 200
+
+
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
 def test_other_pages_may_lead_here_but_not_read(site: str) -> None:
     assert ask(Sec_Fetch_Site=site) == 403

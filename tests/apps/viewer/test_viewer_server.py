@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import json
+import shutil
 import socket
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +18,9 @@ import numpy as np
 import pytest
 from viewer_server import Asking
 
-from splitknit.apps.viewer import service
+from splitknit.apps.viewer import handler, service
 from splitknit.apps.viewer.guard import HEADERS
+from splitknit.apps.viewer.surface import Surface
 from splitknit.io import read_image, read_ply
 from splitknit.io.glb import read_glb
 from splitknit.rig.stl import read_stl
@@ -204,6 +209,17 @@ def test_a_folder_is_listed(shown: Path, asking: Serve) -> None:
     assert max(cv2.imdecode(np.frombuffer(data, np.uint8), 1).shape) <= 360
 
 
+def test_names_do_not_turn_the_text_around_them(shown: Path, asking: Serve, tmp_path: Path) -> None:
+    folder = tmp_path / "\N{RIGHT-TO-LEFT OVERRIDE}gnp" / "\N{HEBREW LETTER ALEF}\N{RIGHT-TO-LEFT MARK}"
+    folder.mkdir(parents=True)
+    shutil.copy(shown / "metric" / "height.npz", folder)
+    (folder / "report.json").write_text(json.dumps({"preset": "\N{RIGHT-TO-LEFT ISOLATE}ae"}))
+    server = asking(tmp_path)
+    listed = document(server.get("api/catalogue"))["results"]
+    assert [(one["name"], one["preset"]) for one in listed] == [("\ufffdgnp/\N{HEBREW LETTER ALEF}\ufffd", "\ufffdae")]
+    assert document(asking(folder).get("api/catalogue"))["title"] == "\N{HEBREW LETTER ALEF}\ufffd"
+
+
 def test_a_damaged_result_in_a_folder_says_so(shown: Path, asking: Serve, tmp_path: Path) -> None:
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "height.npz").write_bytes(b"PK\x03\x04 nothing")
@@ -265,13 +281,114 @@ def test_a_large_file_is_sent_in_pieces(shown: Path, asking: Serve, tmp_path: Pa
     assert server.get("api/catalogue")[0] == 200  # the reader that went away did no harm
 
 
-def test_a_request_that_never_ends_holds_nobody_up(shown: Path, asking: Serve) -> None:
+def sent(server: Asking, *pieces: bytes) -> bytes:
+    """Send pieces as they are; return all that comes until the server closes the connection."""
+    with socket.create_connection(("127.0.0.1", server.server.server_port), timeout=60) as connection:
+        for piece in pieces:
+            connection.sendall(piece)
+        return b"".join(iter(lambda: connection.recv(65536), b""))
+
+
+def request_of(server: Asking, *headers: str) -> bytes:
+    lines = [f"GET /{server.server.token}/api/catalogue HTTP/1.1", f"Host: 127.0.0.1:{server.server.server_port}"]
+    return "\r\n".join([*lines, *headers, "", ""]).encode()
+
+
+@pytest.mark.parametrize(
+    ("header", "status"),
+    [
+        ("Host: 127.0.0.1", 400),
+        ("Host: evil.example", 400),
+        ("Content-Length: 7", 400),
+        ("Content-Length: 0\r\nContent-Length: 7", 400),
+        ("Transfer-Encoding: chunked", 400),
+        ("no colon", 400),
+        ("Origin : http://evil.example", 400),
+        ("X: " + 20_000 * "x", 431),
+        ("Connection: close", 200),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_a_request_that_is_not_quite_one_is_refused_and_nothing_behind_it_read(
+    shown: Path, asking: Serve, header: str, status: int
+) -> None:
     server = asking(shown / "metric")
-    with socket.create_connection(("127.0.0.1", server.server.server_port)) as slow:
-        slow.sendall(b"GET / HTTP/1.1\r\nHost:")
-        start = time.perf_counter()
-        assert server.get("api/catalogue")[0] == 200
-        assert time.perf_counter() - start < 20
+    came = sent(server, request_of(server, header) + request_of(server))
+    assert came.startswith(f"HTTP/1.1 {status} ".encode())
+    assert came.count(b"HTTP/1.1 ") == 1
+    assert b"Content-Security-Policy" in came
+
+
+def test_what_is_no_http_is_refused_in_plain_words(shown: Path, asking: Serve) -> None:
+    server = asking(shown / "metric")
+    came = sent(server, b"<script> is no request\r\n\r\n")
+    assert came.startswith(b"HTTP/1.1 400 ") and b"text/plain" in came and b"<script>" not in came
+
+
+def test_two_requests_on_a_connection_are_answered(shown: Path, asking: Serve) -> None:
+    server = asking(shown / "metric")
+    together = request_of(server) + request_of(server, "Connection: close")
+    for pieces in ((together,), (together[:50], together[50:]), tuple(bytes([byte]) for byte in together)):
+        assert sent(server, *pieces).count(b"HTTP/1.1 200 OK") == 2
+
+
+def test_a_request_that_never_ends_is_given_up(shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handler, "_HEAD_S", 0.3)
+    server = asking(shown / "metric")
+    assert sent(server, b"GET / HTTP/1.1\r\nHost:") == b""
+    stop = threading.Event()
+    with socket.create_connection(("127.0.0.1", server.server.server_port), timeout=60) as connection:
+
+        def drip() -> None:
+            with contextlib.suppress(OSError):
+                while not stop.wait(0.05):
+                    connection.sendall(b"x")
+
+        thread = threading.Thread(target=drip)
+        thread.start()
+        with contextlib.suppress(ConnectionError):
+            assert connection.recv(100) == b""
+        stop.set()
+        thread.join()
+    assert server.get("api/catalogue")[0] == 200
+
+
+def test_connections_are_limited(shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handler, "_MOST_CONNECTIONS", 3)
+    server = asking(shown / "metric")
+    before = threading.active_count()
+    with contextlib.ExitStack() as stack:
+        for _ in range(3):
+            idle = stack.enter_context(socket.create_connection(("127.0.0.1", server.server.server_port), timeout=60))
+            idle.sendall(request_of(server))
+            assert idle.recv(12) == b"HTTP/1.1 200"
+        for _ in range(20):
+            assert sent(server).startswith(b"HTTP/1.1 503 ")
+        assert threading.active_count() <= before + 3
+        idle.close()
+        end = time.monotonic() + 60
+        while server.get("api/catalogue")[0] != 200:
+            assert time.monotonic() < end
+
+
+def test_surfaces_that_are_not_looked_at_are_let_go(
+    shown: Path, asking: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Minutiae and pairs of five results are asked for; what is kept of them does not hold their surfaces."""
+    for number in range(5):
+        shutil.copytree(shown / "metric", tmp_path / str(number))
+    monkeypatch.setattr(service, "_KEPT_BYTES", 0)
+
+    def surfaces() -> int:
+        gc.collect()
+        return sum(isinstance(thing, Surface) for thing in gc.get_objects())
+
+    before = surfaces()
+    server = asking(tmp_path)
+    for number in range(5):
+        document(server.get(f"api/result/{number}/minutiae"))
+        document(server.get(f"api/pair/{number}/{(number + 1) % 5}"))
+    assert surfaces() == before + 2
 
 
 def test_our_own_failure_says_nothing_of_the_inside(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+import tracemalloc
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -133,6 +135,28 @@ def test_a_damaged_result_is_refused_in_one_sentence(shown: Path, tmp_path: Path
         read_surface(tmp_path)
     assert "\n" not in str(refused.value)
     assert str(tmp_path) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("shape", "stored", "words"),
+    [((2,), 1 << 26, "damaged"), ((20_000, 20_000, 20_000), 16, "damaged"), ((19_000, 19_000), 16, "damaged"),
+     ((21_000, 2), 21_000 * 8, "damaged"), ((2000, 1250), 10_000_000, "10000128 bytes, but at most 9999999 are")],
+)  # fmt: skip
+def test_arrays_of_other_sizes_than_stated_or_too_large_take_no_memory(
+    tmp_path: Path, shape: tuple[int, ...], stored: int, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An archive of zeros is a thousandth of what is in it."""
+    file = tmp_path / "height.npz"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f4", "fortran_order": False, "shape": shape})
+        for done in range(0, stored, 1 << 24):
+            stream.write(bytes(min(1 << 24, stored - done)))
+    monkeypatch.setattr("splitknit.apps.viewer.surface._MOST_BYTES", 9_999_999)
+    tracemalloc.start()
+    with pytest.raises(BadInput, match=words):
+        read_members(file, ("a",))
+    assert tracemalloc.get_traced_memory()[1] < 3_000_000
+    tracemalloc.stop()
 
 
 def test_headers_are_parsed_one_at_a_time(shown: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,22 @@ from splitknit.apps.viewer.surface import Surface
 from splitknit.apps.viewer.tiles import TILE, filled_tiles, strides
 from splitknit.check import BadInput
 
+_TURNING = dict.fromkeys(
+    (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)), "\N{REPLACEMENT CHARACTER}"
+)
+
+
+def shown(text: str) -> str:
+    """Return a name as the page shows it: no mark in it turns the text around it to the left."""
+    return text.translate(_TURNING)
+
 
 def listed(entry: Entry) -> dict[str, Any]:
     """One line of the list."""
     subject = _mapping(_mapping(entry.report.get("capture")).get("subject"))
     return {
         "key": entry.key,
-        "name": entry.name,
+        "name": shown(entry.name),
         "preset": _text(entry.report.get("preset")),
         "subject": _text(subject.get("id")),
         "finger": _text(subject.get("finger")).replace("_", " "),
@@ -74,7 +83,7 @@ def _photos(entry: Entry) -> list[dict[str, Any]]:
     from splitknit.apps.viewer.photos import photos_of  # noqa: PLC0415 - the first view waits for no image library
 
     try:
-        return [{"name": p.name, "band": p.band, "number": p.number} for p in photos_of(entry.capture)]
+        return [{"name": shown(p.name), "band": p.band, "number": p.number} for p in photos_of(entry.capture)]
     except BadInput:
         return []
 
@@ -108,4 +117,4 @@ def _sequence(value: Any) -> list[Any]:
 
 
 def _text(value: Any) -> str:
-    return str(value)[:300] if isinstance(value, (str, int, float)) and not isinstance(value, bool) else ""
+    return shown(str(value)[:300]) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else ""

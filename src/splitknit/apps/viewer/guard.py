@@ -55,6 +55,8 @@ def refusal(method: str, path: str, headers: Message, token: str, port: int) -> 
     port : int
         On which we listen.
     """
+    if _is_malformed(headers):
+        return 400, "the request cannot be read: it has a body, or a header that is damaged or there twice"
     hosts = {f"127.0.0.1:{port}", f"localhost:{port}"} | ({"127.0.0.1", "localhost"} if port == 80 else set())
     host = headers.get("Host", "").lower()
     if host not in hosts:
@@ -66,8 +68,13 @@ def refusal(method: str, path: str, headers: Message, token: str, port: int) -> 
         return 403, "the address lacks this session's token; open the address that `splitknit view` printed"
     opening = path.partition("?")[0] == start and headers.get("Sec-Fetch-Dest", "document") == "document"
     origin = headers.get("Origin")
-    if origin is not None and origin != f"http://{host}" and not (opening and origin == "null"):
-        return 403, "requests of other pages are refused"
-    if headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none") and not opening:
-        return 403, "requests of other pages are refused"
-    return None
+    foreign = origin is not None and origin != f"http://{host}" and not (opening and origin == "null")
+    foreign = foreign or (headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none") and not opening)
+    return (403, "requests of other pages are refused") if foreign else None
+
+
+def _is_malformed(headers: Message) -> bool:
+    """What we would read in one way and others perhaps in another."""
+    twice = any(len(headers.get_all(name, [])) > 1 for name in ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Dest"))
+    body = "Transfer-Encoding" in headers or any(size != "0" for size in headers.get_all("Content-Length", []))
+    return twice or body or bool(headers.defects) or bool(headers.get_payload())  # a line that is no header ends them

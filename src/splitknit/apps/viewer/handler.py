@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import socket
 import sys
+import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 from urllib.parse import parse_qsl
 
 from splitknit.apps.viewer.guard import HEADERS, refusal
@@ -15,6 +19,14 @@ from splitknit.check import BadInput
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_PATH = 2000
+_MOST_CONNECTIONS = 32
+"""Each has a thread; browsers open six."""
+_HEAD_BYTES = 16_384
+_HEAD_S = 20.0
+"""Until a whole request must be there, from the connection's start or the last answer."""
+_ANSWER_S = 60.0
+"""Until a piece of an answer must be taken."""
+_FULL = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 1\r\nConnection: close\r\n\r\n"
 
 
 class ViewerServer(ThreadingHTTPServer):
@@ -26,6 +38,7 @@ class ViewerServer(ThreadingHTTPServer):
     def __init__(self, service: Service, token: str, port: int) -> None:
         """Raises OSError where the port cannot be had."""
         self.service, self.token = service, token
+        self._free = threading.BoundedSemaphore(_MOST_CONNECTIONS)
         super().__init__(("127.0.0.1", port), _Handler)
 
     def server_bind(self) -> None:
@@ -34,6 +47,28 @@ class ViewerServer(ThreadingHTTPServer):
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = "127.0.0.1", int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, as long as there are not too many."""
+        if not self._free.acquire(blocking=False):
+            with contextlib.suppress(OSError):
+                request.setblocking(False)
+                request.send(_FULL)
+                request.recv(_HEAD_BYTES)  # what is not read would reset the connection before the answer is seen
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread could be started
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, and let the next one in."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A page that was closed in the middle of an answer is no error."""
@@ -49,8 +84,37 @@ class ViewerServer(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "splitknit", ""
-    timeout = 60
     server: ViewerServer
+    _unread = b""
+
+    def handle_one_request(self) -> None:
+        """Answer a request whose head comes whole, in time and not too long; else close, or say why not."""
+        head = self._head()
+        self.connection.settimeout(_ANSWER_S)
+        self.close_connection = True
+        if len(head) > _HEAD_BYTES:
+            self.requestline, self.request_version, self.command = "", "HTTP/1.1", ""
+            self._say(431, "the request is too long")
+        elif head:
+            self.rfile = io.BytesIO(head)
+            super().handle_one_request()
+
+    def _head(self) -> bytes:
+        """Request line and headers; nothing if the connection ends or takes too long, too much if they are longer."""
+        end = time.monotonic() + _HEAD_S
+        while b"\r\n\r\n" not in self._unread:
+            if len(self._unread) > _HEAD_BYTES:
+                return self._unread
+            self.connection.settimeout(max(end - time.monotonic(), 1e-3))
+            try:
+                more = self.connection.recv(_HEAD_BYTES)
+            except OSError:
+                return b""
+            if not more:
+                return b""
+            self._unread += more
+        head, _, self._unread = self._unread.partition(b"\r\n\r\n")
+        return head + b"\r\n\r\n"
 
     def do_GET(self) -> None:
         self._respond()
@@ -78,6 +142,11 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             with contextlib.closing(answer):
                 self._send(200, answer)
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what http.server cannot read, as all else is refused."""
+        self.request_version = self.protocol_version
+        self._say(code, "the request cannot be read")
 
     def _say(self, status: int, words: str) -> None:
         """Send a refusal and close: what else the request holds is not read."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,6 @@ class Marks:
         ]
 
 
-@lru_cache(maxsize=8)
 def marks_of(folder: Path, surface: Surface) -> Marks:
     """Return the minutiae of a result's print: those of its ``minutiae.iso``, or those found in it now.
 

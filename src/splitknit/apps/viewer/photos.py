@@ -68,7 +68,7 @@ def photo_jpeg(entry: Entry, number: int, width: int) -> bytes:
     return _jpeg(entry.capture, photo, str(hashes.get(photo.name)), width)
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=32)
 def _jpeg(folder: Path, photo: Photo, sha256: str, width: int) -> bytes:
     data = read_below(folder, photo.name)
     same = hashlib.sha256(data).hexdigest() == sha256

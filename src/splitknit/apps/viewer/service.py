@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splitknit.apps.viewer.about import describe, listed
+from splitknit.apps.viewer.about import describe, listed, shown
 from splitknit.apps.viewer.catalogue import Catalogue, Entry
 from splitknit.apps.viewer.paths import Pieces, open_below, read_below
 from splitknit.apps.viewer.surface import Surface, read_surface
@@ -34,7 +34,8 @@ _TYPES = {
     ".svg": "image/svg+xml",
 }
 _PICTURES = ("normals.png", "albedo.png", "print.png", "preview.png")
-_KEPT_SURFACES = 4
+_KEPT_BYTES = 200_000_000
+"""Of surfaces, but two are kept however large they are: a pair is looked at by turns."""
 _THUMB_PX = 360
 _NOT_FOUND = "there is nothing at this address."
 
@@ -66,6 +67,8 @@ class Service:
         self._surfaces: OrderedDict[str, Surface] = OrderedDict()
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
+        self._large = threading.Lock()  # held by what needs several times the memory of a surface
+        self._marks = lru_cache(maxsize=8)(self._read_marks)
         self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
     def answer(self, path: str, query: Query) -> Answer:
@@ -108,7 +111,7 @@ class Service:
             surface = read_surface(entry.folder)
             with self._lock:
                 self._surfaces[entry.key] = surface
-                while len(self._surfaces) > _KEPT_SURFACES:
+                while len(self._surfaces) > 2 and sum(kept.nbytes for kept in self._surfaces.values()) > _KEPT_BYTES:
                     self._surfaces.popitem(last=False)
             return surface
 
@@ -139,7 +142,8 @@ class Service:
             case ["export", kind]:
                 from splitknit.apps.viewer.exports import export  # noqa: PLC0415
 
-                made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
+                with self._large:
+                    made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
                 saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
                 return Answer(made.kind, made.size, made.chunks, saved)
         raise BadInput(_NOT_FOUND)
@@ -150,7 +154,7 @@ class Service:
 
     def _list(self) -> dict[str, Any]:
         return {
-            "title": self.catalogue.title,
+            "title": shown(self.catalogue.title),
             "chosen": list(self.catalogue.chosen),
             "results": [listed(entry) for entry in self.catalogue.entries],
             "people": None if self.gallery is None else self.gallery.document(),
@@ -178,13 +182,14 @@ class Service:
 
     def _minutiae(self, entry: Entry) -> dict[str, Any]:
         try:
-            return {"minutiae": self._marks(entry).document()}
+            return {"minutiae": self._marks(entry.key).document()}
         except BadInput as error:
             return {"minutiae": None, "why_not": str(error)}
 
-    def _marks(self, entry: Entry) -> Marks:
+    def _read_marks(self, key: str) -> Marks:
         from splitknit.apps.viewer.marks import marks_of  # noqa: PLC0415
 
+        entry = self.catalogue.entry(key)
         return marks_of(entry.folder, self.surface(entry))
 
     def _pair(self, first: str, second: str) -> dict[str, Any]:
@@ -192,11 +197,12 @@ class Service:
 
         one, two = self.catalogue.entry(first), self.catalogue.entry(second)
         try:
-            found = align(one, self.surface(one), two, self.surface(two))
+            with self._large:
+                found = align(one, self.surface(one), two, self.surface(two))
         except BadInput as error:
             return {"alignment": None, "why_not": str(error)}
         try:
-            pairs = matched_marks(self._marks(one), self._marks(two), found) if found.how != "none" else []
+            pairs = matched_marks(self._marks(first), self._marks(second), found) if found.how != "none" else []
         except BadInput:
             pairs = []
         return {"alignment": found.document(), "pairs": pairs}

@@ -22,6 +22,8 @@ from splitknit.check import BadInput, require
 from splitknit.types import BoolArray, FloatArray
 
 _LONGEST = 20_000
+_MOST_BYTES = 600_000_000
+"""Of arrays that are read at once: those of a result of 25 million pixels, three times the rig's."""
 _NEEDED = ("height_mm", "ridge_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
 _RAYS = ("x_mm", "y_mm")
 _PARSING = threading.Lock()
@@ -56,6 +58,12 @@ class Surface:
     high_mm: tuple[float, float, float]
     highest_relief_mm: float
     """Largest distance of the relief from zero."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays take."""
+        arrays = (self.height_mm, self.ridge_mm, self.x_mm, self.y_mm, self.mask)
+        return sum(array.nbytes for array in arrays)
 
     @property
     def count(self) -> int:
@@ -173,8 +181,11 @@ def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) 
             names = [name for name in (*needed, *wanted) if f"{name}.npy" in there]
             missing = [name for name in needed if name not in names]
             require(not missing, f"{path} holds no '{''.join(missing[:1])}'; reconstruct the capture again.")
-            for name in names:
-                _check_header(archive, f"{name}.npy", damaged)
+            sizes = [_checked_size(archive, f"{name}.npy", damaged) for name in names]
+            require(
+                sum(sizes) <= _MOST_BYTES,
+                f"{path} holds arrays of {sum(sizes)} bytes, but at most {_MOST_BYTES} are read.",
+            )
         # the longest first: two cores are done soonest
         with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
             jobs = {name: pool.submit(_read_member, path, name, damaged) for name in names}
@@ -185,11 +196,16 @@ def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) 
         raise BadInput(damaged) from error
 
 
-def _check_header(archive: zipfile.ZipFile, member: str, damaged: str) -> None:
+def _checked_size(archive: zipfile.ZipFile, member: str, damaged: str) -> int:
+    """Return the bytes of an array: those that its header and the archive both state."""
     with archive.open(member) as stream:
         shape, _, dtype = _header(stream, damaged)
+        size = stream.tell() + dtype.itemsize * math.prod(shape)
     sides_fit = len(shape) <= 3 and all(0 <= side <= _LONGEST for side in shape)
     require(sides_fit and dtype.kind in "fiub" and dtype.itemsize <= 8, damaged)
+    stated = archive.getinfo(member)
+    require(stated.file_size == size and stated.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED), damaged)
+    return size
 
 
 def _header(stream: IO[bytes], damaged: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -202,7 +218,8 @@ def _header(stream: IO[bytes], damaged: str) -> tuple[tuple[int, ...], bool, np.
 def _read_member(path: Path, name: str, damaged: str) -> NDArray[Any]:
     with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
         shape, by_columns, dtype = _header(stream, damaged)
-        data = stream.read()
-    require(len(data) == dtype.itemsize * math.prod(shape), damaged)
+        size = dtype.itemsize * math.prod(shape)
+        data = stream.read(size)  # without it, zipfile unpacks whatever follows, too
+    require(len(data) == size, damaged)
     values = np.frombuffer(data, dtype)
     return values.reshape(shape[::-1]).T if by_columns else values.reshape(shape)
