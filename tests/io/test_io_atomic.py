@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 import os
+import signal
+import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from splitknit.check import BadInput
 from splitknit.io import atomic_file, atomic_folder
+from splitknit.io.atomic import GROUP_READABLE
 
 
 def fill(out: Path, **files: str) -> None:
@@ -114,6 +119,18 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     assert visible(tmp_path) == {"file": "x"}
 
 
+def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "result") as outer:
+        with atomic_folder(outer) as inner:
+            assert inner == outer
+            (inner / "one").write_text("1")
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+    with atomic_folder(tmp_path / "result") as outer, atomic_folder(outer) as inner:
+        (inner / "one").write_text("1")
+    assert visible(tmp_path / "result") == {"one": "1"}
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_permission(tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
@@ -138,11 +155,63 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [entry.name for entry in path.parent.iterdir()] == ["file.bin"]
 
 
-def test_the_usual_permissions(tmp_path: Path) -> None:
-    fill(tmp_path / "result", one="1")
-    (tmp_path / "plain").mkdir()
-    assert (tmp_path / "result").stat().st_mode == (tmp_path / "plain").stat().st_mode
-    with atomic_file(tmp_path / "file"):
+@pytest.mark.parametrize(("group", "for_file", "for_folder"), [("", 0o600, 0o700), ("1", 0o640, 0o750)])
+def test_what_is_written_is_private(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str, for_file: int, for_folder: int
+) -> None:
+    monkeypatch.setenv(GROUP_READABLE, group)
+    out = tmp_path / "new" / "result"
+    with atomic_folder(out) as folder:
+        (folder / "sub").mkdir()
+        (folder / "sub" / "open").touch(0o666)
+        (folder / "link").symlink_to(tmp_path)
+    with atomic_file(tmp_path / "other" / "file"):
         pass
-    (tmp_path / "touched").touch()
-    assert (tmp_path / "file").stat().st_mode == (tmp_path / "touched").stat().st_mode
+    modes = {path: stat.S_IMODE(path.lstat().st_mode) for path in tmp_path.rglob("*") if not path.is_symlink()}
+    assert {mode for path, mode in modes.items() if path.is_dir()} == {for_folder}
+    assert {mode for path, mode in modes.items() if path.is_file()} == {for_file}
+    assert len(modes) == 7
+    assert tmp_path.stat().st_mode & 0o777 == 0o700  # what was there keeps its permissions (pytest's are these)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from splitknit.io import atomic_file, atomic_folder
+out, where = Path(sys.argv[1]), sys.argv[2]
+if where == "file":
+    with atomic_file(out) as stream:
+        stream.write(b"half")
+        stream.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+rename = Path.rename
+def stopped(self, target):
+    if where == "swap" and self.name.endswith(".tmp"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return rename(self, target)
+Path.rename = stopped
+with atomic_folder(out) as folder:
+    (folder / "new").write_text("2")
+    if where == "folder":
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("where", ["file", "folder", "swap"])
+def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: str) -> None:
+    fill(tmp_path / "kept", one="1")
+    mine = [tmp_path / name for name in (".kept.tmp", ".photo.0123456789ab.tmpx", "x.0123456789ab.tmp")]
+    for path in mine:
+        path.write_text("mine")
+    out = tmp_path / ("file" if where == "file" else "kept")
+    run = subprocess.run([sys.executable, "-c", KILLED, str(out), where], check=False)
+    assert run.returncode == -signal.SIGKILL
+    left = [path for path in tmp_path.iterdir() if path not in {*mine, tmp_path / "kept"}]
+    assert len(left) == (2 if where == "swap" else 1)
+    again = "from splitknit.io import atomic_file; import sys; atomic_file(sys.argv[1]).__enter__()"
+    with atomic_folder(tmp_path / "at_work"):  # another program at work is left alone
+        before = {path for path in tmp_path.iterdir() if path.name.startswith(".at_work")}
+        subprocess.run([sys.executable, "-c", again, str(tmp_path / "other")], check=True)
+        assert before <= set(tmp_path.iterdir())
+    assert {path.name for path in tmp_path.iterdir()} == {"kept", "at_work", *(path.name for path in mine)}
+    assert visible(tmp_path / "kept") == {"one": "1"}

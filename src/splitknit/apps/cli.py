@@ -147,11 +147,11 @@ def _guarded(options: argparse.Namespace) -> int:
     import contextlib  # noqa: PLC0415
     import json  # noqa: PLC0415
 
-    from splitknit.apps.verb import Refused, one_line  # noqa: PLC0415
+    from splitknit.apps.verb import Refused, one_line, run_verb  # noqa: PLC0415
     from splitknit.check import BadInput  # noqa: PLC0415
 
     try:
-        facts, lines = options.run(options)
+        facts, lines = run_verb(options)
         if facts or lines:  # `view` says what there is to say when it starts
             _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
     except BadInput as error:

@@ -19,8 +19,9 @@ from splitknit.apps.matching_inputs import (
     read_side,
     surface_images,
 )
+from splitknit.apps.targets import check_file
 from splitknit.check import BadInput, require
-from splitknit.io.templates import write_template
+from splitknit.io.templates import MAGIC, write_template
 from splitknit.match import VERSION, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override
 
@@ -65,6 +66,7 @@ def match_files(
     require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
+        check_file(template, "a template", lambda data: data.startswith(MAGIC))
         sources = [path.expanduser().resolve() for path in (a, b) if path is not None]
         require(
             template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file."

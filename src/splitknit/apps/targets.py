@@ -1,11 +1,19 @@
-"""Folders that verbs write into: an earlier one of the same kind may be replaced, nothing else."""
+"""Folders and files that verbs write: an earlier one of the same kind may be replaced, nothing else."""
 
 from __future__ import annotations
 
-import json
+import contextlib
+import os
+from collections.abc import Callable
 from pathlib import Path
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
+from splitknit.io.fields import read_json
+from splitknit.io.png import SIGNATURE
+from splitknit.io.rig import RIG_FORMAT
+from splitknit.io.tiff import SIGNATURES
+
+_MAX_BYTES = 1_000_000_000
 
 
 def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:
@@ -40,9 +48,47 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
         raise BadInput(f"'{out}' cannot be written ({error.strerror}); name another folder.") from error
 
 
+def check_file(out: Path | None, words: str, ours: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
+    """Refuse to replace a file that is not of our kind; called before the work, so that none is done in vain.
+
+    Parameters
+    ----------
+    out : file to write; nothing is checked where it is None
+    words : for the kind, such as "a template"
+    ours : whether a file of these bytes is of the kind; an empty file is of every kind
+    form : the field "format" of a JSON file of the kind, instead
+
+    Raises
+    ------
+    BadInput
+        If `out` exists and is a folder or of another kind, or cannot be looked into.
+    """
+    if out is None or not os.path.lexists(out := out.expanduser()):
+        return
+    require(not out.is_dir(), f"'{out}' is a folder; name {words} to write.")
+    known = False
+    with contextlib.suppress(BadInput):
+        data = read_bytes(out, _MAX_BYTES)
+        known = not data or (_format_of(out) == form if ours is None else ours(data))
+    require(known, f"'{out}' exists and is not {words}; name another file.")
+
+
+def check_rig_file(out: Path | None) -> None:
+    """Refuse to replace a file that is no rig file; see :func:`check_file`."""
+    check_file(out, "a rig file", form=RIG_FORMAT)
+
+
+def check_picture(out: Path | None, photographs: Path | None = None) -> None:
+    """Refuse to replace a file that is no PNG or TIFF picture, or is one of the photographs that are read."""
+    check_file(out, "a picture", lambda data: data.startswith((SIGNATURE, *SIGNATURES)))
+    if out is not None and photographs is not None:
+        inside = photographs.expanduser().resolve() in out.expanduser().resolve().parents and out.expanduser().exists()
+        require(not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file.")
+
+
 def _format_of(file: Path) -> object:
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
+        document, _ = read_json(file)
+    except BadInput:
         return None
     return document.get("format") if isinstance(document, dict) else None

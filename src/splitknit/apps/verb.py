@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -43,8 +44,26 @@ def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace
     verb: argparse.ArgumentParser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
     verb.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
     verb.add_argument("--traceback", action="store_true", help="show where an error came from")
+    verb.add_argument(
+        "--group-readable",
+        action="store_true",
+        help="let your group read what is written (0640, 0750); by default only you can (0600, 0700)",
+    )
     verb.set_defaults(run=run)
     return verb
+
+
+def run_verb(options: argparse.Namespace) -> Outcome:
+    """Run the chosen verb, its workers included, with the permissions for new files that were asked for."""
+    from splitknit.io.atomic import GROUP_READABLE  # noqa: PLC0415 - `--help` needs none of it
+
+    earlier = os.environ.get(GROUP_READABLE, "")
+    os.environ[GROUP_READABLE] = "1" if options.group_readable else earlier
+    try:
+        outcome: Outcome = options.run(options)
+        return outcome
+    finally:
+        os.environ[GROUP_READABLE] = earlier
 
 
 def group(verbs: Any, name: str, does: str) -> Any:

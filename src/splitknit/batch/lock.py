@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from splitknit.check import BadInput
+from splitknit.io.atomic import private_modes
 
 _FILE = ".lock"
 
@@ -23,7 +25,7 @@ def alone(store: Path) -> Iterator[None]:
     import fcntl  # noqa: PLC0415 - not on every system
 
     try:
-        stream = (store / _FILE).open("ab")
+        stream = os.fdopen(os.open(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
     except OSError as error:
         raise BadInput(f"cannot write into '{store}': {error.strerror or error}; choose another place.") from error
     with stream:

@@ -17,6 +17,7 @@ from splitknit.batch.settings import BatchSettings
 from splitknit.batch.solids import SOLIDS
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_file, provenance
+from splitknit.io.atomic import make_folder
 from splitknit.io.provenance import plain_json, settings_hash
 from splitknit.match import FingerImages
 
@@ -206,7 +207,7 @@ def check_target(folder: Path) -> None:
         f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another folder.",
     )
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise BadInput(f"cannot write '{folder}': {error.strerror or error}; choose another place.") from error
 

@@ -1,17 +1,24 @@
 """Files and folders that appear whole or not at all.
 
 Everything is written under a temporary name beside the target and renamed at the end, so that an exception, an
-interrupt or a full disk leaves neither a half-written result nor a damaged earlier one.
+interrupt or a full disk leaves neither a half-written result nor a damaged earlier one. What a killed program left
+beside a target is removed by the next one that writes into the same folder.
+
+Fingerprints are personal data: whatever is written is readable by its owner alone (files 0600, folders 0700), or by
+the group too (0640, 0750) where the environment variable :data:`GROUP_READABLE` is 1, which worker processes inherit.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,7 +26,12 @@ from splitknit.check import BadInput, require
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""
+GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
+_LEFT_OVER = re.compile(r"\.(?P<target>.{1,100})\.[0-9a-f]{12}\.(?P<ending>tmp|old)", re.DOTALL)
+_LONGEST_NAME = 100
+_AT_WORK: set[Path] = set()
+"""Temporary folders that this process is filling."""
 
 
 @contextlib.contextmanager
@@ -29,6 +41,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     An existing `out` is replaced as a whole, but only if it is empty or if every file in it was written by splitknit
     (its manifest, ``.splitknit``, lists them); a folder with anything else in it is refused, never deleted. Parent
     folders are created. After an exception or an interrupt `out` is as it was and the temporary folder is gone.
+    Everything in it becomes private (see above). Where `out` is itself such a temporary folder, it is yielded as it is.
 
     Raises
     ------
@@ -36,23 +49,30 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
         If `out` is a file, holds files that are not ours, exists while `overwrite` is false, or cannot be written.
     """
     target = _resolved(out)
+    if target in _AT_WORK:
+        yield target
+        return
     _check_replaceable(target, overwrite)
     with _parents(target), _refuse_os_errors(target):
-        temporary = _sibling(target)
+        _sweep(target.parent)
+        temporary, lock = _new_sibling(target, _make_folder)
         try:
-            temporary.mkdir()
+            _AT_WORK.add(temporary)
             yield temporary
             _write_manifest(temporary)
+            _make_private(temporary)
             _swap(temporary, target, overwrite)
         finally:
+            _AT_WORK.discard(temporary)
             shutil.rmtree(temporary, ignore_errors=True)
+            os.close(lock)
 
 
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends without exception.
 
-    Parent folders are created.
+    Parent folders are created. The file is private (see above).
 
     Raises
     ------
@@ -63,13 +83,42 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     with _refuse_os_errors(target):
         require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
     with _parents(target), _refuse_os_errors(target):
-        temporary = _sibling(target)
+        _sweep(target.parent)
+        temporary, descriptor = _new_sibling(target, _make_file)
         try:
-            with temporary.open("xb") as stream:
+            with os.fdopen(descriptor, "wb") as stream:
                 yield stream
-            temporary.replace(target)
+                stream.flush()
+                temporary.chmod(private_modes()[0])
+                temporary.replace(target)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def private_modes() -> tuple[int, int]:
+    """Return the permissions of new files and folders: the owner's alone, or the group's too."""
+    return (0o640, 0o750) if os.environ.get(GROUP_READABLE) == "1" else (0o600, 0o700)
+
+
+def make_folder(folder: Path) -> None:
+    """Create a private folder and its missing parents; nothing happens to one that exists.
+
+    Raises
+    ------
+    OSError
+        If that fails, as :meth:`pathlib.Path.mkdir`.
+    """
+    mode = private_modes()[1]
+    for path in [*(path for path in reversed(folder.parents) if not path.exists()), folder]:
+        path.mkdir(mode, exist_ok=True)
+
+
+def _make_private(folder: Path) -> None:
+    for_file, for_folder = private_modes()
+    for path in folder.rglob("*"):
+        if not path.is_symlink():
+            path.chmod(for_folder if path.is_dir() else for_file)
+    folder.chmod(for_folder)
 
 
 def _resolved(path: str | os.PathLike[str]) -> Path:
@@ -79,8 +128,73 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
         raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
 
 
-def _sibling(target: Path) -> Path:
-    return target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.tmp")
+def _sibling(target: Path, ending: str = "tmp") -> Path:
+    return target.with_name(f".{target.name[:_LONGEST_NAME]}.{secrets.token_hex(6)}.{ending}")
+
+
+def _new_sibling(target: Path, make: Callable[[Path], int]) -> tuple[Path, int]:
+    """Make a temporary file or folder beside `target`; return its path and the descriptor that holds its lock.
+
+    Between its making and its locking :func:`_sweep` of another program may take it for a leftover: then once more.
+    """
+    while True:
+        path = _sibling(target)
+        with contextlib.suppress(FileNotFoundError):
+            descriptor = make(path)
+            _lock(descriptor, wait=True)
+            if path.exists():
+                return path, descriptor
+            os.close(descriptor)
+
+
+def _make_file(path: Path) -> int:
+    return os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+
+
+def _make_folder(path: Path) -> int:
+    path.mkdir(0o700)
+    return os.open(path, os.O_RDONLY)
+
+
+def _lock(descriptor: int, *, wait: bool) -> bool:
+    """Lock; False if another program holds it and `wait` is false, or if this system or disk has no locks."""
+    try:
+        import fcntl  # noqa: PLC0415 - not on every system
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return False
+    return True
+
+
+@functools.lru_cache(maxsize=4096)  # once a folder and process: some folders get thousands of files
+def _sweep(parent: Path) -> None:
+    """Remove what killed programs left in a folder; an earlier result whose replacement was cut short is put back."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(parent):  # noqa: PTH208 - names are all that is looked at in a large folder
+            found = _LEFT_OVER.fullmatch(name)
+            if found is not None:
+                with contextlib.suppress(OSError):
+                    _sweep_one(parent / name, parent / found["target"], found["ending"])
+
+
+def _sweep_one(left: Path, target: Path, ending: str) -> None:
+    status = left.lstat()
+    if status.st_uid != os.getuid() or not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+        return
+    descriptor = os.open(left, os.O_RDONLY)
+    try:
+        if not _lock(descriptor, wait=False):
+            return  # its program is still at work
+        if ending == "old" and not target.exists():
+            if len(target.name) < _LONGEST_NAME:  # else it was cut
+                left.rename(target)
+        elif left.is_dir():
+            shutil.rmtree(left)
+        else:
+            left.unlink()
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -98,7 +212,7 @@ def _parents(target: Path) -> Iterator[None]:
     """Create the missing parents of `target`, and remove them again if the block fails."""
     missing = [folder for folder in target.parents if not folder.exists()]
     with _refuse_os_errors(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
     try:
         yield
     except BaseException:
@@ -153,11 +267,15 @@ def _swap(temporary: Path, target: Path, overwrite: bool) -> None:
     if not target.exists():
         temporary.rename(target)
         return
-    old = _sibling(target)
-    target.rename(old)
+    old, lock = _sibling(target, "old"), os.open(target, os.O_RDONLY)
     try:
-        temporary.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+        _lock(lock, wait=False)  # it fails where another program replaces `target` as well, or has it swept
+        target.rename(old)
+        try:
+            temporary.rename(target)
+        except BaseException:
+            old.rename(target)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        os.close(lock)

@@ -10,6 +10,7 @@ from splitknit.check import require
 
 POINTS_PER_MM = 72.0 / 25.4
 A4_MM = (210.0, 297.0)
+PRODUCER = b"/Producer (splitknit)"
 _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
 
@@ -72,7 +73,7 @@ class Page:
             drawing, box = self._shapes[name]
             sides = " ".join(number(side) for side in box)
             objects.append(_stream(f"/Type /XObject /Subtype /Form /BBox [{sides}] ", f"0 g {drawing} f"))
-        objects.append(f"<< /Title ({self.title}) /Producer (splitknit) >>")
+        objects.append(f"<< /Title ({self.title}) {PRODUCER.decode()} >>")
         return _file(objects)
 
 

@@ -22,10 +22,13 @@ def add_target(kinds: Any) -> None:
 
 def run(options: argparse.Namespace) -> Outcome:
     """Write the sheet."""
+    from splitknit.apps.targets import check_file  # noqa: PLC0415
     from splitknit.calibrate import Board  # noqa: PLC0415 - only this verb pays
     from splitknit.io import atomic_file  # noqa: PLC0415
+    from splitknit.rig.pdf import PRODUCER  # noqa: PLC0415
     from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf  # noqa: PLC0415
 
+    check_file(options.out, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
     board = Board.named(options.board, options.square_mm)
     settings = TargetSettings(
         columns=board.columns, rows=board.rows, square_mm=options.square_mm, spacing_mm=options.dot_mm

@@ -12,6 +12,7 @@ import numpy as np
 
 from splitknit.apps.calibration.camera_facts import facts_of, rig_provenance
 from splitknit.apps.calibration.camera_photos import board_photos, disc_marks, image_files, plane_marks
+from splitknit.apps.targets import check_rig_file
 from splitknit.calibrate import Board
 from splitknit.calibrate.camera import CameraCalibration, CameraSettings, calibrate_camera
 from splitknit.calibrate.depth_of_field import DepthOfField, depth_of_field
@@ -77,6 +78,7 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, share: N
         job.folder is not None or len(job.plane) > 0 or job.disc is not None,
         "give a FOLDER of photographs of a checkerboard, --plane or --disc: there is nothing to calibrate from.",
     )
+    check_rig_file(job.out)
     base = read_rig(job.rig) if job.rig is not None else None
     found = find_camera(job, base, progress)
     progress("writing", 0.97)

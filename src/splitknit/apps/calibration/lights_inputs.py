@@ -12,6 +12,7 @@ import numpy as np
 
 from splitknit.apps.calibration.calibrated_lights import LightSettings, rig_of
 from splitknit.apps.options import read_changes
+from splitknit.apps.targets import check_rig_file
 from splitknit.apps.verb import Outcome
 from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND
 from splitknit.calibrate.lights import Circle, combine
@@ -54,6 +55,7 @@ def check_way(options: argparse.Namespace) -> str:
     require(
         ways[0] != "sphere" or options.images is not None, "--sphere needs --images FOLDER, photographs of the ball."
     )
+    check_rig_file(options.out)
     require(ways[0] != "geometry" or options.out is not None, "--geometry writes a rig file; name it with --out FILE.")
     return ways[0]
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from splitknit.apps.calibration.light_pictures import nail_overview
 from splitknit.apps.calibration.lights_of_nail import Task, finish
+from splitknit.apps.targets import check_file, check_picture
 from splitknit.apps.verb import Outcome, Refused
 from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit.calibrate.shadow import NailView, find_nail
@@ -42,6 +43,9 @@ def lights_of_images(task: Task, progress: Callable[[str, float], None]) -> Outc
     # what is found in photographs is better than what is clicked
     found = replace(task.settings.nail, nail_sd_mm=min(task.settings.nail.nail_sd_mm, FOUND_SD_MM))
     task = replace(task, settings=replace(task.settings, nail=found))
+    show, table = _beside(options.show, options.out, "_tips.png"), _beside(options.tips_out, options.out, "_tips.csv")
+    check_picture(show, options.images)
+    check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
     files = nail_files(options.images)
     tips: list[Tip] = []
     tiles: list[tuple[str, FloatArray, NailView, int]] = []
@@ -60,7 +64,6 @@ def lights_of_images(task: Task, progress: Callable[[str, float], None]) -> Outc
             else:
                 lost.append(f"{band} {led} at nail {nail}")
     tips.sort(key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail))
-    show, table = _beside(options.show, options.out, "_tips.png"), _beside(options.tips_out, options.out, "_tips.csv")
     if show is not None:
         write_image(show, nail_overview(tiles, camera.image_size))
     if table is not None:

@@ -20,6 +20,7 @@ from splitknit.apps.calibration.radiometry_camera import (
 from splitknit.apps.calibration.radiometry_folder import read_radiometry_plan
 from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.pictures import ColourArray, colour
+from splitknit.apps.targets import check_picture, check_rig_file
 from splitknit.apps.verb import Outcome
 from splitknit.calibrate.card_check import check_card, check_facts
 from splitknit.calibrate.card_light import CardPlane
@@ -64,7 +65,8 @@ def calibrate_to_file(
     BadInput
         Naming the folder or file at fault; nothing is written then.
     """
-    require(not out.is_dir(), f"'{out}' is a folder; name the rig file to write.")
+    check_rig_file(out)
+    check_picture(residuals, folder)
     require(
         residuals is None or residuals.suffix.lower() in (".png", ".tif", ".tiff"),
         f"'{residuals}' must end in .png or .tif: it is a picture.",

@@ -1,0 +1,176 @@
+"""Measure the structure of ``src``: files, lines, settings, public names, imports; as a table, or as JSON.
+
+    python tools/measure_house.py [--json] [--src src]
+
+Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter. What is counted:
+
+- settings: annotated fields of dataclasses whose name ends in ``Settings``;
+- public names: functions and classes at the top level of modules, without a leading underscore;
+- files to the equations, and to the PLY: files on the shortest chain of imports (lazy ones included) from the verb
+  ``reconstruct`` to the least squares of photometric stereo, and to the mesh writer;
+- circles: sets of modules that import each other, lazily or not;
+- one importer: files that one other file alone imports, in the same folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import subprocess
+import sys
+import time
+from collections import deque
+from pathlib import Path
+
+VERB = ("splitknit.cli.reconstruct", "splitknit.apps.finger_verbs")
+EQUATIONS = ("splitknit.photometric.lambertian", "splitknit.normals.lambertian")
+MESH = ("splitknit.io.ply",)
+
+
+class House:
+    """All modules of a source tree: their syntax trees and who imports whom."""
+
+    def __init__(self, src: Path) -> None:  # noqa: D107 - the class says it
+        self.files = {_module(path, src): path for path in sorted(src.rglob("*.py"))}
+        self.trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in self.files.items()}
+        self.imports = {name: self._imports(name) for name in self.files}
+
+    def _imports(self, module: str) -> set[str]:
+        found: set[str] = set()
+        for node in ast.walk(self.trees[module]):
+            if isinstance(node, ast.Import):
+                found |= {self._known(alias.name) for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                found |= {self._known(f"{node.module}.{alias.name}") for alias in node.names}
+        return found - {"", module}
+
+    def _known(self, name: str) -> str:
+        """The module that a dotted name lies in; empty for other packages."""
+        while name and name not in self.files:
+            name = name.rpartition(".")[0]
+        return name
+
+    def circles(self) -> list[list[str]]:
+        """Sets of modules that can reach each other (Tarjan's strongly connected components), larger than one."""
+        order: dict[str, int] = {}
+        low: dict[str, int] = {}
+        stack: list[str] = []
+        found: list[list[str]] = []
+
+        def visit(name: str) -> None:
+            order[name] = low[name] = len(order)
+            stack.append(name)
+            for other in sorted(self.imports[name]):
+                if other not in order:
+                    visit(other)
+                    low[name] = min(low[name], low[other])
+                elif other in stack:
+                    low[name] = min(low[name], order[other])
+            if low[name] == order[name]:
+                place = stack.index(name)
+                component = stack[place:]
+                del stack[place:]
+                if len(component) > 1:
+                    found.append(sorted(component))
+
+        sys.setrecursionlimit(10_000)
+        for name in self.files:
+            if name not in order:
+                visit(name)
+        return found
+
+    def chain(self, starts: tuple[str, ...], goals: tuple[str, ...]) -> list[str]:
+        """Shortest chain of imports between the first of each that exist; packages' ``__init__`` are passed through."""
+        start = next((name for name in starts if name in self.files), None)
+        goal = next((name for name in goals if name in self.files), None)
+        if start is None or goal is None:
+            return []
+        before: dict[str, str] = {start: ""}
+        waiting = deque([start])
+        while waiting:
+            name = waiting.popleft()
+            if name == goal:
+                path = []
+                while name:
+                    path.append(name)
+                    name = before[name]
+                return path[::-1]
+            for other in sorted(self.imports[name]):
+                if other not in before:
+                    before[other] = name
+                    waiting.append(other)
+        return []
+
+    def single_importer(self) -> list[str]:
+        """Files that one other file alone imports, in the same folder."""
+        importers: dict[str, set[str]] = {name: set() for name in self.files}
+        for name, others in self.imports.items():
+            for other in others:
+                importers[other].add(name)
+        return [
+            name
+            for name, who in importers.items()
+            if len(who) == 1
+            and self.files[name].name != "__init__.py"
+            and self.files[next(iter(who))].parent == self.files[name].parent
+        ]
+
+    def settings_fields(self) -> int:
+        """Fields of settings dataclasses."""
+        return sum(
+            isinstance(item, ast.AnnAssign)
+            for tree in self.trees.values()
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ClassDef) and node.name.endswith("Settings")
+            for item in node.body
+        )
+
+    def public_names(self) -> int:
+        """Functions and classes at the top level of modules."""
+        kinds = (ast.FunctionDef, ast.ClassDef)
+        nodes = (node for tree in self.trees.values() for node in tree.body if isinstance(node, kinds))
+        return sum(not node.name.startswith("_") for node in nodes)
+
+
+def measure(src: Path) -> dict[str, float | int | None]:
+    """All figures by name."""
+    house = House(src)
+    started = time.perf_counter()
+    code = "import sys, splitknit.pipeline; print(sum(m.split('.')[0] == 'splitknit' for m in sys.modules))"
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={"PYTHONPATH": str(src)}
+    )
+    seconds = time.perf_counter() - started
+    return {
+        "python_files": len(house.files),
+        "lines": sum(len(path.read_text(encoding="utf-8").splitlines()) for path in house.files.values()),
+        "settings_fields": house.settings_fields(),
+        "public_names": house.public_names(),
+        "files_to_the_equations": len(house.chain(VERB, EQUATIONS)),
+        "files_to_the_ply": len(house.chain(VERB, MESH)),
+        "modules_of_pipeline": int(run.stdout) if run.returncode == 0 else None,
+        "import_pipeline_s": round(seconds, 2) if run.returncode == 0 else None,
+        "import_circles": len(house.circles()),
+        "one_importer_in_the_same_folder": len(house.single_importer()),
+    }
+
+
+def _module(path: Path, src: Path) -> str:
+    parts = path.relative_to(src).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def main() -> None:
+    """Print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--src", type=Path, default=Path(__file__).resolve().parents[1] / "src")
+    options = parser.parse_args()
+    figures = measure(options.src)
+    table = "\n".join(f"{name.replace('_', ' '):34} {value}" for name, value in figures.items())
+    sys.stdout.write((json.dumps(figures, indent=1) if options.json else table) + "\n")
+
+
+if __name__ == "__main__":
+    main()
