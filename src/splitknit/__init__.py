@@ -5,11 +5,12 @@ The surface of the package is imported when it is first used, so that ``import s
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 __version__ = "0.1.0"
 
+TYPE_CHECKING = False  # as typing's, whose import would take longer than all the rest of the command line's start
 if TYPE_CHECKING:
+    from typing import Any
+
     from splitknit.check import BadInput as BadInput
     from splitknit.io import read_capture as read_capture
     from splitknit.io import write_capture as write_capture

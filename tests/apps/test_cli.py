@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -157,6 +159,115 @@ def test_a_closed_pipe_is_no_error() -> None:
     code += "o = cli.build_parser().parse_args(['demo']); o.run = lambda _: ({}, ['x']); sys.exit(cli._guarded(o))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (run.returncode, run.stderr) == (0, "")
+
+
+INTERRUPTED_AT_IMPORT = """
+import os, sys
+which, number, seen = int(sys.argv.pop(1)), int(sys.argv.pop(1)), 0
+
+def interrupt(event, arguments):
+    global seen
+    if event == "import" and (seen or arguments[0] == "splitknit.apps.batch_verb"):  # the first of main's
+        seen += 1
+        if seen == which:
+            os.kill(os.getpid(), number)
+
+sys.addaudithook(interrupt)
+from splitknit.apps.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("which", [1, 30, 100, 200, 500])
+def test_an_interrupt_in_an_import_is_one_line(tmp_path: Path, which: int, number: signal.Signals) -> None:
+    """Of the verbs, of numpy, of what a verb loads: 200 imports come first, and 900 more when it starts."""
+    arguments = [str(which), str(int(number)), "reconstruct", "nowhere", "--out", "x"]
+    run = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_AT_IMPORT, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", ["ImportError", "BadInput"])
+def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None:
+    """As pybind11 does where the import of a compiled module is interrupted."""
+    code = f"""
+import os, signal, sys
+from splitknit.apps import cli, finger_verbs
+from splitknit.check import BadInput
+
+def run(options):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt as error:
+        raise {error}("initialization failed") from error
+
+finger_verbs.run_demo = run
+sys.exit(cli.main())
+"""
+    run = subprocess.run([sys.executable, "-c", code, "demo"], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
+
+
+def test_an_interrupt_at_exit_is_no_traceback() -> None:
+    code = "import atexit, os, signal, sys; from splitknit.apps.cli import main; "
+    code += "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT)); sys.argv[1:] = ['simulate']; main()"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert run.stderr.endswith("splitknit: interrupted; nothing was left half-written.\n")
+    assert "Traceback" not in run.stderr
+
+
+def test_the_program_begins_with_next_to_no_imports() -> None:
+    """Until its main begins, an interrupt is Python's own and shows a traceback."""
+    code = "import sys; from splitknit.apps import cli; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(run.stdout.split()) & {"argparse", "contextlib", "json", "numpy", "typing"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["reconstruct", "no\nwhere\x1b[1m", "--out", "x"],
+        ["match", "no\nwhere\x1b[1m", "no\nwhere\x1b[1m", "--json"],
+        ["simulate", "--out", "x", "--seed", "a\nb\x1b[1m"],
+        ["simulate", "--out", "x", "--set", "a\nb\x1b[1m"],
+        ["simulate", "--out", "x", "--no\nsuch\x1b[1m"],
+    ],
+)
+def test_an_error_is_one_line_whatever_it_quotes(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    (line,) = [line for line in capsys.readouterr().err.split("\n") if "error:" in line or "\x1b" in line]
+    assert line.startswith("splitknit") and line.isprintable()
+    assert "x1b[1m" in line
+
+
+ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"})
+
+
+@pytest.mark.parametrize("ascii_only", ASCII)
+def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
+    """Facts, errors and argparse's messages; the result may be written already."""
+    program = "import sys; from splitknit.apps import cli, finger_verbs; "
+    program += "finger_verbs.run_demo = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
+    for arguments, code, wanted in ((["demo"], 0, "3 mm\\xb2"), (["demo", "--seed", "²"], 2, "must be a whole number")):
+        run = subprocess.run(
+            [sys.executable, "-c", program, *arguments],
+            capture_output=True,
+            check=False,
+            env={**os.environ, **ascii_only},
+        )
+        assert run.returncode == code, run.stderr
+        assert wanted in (run.stdout + run.stderr).decode("ascii")
 
 
 @pytest.mark.parametrize("where", ["capture", "."])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from splitknit.check import BadInput
 from splitknit.separate.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 from splitknit.separate.tiles import padded_index, plan_tiles
-from splitknit.separate.unet import Network, load_network, run_network
+from splitknit.separate.unet import NO_TELEMETRY, Network, load_network, run_network
 
 TINY = Path(__file__).parent / "tiny.onnx"
 """A U-Net of width 2 with random weights; its card tells how it was made."""
@@ -41,6 +43,31 @@ def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None
 def test_reflection_lengthens_to_the_stride() -> None:
     assert padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
     assert padded_index(16, 8).tolist() == list(range(16))
+
+
+@pytest.mark.parametrize("value", ["0", "", None])
+def test_onnxruntime_is_imported_without_telemetry(monkeypatch: pytest.MonkeyPatch, value: str | None) -> None:
+    if value is None:
+        monkeypatch.delenv(NO_TELEMETRY, raising=False)
+    else:
+        monkeypatch.setenv(NO_TELEMETRY, value)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
+    with pytest.raises(BadInput, match="pip install onnxruntime"):
+        load_network(TINY)
+    assert os.environ[NO_TELEMETRY] == "1"
+
+
+@pytest.mark.parametrize("value", ["0", "", None])
+def test_onnxruntime_imported_with_telemetry_is_refused(
+    network: Network, monkeypatch: pytest.MonkeyPatch, value: str | None
+) -> None:
+    assert "onnxruntime" in sys.modules
+    if value is None:
+        monkeypatch.delenv(NO_TELEMETRY, raising=False)
+    else:
+        monkeypatch.setenv(NO_TELEMETRY, value)
+    with pytest.raises(BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"):
+        load_network(TINY)
 
 
 @pytest.mark.parametrize("tile", [40, 64, 120])

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 
 from splitknit.check import BadInput
+from splitknit.separate import weights
 from splitknit.separate.unet import load_network
 from splitknit.separate.weights import card_bytes, read_network, shipped_networks
 
@@ -21,9 +23,9 @@ def copy(tmp_path: Path) -> Path:
 
 
 def test_a_network_is_read_with_its_card() -> None:
-    card, weights = read_network(TINY)
+    card, data = read_network(TINY)
     assert (card.name, card.channels_in, card.channels_out, card.stride) == ("tiny", 3, 3, 8)
-    assert len(weights) == TINY.stat().st_size
+    assert len(data) == TINY.stat().st_size
     assert load_network(str(TINY)).card == card
 
 
@@ -41,6 +43,16 @@ def test_missing_files_are_named(copy: Path, tmp_path: Path) -> None:
         load_network(copy)
     with pytest.raises(BadInput, match=r"the weights '.*none\.onnx' cannot be read"):
         load_network(tmp_path / "none.onnx")
+
+
+def test_files_are_checked_before_they_are_read(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(weights, "MAX_BYTES", copy.stat().st_size - 1)
+    with pytest.raises(BadInput, match=r"the weights '.*net\.onnx' cannot be read \(.* too large"):
+        load_network(copy)
+    copy.unlink()
+    os.mkfifo(copy)
+    with pytest.raises(BadInput, match=r"is not a file\); copy the network again"):
+        load_network(copy)
 
 
 def test_an_unknown_name_is_told_what_there_is() -> None:
@@ -84,8 +96,8 @@ def test_every_shipped_network_is_whole_and_small() -> None:
     names = shipped_networks()
     assert "direct" in names
     for name in names:
-        card, weights = read_network(name)
+        card, data = read_network(name)
         assert card.name == name
-        assert len(weights) < 4e6
+        assert len(data) < 4e6
         for wanted in ("data", "training", "metrics", "licence", "command"):
             assert card.facts[wanted], f"the card of {name} says nothing about its {wanted}"

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from splitknit.check import BadInput
 
@@ -23,6 +23,20 @@ class Refused(BadInput):
     def __init__(self, message: str, facts: dict[str, Any]) -> None:  # noqa: D107 - the class says it
         super().__init__(message)
         self.facts = facts
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser, and those of its verbs, whose errors take one line after the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        super().error(one_line(message))
+
+
+def one_line(error: object) -> str:
+    """Return an error's text on one line that moves no cursor: what it quotes may hold any character."""
+    text = " ".join(str(error).split()) or "no further words"
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:

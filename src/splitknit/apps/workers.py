@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -43,7 +45,8 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
     try:
         while True:
             for job in islice(rest, 2 * workers - len(running)):  # few enough that an interrupt waits for little
-                running[pool.submit(work, job)] = job
+                with _interrupts_for_us_alone():
+                    running[pool.submit(work, job)] = job
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -54,6 +57,22 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
         ) from error
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _interrupts_for_us_alone() -> Iterator[None]:
+    """Start processes that Ctrl-C does not reach: each would show a traceback, and we end them when their job is done.
+
+    Blocked signals stay blocked in a new process; ours, if one comes meanwhile, is delivered at the end.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:

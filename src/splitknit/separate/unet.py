@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,6 +24,9 @@ from splitknit.types import FloatArray
 
 TILE = 512
 """Longest side of a tile in pixels. A network of width 12 then needs about 0.2 GB a thread, of width 64 1 GB."""
+
+NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
+"""Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,12 +69,7 @@ def _load(name: str) -> Network:
 
 def network_of(card: Card, weights: bytes) -> Network:
     """Prepare weights that are in memory."""
-    try:
-        import onnxruntime  # type: ignore[import-untyped]  # noqa: PLC0415 - heavy, and only presets that need it pay
-    except ImportError as error:
-        raise BadInput(
-            f"networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
-        ) from (error)
+    onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
     # one thread a session: sums are then always formed in the same order, and our own threads take a tile each
     options.intra_op_num_threads = 1
@@ -85,6 +84,27 @@ def network_of(card: Card, weights: bytes) -> Network:
             f"that onnxruntime can run ({_first_line(error)}); train it again."
         ) from error
     return Network(card, session, source.name, result.name)
+
+
+def _onnxruntime() -> Any:
+    """Import onnxruntime with its telemetry off; every use of it in splitknit goes through here.
+
+    Version 1.31 writes a device id and a database of events below the user's cache folder, and sends them. It reads the
+    variable once, when it is loaded; ``disable_telemetry_events()`` comes too late for the files.
+    """
+    require(
+        sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
+        "onnxruntime was imported with its telemetry on, before splitknit could turn it off; "
+        f"set the environment variable {NO_TELEMETRY}=1 before that import.",
+    )
+    os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
+    try:
+        import onnxruntime  # type: ignore[import-untyped]  # noqa: PLC0415 - heavy, and only presets that need it pay
+    except ImportError as error:
+        raise BadInput(
+            f"networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
+        ) from error
+    return onnxruntime
 
 
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE, workers: int = 2) -> FloatArray:

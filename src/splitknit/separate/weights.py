@@ -16,10 +16,12 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 
 FORMAT = "splitknit-network"
 REINSTALL = "reinstall splitknit, or name another network"
+MAX_BYTES = 500_000_000
+"""Largest file that is read; the shipped networks have less than one megabyte."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +126,9 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
 
 def _read(file: Traversable, words: str, remedy: str) -> bytes:
     try:
-        return file.read_bytes()
+        return read_bytes(file, MAX_BYTES) if isinstance(file, Path) else file.read_bytes()
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = getattr(error, "strerror", None) or str(error).removesuffix(".")
         raise BadInput(f"{words} cannot be read ({reason}); {remedy}.") from error
 
 

@@ -40,7 +40,8 @@ class Page:
         options.binary_location = str(BINARY)
         for flag in (
             "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking",
-            "--no-first-run", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", *flags,
+            "--no-first-run", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", *flags,
         ):  # fmt: skip
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
