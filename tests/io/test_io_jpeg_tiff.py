@@ -201,7 +201,7 @@ def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
         (256, struct.pack("<HII", 12, 1, 0), "tags are damaged"),  # a type that no width has
         (258, struct.pack("<HII", 3, 3, 1 << 31), "tags are damaged"),  # beyond the file
         (258, struct.pack("<HIHH", 3, 2, 8, 16), "8- or 16-bit"),
-        (259, struct.pack("<HII", 3, 1, 50000), "number 50000"),
+        (259, struct.pack("<HII", 3, 1, 50000), "compression 50000"),
         (262, struct.pack("<HII", 3, 1, 9), "neither grey nor RGB"),
         (273, struct.pack("<HII", 4, 2, 8), "tags are damaged"),
         (278, struct.pack("<HII", 4, 1, 1), "tags are damaged"),  # more strips than are named
