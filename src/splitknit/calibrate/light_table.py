@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, refusing, require
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
@@ -73,7 +73,7 @@ def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
     lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
     lines = [(k, line) for k, line in lines if line.strip(" \t,") and not line.lstrip().startswith("#")]
     require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
-    header = [cell.strip().lower() for cell in next(csv.reader([lines[0][1]]))]
+    header = [cell.lower() for cell in _cells(lines[0][1], name)]
     missing = [column for column in COLUMNS if column not in header]
     require(
         not missing,
@@ -159,26 +159,33 @@ def pixels(tips: Sequence[Tip]) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def _tip(line: str, header: Sequence[str], where: str) -> Tip:
-    cells = [cell.strip() for cell in next(csv.reader([line]))]
+    cells = _cells(line, where)
     require(
         len(cells) == len(header),
         f"{where} has {len(cells)} fields, but the first line names {len(header)}; correct the line.",
     )
     row = dict(zip(header, cells, strict=True))
     band = row["band"].lower()
-    require(band in BANDS, f"{where}: the band must be white or nir, but it is '{row['band']}'.")
+    require(band in BANDS, f"{where}: the band must be white or nir, but it is {row['band'][:60]!a}.")
     led = _whole(row["led"], where, "led")
     require(
         led < LEDS_PER_BAND,
-        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led']}.",
+        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led'][:60]!a}.",
     )
     numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
     return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
 
 
+def _cells(line: str, where: str) -> list[str]:
+    with refusing(
+        f"{where} is no line of a CSV table."
+    ):  # such as one of a hundred thousand characters without a comma
+        return [cell.strip() for cell in next(csv.reader([line]))]
+
+
 def _whole(text: str, where: str, column: str) -> int:
     sound = text.isascii() and text.isdigit() and len(text) <= 9
-    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is '{text}'.")
+    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is {text[:60]!a}.")
     return int(text)
 
 
@@ -188,6 +195,7 @@ def _number(text: str, where: str, column: str) -> float:
     except ValueError:
         value = math.nan
     require(
-        math.isfinite(value) and abs(value) < 1e6, f"{where}: {column} must be a number of pixels, but it is '{text}'."
+        math.isfinite(value) and abs(value) < 1e6,
+        f"{where}: {column} must be a number of pixels, but it is {text[:60]!a}.",
     )
     return value
