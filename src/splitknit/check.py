@@ -6,8 +6,11 @@ line prints it and exits with code 2.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import stat
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,23 +27,38 @@ def require(condition: bool, message: str) -> None:
         raise BadInput(message)
 
 
-def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
-    """Read a whole regular file of at most `max_bytes`; every reader of a file goes through here.
+@contextlib.contextmanager
+def refusing(message: str) -> Iterator[None]:
+    """Turn whatever a parser raises in the block into :class:`BadInput` with `message`, one sentence.
 
-    Devices and pipes are refused without being opened for reading, and the size is checked before memory is taken
-    (and again while reading, for a file that grows and for those of ``/proc``, which have no size).
+    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it says nothing about the input.
+
+    Examples
+    --------
+    >>> with refusing("the table is damaged; write it again."):
+    ...     {}["rows"]
+    Traceback (most recent call last):
+    ...
+    splitknit.check.BadInput: the table is damaged; write it again.
+    """
+    try:
+        yield
+    except (BadInput, MemoryError):
+        raise
+    except Exception as error:  # parsers raise whatever they meet
+        raise BadInput(message) from error
+
+
+@contextlib.contextmanager
+def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io.BufferedReader, int]]:
+    """Open a regular file of at most `max_bytes`; yield the stream and the file's size.
+
+    Devices and pipes are refused without being opened for reading, and what cannot be read in the block is refused too.
 
     Raises
     ------
     BadInput
         If the file is missing, not a regular file, too large, or cannot be read.
-
-    Examples
-    --------
-    >>> read_bytes("/dev/zero", 1000)
-    Traceback (most recent call last):
-    ...
-    splitknit.check.BadInput: /dev/zero is not a file.
     """
     name = shown_path(path)
     try:
@@ -53,9 +71,7 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
                 status.st_size <= max_bytes,
                 f"{name} is too large: {status.st_size} bytes, at most {max_bytes} are read.",
             )
-            data = stream.read(status.st_size + 1)
-            while len(data) > status.st_size and len(data) <= max_bytes and (more := stream.read(1 << 16)):
-                data += more
+            yield stream, status.st_size
     except FileNotFoundError as error:
         raise BadInput(f"{name} does not exist; add the file or correct the name.") from error
     except IsADirectoryError as error:
@@ -64,7 +80,31 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
         raise
     except (OSError, ValueError) as error:
         raise BadInput(f"{name} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
-    require(len(data) <= max_bytes, f"{name} is too large: more than {max_bytes} bytes.")
+
+
+def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
+    """Read a whole regular file of at most `max_bytes`; every reader of a file goes through here.
+
+    The size is checked before memory is taken, and again while reading, for a file that grows and for those of
+    ``/proc``, which have no size.
+
+    Raises
+    ------
+    BadInput
+        As :func:`open_file`.
+
+    Examples
+    --------
+    >>> read_bytes("/dev/zero", 1000)
+    Traceback (most recent call last):
+    ...
+    splitknit.check.BadInput: /dev/zero is not a file.
+    """
+    with open_file(path, max_bytes) as (stream, size):
+        data = stream.read(size + 1)
+        while len(data) > size and len(data) <= max_bytes and (more := stream.read(1 << 16)):
+            data += more
+    require(len(data) <= max_bytes, f"{shown_path(path)} is too large: more than {max_bytes} bytes.")
     return data
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -114,7 +115,10 @@ def _as_type(value: Any, option: Any) -> tuple[bool, Any]:  # noqa: PLR0911 - on
 
 
 def _float(value: Any) -> Any:
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    try:
+        return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf  # left to the settings to refuse
 
 
 def _type_name(option: Any) -> str:

@@ -161,7 +161,11 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
     write_stl(tmp_path / "cut.stl", mesh)
     (tmp_path / "cut.stl").write_bytes((tmp_path / "cut.stl").read_bytes()[:-7])
     (tmp_path / "odd.stl").write_text("solid x\nvertex 1 2 3\nvertex 1 2\n")
-    for name, words in (("cut.stl", "not an STL file"), ("odd.stl", "do not make triangles"), ("none.stl", "read")):
+    for name, words in (
+        ("cut.stl", "not an STL file"),
+        ("odd.stl", "do not make triangles"),
+        ("none.stl", "does not exist"),
+    ):
         with pytest.raises(BadInput, match=words):
             read_stl(tmp_path / name)
 

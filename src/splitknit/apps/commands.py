@@ -9,13 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from splitknit.apps.outputs import FILES, write_files
 from splitknit.apps.simulated_lights import coloured_lights
 from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
-from splitknit.io import atomic_folder, read_capture, read_rig, with_rig, write_capture
+from splitknit.io import atomic_folder, read_capture, read_npz, read_rig, with_rig, write_capture
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
 from splitknit.simulate.twin import TwinSettings, simulate_capture
@@ -93,13 +91,7 @@ def truth_of(capture: Capture) -> dict[str, Any] | None:
     """Read a simulator's truth, if the capture names one, and only what is compared."""
     if capture.truth is None:
         return None
-    try:
-        with np.load(capture.truth, allow_pickle=False) as archive:  # reads only what is asked for: the rest is large
-            return {name: archive[name] for name in TRUTH_ARRAYS if name in archive.files}
-    except Exception as error:  # zipfile, zlib and numpy each have their own
-        raise BadInput(
-            f"the truth '{capture.truth}' is damaged or no .npz file; simulate the capture again."
-        ) from error
+    return dict(read_npz(capture.truth, TRUTH_ARRAYS))  # only what is asked for: the rest is large
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, Side, no_progress, read_side
-from splitknit.check import BadInput, require
-from splitknit.io import read_capture, read_image
+from splitknit.check import BadInput, read_bytes, require
+from splitknit.io import file_hash, read_capture, read_image
 from splitknit.io.prints import encode_print_png
 from splitknit.match import pack
 from splitknit.recipe.matchable import surface_print
@@ -21,7 +21,7 @@ from splitknit.recipe.matchable import surface_print
 KEEP = ("none", "thumbnail", "raw")
 _THUMBNAIL_PPI = 250.0
 _NOT_INPUTS = ("truth.npz", ".splitknit")
-_LARGEST_RAW = 1_000_000_000
+LARGEST_RAW = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,17 +81,9 @@ def source_hash(path: Path) -> str:
     """SHA-256 of a source: of a file, or of names and hashes of the files of a capture (without its truth)."""
     files = _files(path)
     if files == [path]:
-        return _hash(path)
-    lines = [f"{_hash(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+        return file_hash(path)
+    lines = [f"{file_hash(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
     return hashlib.sha256("".join(lines).encode("utf-8")).hexdigest()
-
-
-def _hash(file: Path) -> str:
-    try:
-        with file.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise BadInput(f"{file} cannot be read: {error.strerror}.") from error
 
 
 def _files(path: Path) -> list[Path]:
@@ -120,12 +112,12 @@ def _kept(path: Path, side: Side, keep: str) -> bytes | None:
 def _zipped(path: Path) -> bytes:
     files = _files(path)
     total = sum(file.stat().st_size for file in files)
-    require(total <= _LARGEST_RAW, f"the files of '{path}' have {total} bytes, too many to keep; keep a thumbnail.")
+    require(total <= LARGEST_RAW, f"the files of '{path}' have {total} bytes, too many to keep; keep a thumbnail.")
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for file in files:
             name = file.name if file == path else file.relative_to(path).as_posix()
             if path.is_dir() and files == [path / "height.npz"]:
                 name = "height.npz"
-            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), file.read_bytes())
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), read_bytes(file, LARGEST_RAW))
     return stream.getvalue()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.check import BadInput
 from splitknit.evaluate.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit.evaluate.scores import Scores
+from splitknit.io import file_hash
 from splitknit.match import Prepared, ridge_match, unpack
 from splitknit.match.gallery import Gallery
 from splitknit.match.gallery_entry import session_order
@@ -52,8 +52,7 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
         rows = opened.entries()
         templates = opened.templates()
         encrypted = opened.encrypted
-        with path.open("rb") as stream:
-            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+        sha256 = file_hash(path)
     rows = [one for one in rows if one.row in templates]
     names = list(dict.fromkeys(one.entry.person for one in rows))
     shown = {name: f"P{number:03d}" if encrypted else name for number, name in enumerate(names, start=1)}

@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.enrolling import gallery_facts
+from splitknit.apps.enrolling_sources import LARGEST_RAW
 from splitknit.apps.targets import check_target
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, refusing, require
 from splitknit.io import atomic_folder
+from splitknit.io.fields import Fields, read_json
 from splitknit.io.templates import encode_template, read_template
 from splitknit.match import VERSION, unpack
 from splitknit.match.code import CODE_VERSION, code_of
@@ -25,6 +27,8 @@ _FORMAT, _VERSION = "splitknit-gallery-export", 1
 _FIELDS = ("person", "finger", "session", "kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "images")
 _COLUMNS = ("template", *_FIELDS, "image")
 _SUFFIX = {"thumbnail": "png", "raw": "zip"}
+_MAX_TABLE_BYTES = 50_000_000
+"""A quarter of a million captures."""
 
 
 def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: bool = False) -> dict[str, Any]:
@@ -93,27 +97,27 @@ def _write(file: Path, data: bytes) -> None:
 def _read_about(folder: Path) -> dict[str, Any]:
     file = folder / FACTS_FILE
     require(file.is_file(), f"'{folder}' is no export of a gallery: it holds no {FACTS_FILE}.")
-    try:
-        document = dict(json.loads(file.read_text(encoding="utf-8")))
-        known = document["format"] == _FORMAT and re.fullmatch("[0-9a-f]{64}", document["settings_sha256"]) is not None
-        require(known, "not ours")
-        versions = int(document["version"]), int(document["template_version"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        raise BadInput(f"'{file}' is damaged, or not of an export; export the gallery again.") from error
+    document, _ = read_json(file)
+    fields = Fields(document, str(file))
+    sound = fields.text("format") == _FORMAT and re.fullmatch("[0-9a-f]{64}", fields.text("settings_sha256"))
+    versions = document.get("version"), document.get("template_version")
+    require(
+        bool(sound) and all(type(one) is int for one in versions),
+        f"'{file}' is damaged, or not of an export; export the gallery again.",
+    )
     require(
         versions == (_VERSION, VERSION),
         f"'{folder}' is an export of version {versions[0]} with templates of version {versions[1]}, but this program "
         f"reads {_VERSION} and {VERSION}; enrol the fingers again.",
     )
-    return document
+    return dict(document)
 
 
 def _read_table(folder: Path) -> list[NewCapture]:
     file = folder / TABLE_FILE
-    try:
-        rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8-sig"), newline=""), strict=True))
-    except (OSError, ValueError, csv.Error) as error:
-        raise BadInput(f"'{file}' cannot be read as a table; export the gallery again.") from error
+    data = read_bytes(file, _MAX_TABLE_BYTES)
+    with refusing(f"'{file}' cannot be read as a table; export the gallery again."):
+        rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
     require(len(rows) > 0, f"'{file}' lists no finger.")
     found = []
     for number, row in enumerate(rows, start=2):
@@ -136,12 +140,23 @@ def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
     if row["image"]:
         named = re.fullmatch(r"images/\d{1,9}\.(png|zip)", row["image"]) is not None
         require(named, f"an image is named such as images/0001.png, not {row['image'][:60]!a}.")
-        try:
-            image = (folder / row["image"]).read_bytes()
-        except OSError as error:
-            raise BadInput(f"{row['image']} cannot be read: {error.strerror}.") from error
+        kind = next(kind for kind, suffix in _SUFFIX.items() if row["image"].endswith(suffix))
+        require(
+            row["images"] == kind,
+            f"the column 'images' must be '{kind}' where the image is {row['image']}, not {row['images'][:60]!a}.",
+        )
+        image = read_bytes(folder / row["image"], LARGEST_RAW)
     values: dict[str, Any] = {column: row[column] for column in _FIELDS}
-    values["area_mm2"] = 0.0 if template.empty else float(row["area_mm2"])
+    values["area_mm2"] = 0.0 if template.empty else _area(row["area_mm2"])
     values["images"] = row["images"] if image is not None else ""
     code = None if template.empty else code_of(template).tobytes()
     return NewCapture(Entry(**values), payload, code, None if code is None else CODE_VERSION, image)
+
+
+def _area(text: str) -> float:
+    try:
+        area = float(text)
+    except ValueError:
+        area = -1.0
+    require(0 <= area <= 1e6, f"area_mm2 must be a number from 0 to a million, not {text[:60]!a}.")
+    return area

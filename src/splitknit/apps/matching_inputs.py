@@ -90,8 +90,8 @@ def read_surface(path: Path) -> Surface:
     BadInput
         If it is damaged, or an array is missing or of another shape.
     """
-    arrays = read_npz(path)
     needed = ("ridge_mm", "shape_mm", "normals", "mask", "pitch_mm", "input_from_upright", "upright_size")
+    arrays = read_npz(path, needed)
     for name in needed:
         require(name in arrays, f"{path} holds no '{name}'; reconstruct the capture again.")
     shape = arrays["mask"].shape
@@ -104,13 +104,14 @@ def read_surface(path: Path) -> Surface:
         require(fits and len(shape) == 2, f"{path}: '{name}' has another shape than a result's; reconstruct it again.")
     matrix = arrays["input_from_upright"].astype(np.float64)
     usable = bool(np.isfinite(matrix).all()) and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    rows, columns = (int(side) for side in arrays["upright_size"])
-    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000
+    good = arrays["upright_size"].dtype.kind in "iu"
+    rows, columns = arrays["upright_size"].tolist() if good else (0, 0)
+    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; reconstruct the capture again.")
     return Surface(
-        ridge_mm=arrays["ridge_mm"].astype(np.float32),
-        shape_mm=arrays["shape_mm"].astype(np.float32),
-        normals=arrays["normals"].astype(np.float32),
+        ridge_mm=arrays["ridge_mm"].astype(np.float32, copy=False),
+        shape_mm=arrays["shape_mm"].astype(np.float32, copy=False),
+        normals=arrays["normals"].astype(np.float32, copy=False),
         mask=arrays["mask"].astype(np.bool_),
         pitch_mm=float(arrays["pitch_mm"]),
         input_from_upright=matrix,

@@ -8,8 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, refusing, require
+from splitknit.io.fields import parse_json
 from splitknit.settings import flatten
+
+_MAX_BYTES = 64_000
+"""Ours have 2 kB; the parser's time grows with the square of a name's length."""
 
 
 def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:
@@ -59,15 +63,15 @@ def _scalar(text: str) -> Any:
 
 def read_settings_file(path: Path) -> dict[str, Any]:
     """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted names."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "it is not a text file"
-        raise BadInput(f"the settings file '{path}' cannot be read: {reason}.") from error
-    try:
-        tree = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise BadInput(f"the settings file '{path}' is not sound {kind}: {error}.") from error
+    data = read_bytes(path, _MAX_BYTES)
+    if path.suffix.lower() == ".json":
+        tree = parse_json(data, f"the settings file '{path}'")
+    else:
+        try:
+            tree = tomllib.loads(data.decode("utf-8"))
+        except (ValueError, RecursionError) as error:
+            words = "it is not a text file" if isinstance(error, UnicodeDecodeError) else error
+            raise BadInput(f"the settings file '{path}' is not sound TOML: {words}.") from error
     require(isinstance(tree, dict), f"the settings file '{path}' must hold a table of settings by stage.")
-    return flatten(tree)
+    with refusing(f"the settings file '{path}' is nested too deeply; name settings as stage.field."):
+        return flatten(tree)

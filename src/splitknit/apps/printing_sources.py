@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import naming
 from splitknit.check import BadInput, require
-from splitknit.io import read_capture, read_npz
+from splitknit.io import file_hash, read_capture, read_npz
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.radiance import has_colour, linear_channels
 from splitknit.recipe.finger import find_finger
@@ -95,7 +94,7 @@ def source_of(result: Reconstruction) -> Source:
 
 
 def _of_result(path: Path) -> Source:
-    arrays = read_npz(path)
+    arrays = read_npz(path, (*NEEDED, "x_mm", "y_mm"))
     for name in NEEDED:
         remedy = "it has no scale, so calibrate the camera and" if name == "pitch_mm" else "please"
         require(name in arrays, f"{path} holds no '{name}': {remedy} reconstruct the capture again.")
@@ -106,9 +105,10 @@ def _of_result(path: Path) -> Source:
     good = good and arrays["pitch_mm"].shape == () and arrays["pitch_mm"].dtype.kind in "fiu"
     require(good, f"{path} holds arrays of other shapes than a result's; reconstruct the capture again.")
     matrix = arrays["input_from_upright"].astype(np.float64)
-    rows, columns = (int(side) for side in arrays["upright_size"])
+    good = arrays["upright_size"].dtype.kind in "iu"
+    rows, columns = arrays["upright_size"].tolist() if good else (0, 0)
     usable = bool(np.isfinite(matrix).all()) and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000
+    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; reconstruct the capture again.")
     pitch = float(arrays["pitch_mm"])
     require(
@@ -116,10 +116,15 @@ def _of_result(path: Path) -> Source:
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and reconstruct the capture again.",
     )
     require(bool(arrays["mask"].any()), f"{path}: the mask is empty; reconstruct the capture again.")
-    parts: dict[str, Any] = {name: arrays[name].astype(np.float32) for name in fields}
-    data = hashlib.sha256(path.read_bytes()).hexdigest()
+    parts: dict[str, Any] = {name: arrays[name].astype(np.float32, copy=False) for name in fields}
     return Source(
-        "result", arrays["mask"].astype(np.bool_), pitch, matrix, (rows, columns), hashes={path.name: data}, **parts
+        "result",
+        arrays["mask"].astype(np.bool_),
+        pitch,
+        matrix,
+        (rows, columns),
+        hashes={path.name: file_hash(path)},
+        **parts,
     )
 
 

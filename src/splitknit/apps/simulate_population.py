@@ -22,8 +22,9 @@ from typing import Any
 from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, refusing, require
 from splitknit.io import atomic_file, atomic_folder, plain_json, provenance, write_capture
+from splitknit.io.fields import read_json
 from splitknit.io.provenance import settings_hash
 from splitknit.simulate.population import DRAWS, PopulationSettings, population_capture
 
@@ -155,16 +156,12 @@ def _check_settings(out: Path, document: dict[str, Any]) -> None:
             f"'{out}' holds captures of something else than a simulated population; name another folder.",
         )
         return
-    try:
-        earlier = json.loads(file.read_text(encoding="utf-8"))
+    earlier, _ = read_json(file)
+    with refusing(f"'{file}' cannot be read: it is damaged; name another folder for the population."):
         known = earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION
         require(known, f"'{file}' is of another version.")
         same = earlier["settings_sha256"] == document["settings_sha256"]
         differing = _differing(earlier["settings"], document["settings"])
-    except BadInput:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"'{file}' cannot be read: it is damaged; name another folder for the population.") from error
     where = f" ({', '.join(differing[:4])})" if differing else ""
     require(
         same,
@@ -212,11 +209,10 @@ def _write_table(enrolment: Enrolment) -> None:
         writer.writeheader()
         writer.writerows(rows)
     with atomic_file(enrolment.folder / TABLE_FILE) as stream:
-        stream.write(text.getvalue().encode("ascii"))
+        stream.write(text.getvalue().encode("utf-8"))
 
 
 def _facts_of(file: Path) -> dict[str, Any]:
-    try:
-        return dict(json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError) as error:
-        raise BadInput(f"'{file}' is damaged; remove its folder and run the same again.") from error
+    facts, _ = read_json(file)
+    require(isinstance(facts, dict), f"'{file}' is damaged; remove its folder and run the same again.")
+    return dict(facts)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from splitknit.check import BadInput, require
+from splitknit.io.fields import read_json
 
 
 def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:
@@ -42,7 +42,7 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
 
 def _format_of(file: Path) -> object:
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
+        document, _ = read_json(file)
+    except BadInput:
         return None
     return document.get("format") if isinstance(document, dict) else None

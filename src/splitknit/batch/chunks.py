@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from splitknit.batch.packages import load
-from splitknit.check import BadInput
+from splitknit.check import open_file, refusing, require
 from splitknit.io import atomic_file
+from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json
 
 SUFFIX = ".parquet"
 _KEY = b"splitknit"
+_MAX_BYTES = 2_000_000_000
+"""Of a file and of its columns: surfaces of forty captures."""
+_MOST_ROWS = 10_000_000
+_TEXTS = {"capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b"}
+_FLAGS = {"acquired", "genuine", "compared"}
+_PAYLOADS = {"template", "print", "images", "minutiae", "minutiae3d", "surface_code"}
+_NEVER_NULL = (_TEXTS | _FLAGS | _PAYLOADS | {"area_mm2"}) - {"print", "images"}
 _REMEDY = "delete it and run the same again: only what it holds is done anew"
 
 
@@ -37,22 +44,46 @@ def write_chunk(path: Path, columns: Mapping[str, Sequence[Any]], schema: Any, o
         )
 
 
-def read_chunk(path: Path, columns: Sequence[str] | None = None) -> Any:
-    """Read a chunk as a ``pyarrow.Table`` without metadata.
+def column_type(name: str) -> Any:
+    """Arrow's type of a column, the same in all kinds of chunks; what has no type of its own is a number."""
+    pa = load("pyarrow", "batch")
+    if name in _TEXTS:
+        return pa.string()
+    if name == "warnings":
+        return pa.list_(pa.string())
+    return pa.bool_() if name in _FLAGS else pa.binary() if name in _PAYLOADS else pa.float64()
+
+
+def read_chunk(path: Path, columns: Sequence[str] | None = None, needed: Sequence[str] = ()) -> Any:
+    """Read a chunk as a ``pyarrow.Table`` without metadata; sizes are checked before it is read.
+
+    Parameters
+    ----------
+    path : the chunk
+    columns : to read, all of which must be there; None for whatever is there
+    needed : names that must be there where `columns` is None
 
     Raises
     ------
     BadInput
-        If it is damaged.
+        If it is damaged, too large, or a column is missing or of another type.
     """
-    pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
-    try:
-        table = pq.read_table(path, columns=None if columns is None else list(columns), partitioning=None)
-    except (pa.ArrowException, OSError) as error:
-        raise _damaged(path) from error
-    missing = [name for name in columns or () if name not in table.column_names]
-    if missing:
-        raise BadInput(f"'{path}' holds no column '{missing[0]}': it is of another version; {_REMEDY}.")
+    pq = load("pyarrow.parquet", "batch")
+    wanted = None if columns is None else list(dict.fromkeys(columns))
+    with open_file(path, _MAX_BYTES) as (stream, _), refusing(_damaged(path)), pq.ParquetFile(stream) as file:
+        facts = file.metadata
+        groups = [facts.row_group(k) for k in range(facts.num_row_groups)]
+        parts = [group.column(k) for group in groups for k in range(group.num_columns)]
+        size = sum(one.total_uncompressed_size for one in parts if wanted is None or one.path_in_schema in wanted)
+        require(facts.num_rows <= _MOST_ROWS and size <= _MAX_BYTES, f"'{path}' is too large; {_REMEDY}.")
+        table = file.read(columns=wanted)
+        table.validate(full=True)
+        names = table.column_names
+        missing = [name for name in columns or needed if name not in names]
+        require(not missing, f"'{path}' holds no column '{''.join(missing[:1])}': it is of another version; {_REMEDY}.")
+        sound = len(set(names)) == len(names) and all(table.schema.field(one).type == column_type(one) for one in names)
+        whole = all(table.column(one).null_count == 0 for one in names if one in _NEVER_NULL)
+        require(sound and whole, _damaged(path))
     return table.replace_schema_metadata(None)
 
 
@@ -64,11 +95,9 @@ def read_origin(path: Path) -> dict[str, Any]:
     BadInput
         If the file is damaged.
     """
-    pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
-    try:
-        return dict(json.loads(pq.read_schema(path).metadata[_KEY]))
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-        raise _damaged(path) from error
+    pq = load("pyarrow.parquet", "batch")
+    with open_file(path, _MAX_BYTES) as (stream, _), refusing(_damaged(path)):
+        return dict(parse_json(pq.read_schema(stream).metadata[_KEY], str(path)))
 
 
 def chunk_files(folder: Path) -> list[Path]:
@@ -78,8 +107,8 @@ def chunk_files(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if file.suffix == SUFFIX and not file.name.startswith("."))
 
 
-def _damaged(path: Path) -> BadInput:
-    return BadInput(f"'{path}' is damaged; {_REMEDY}.")
+def _damaged(path: Path) -> str:
+    return f"'{path}' is damaged; {_REMEDY}."
 
 
 def write_timings(folder: Path, name: str, facts: Mapping[str, Any]) -> None:

@@ -68,7 +68,10 @@ def names_of(capture: str) -> dict[str, str]:
     >>> names_of("S01/session_2/right_index")
     {'finger': 'S01/right_index', 'subject': 'S01', 'session': '2'}
     """
-    subject, session, finger = capture.split("/")
+    subject, session, finger = parts if len(parts := capture.split("/")) == 3 else ("", "", "")
+    require(
+        bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; run the batch again."
+    )
     return {"finger": f"{subject}/{finger}", "subject": subject, "session": session.removeprefix("session_")}
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.population import CaptureRef
@@ -70,17 +70,12 @@ class FeatureDone:
 
 def feature_schema() -> Any:
     """Columns of a chunk of features."""
-    pa = load("pyarrow", "batch")
-    text, number = pa.string(), pa.float64()
-    return pa.schema(
-        [
-            ("capture", text), ("subject", text), ("finger", text), ("session", text),
-            ("acquired", pa.bool_()), ("failure", text), ("area_mm2", number),
-            *((f"{name}_{band}", number) for band in BANDS for name in QUALITY),
-            ("warnings", pa.list_(text)), ("input_sha256", text),
-            ("template", pa.binary()), ("print", pa.binary()), ("images", pa.binary()),
-        ]
-    )  # fmt: skip
+    names = [
+        "capture", "subject", "finger", "session", "acquired", "failure", "area_mm2",
+        *(f"{name}_{band}" for band in BANDS for name in QUALITY),
+        "warnings", "input_sha256", "template", "print", "images",
+    ]  # fmt: skip
+    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
 def chunk_name(group: int, captures: tuple[str, ...], settings_sha256: str) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from splitknit.capture.enrolment import PLAN_FILE, Place, open_enrolment
-from splitknit.check import BadInput, require
+from splitknit.check import require
+from splitknit.io.fields import Fields, read_json
 
 _SIMULATED = "population.json"
 
@@ -80,7 +80,4 @@ def _hash(folder: Path) -> str:
     file = folder / _SIMULATED
     if not file.is_file():
         return hashlib.sha256(b"enrolment").hexdigest()
-    try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["settings_sha256"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"'{file}' cannot be read: it is damaged.") from error
+    return Fields(read_json(file)[0], str(file)).text("settings_sha256")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.check import require
@@ -46,8 +46,7 @@ class MinutiaeDone:
 
 def minutiae_schema() -> Any:
     """Columns of a chunk of minutiae."""
-    pa = load("pyarrow", "batch")
-    return pa.schema([("capture", pa.string()), ("acquired", pa.bool_()), ("minutiae", pa.binary())])
+    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in ("capture", "acquired", "minutiae")])
 
 
 def extract_minutiae(task: MinutiaeTask) -> MinutiaeDone:

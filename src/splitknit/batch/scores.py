@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.packages import load
@@ -61,14 +61,8 @@ class ScoreDone:
 
 def score_schema(columns: tuple[str, ...]) -> Any:
     """Columns of a chunk of scores."""
-    pa = load("pyarrow", "batch")
-    return pa.schema(
-        [
-            ("a", pa.string()), ("b", pa.string()), ("genuine", pa.bool_()),
-            ("similarity", pa.float64()), ("compared", pa.bool_()),
-            *((name, pa.float64()) for name in columns),
-        ]
-    )  # fmt: skip
+    names = ("a", "b", "genuine", "similarity", "compared", *columns)
+    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
 def chunk_name(task: ScoreTask, settings: Any) -> str:

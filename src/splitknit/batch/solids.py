@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, read_chunk, read_origin, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.prints import MinutiaeDone
@@ -54,9 +54,9 @@ def write_solids(
     file: Path, kind: str, captures: Sequence[str], payloads: Sequence[bytes], origin: Mapping[str, Any]
 ) -> None:
     """Write a chunk of one kind; `origin` is that of the features."""
-    pa = load("pyarrow", "batch")
     column = SOLIDS[kind]
-    schema = pa.schema([("capture", pa.string()), ("acquired", pa.bool_()), (column, pa.binary())])
+    names = ("capture", "acquired", column)
+    schema = load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
     columns = {"capture": captures, "acquired": [bool(payload) for payload in payloads], column: payloads}
     write_chunk(file, columns, schema, {**origin, "kind": kind, "kind_version": VERSION})
 

@@ -13,10 +13,12 @@ from splitknit.batch.matchers import matcher
 from splitknit.batch.packages import load
 from splitknit.batch.population import Population
 from splitknit.batch.reading import images_of, places_of
+from splitknit.batch.scores import score_schema
 from splitknit.batch.settings import BatchSettings
 from splitknit.batch.solids import SOLIDS
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, refusing, require
 from splitknit.io import atomic_file, provenance
+from splitknit.io.fields import as_number, read_json
 from splitknit.io.provenance import plain_json, settings_hash
 from splitknit.match import FingerImages
 
@@ -40,8 +42,9 @@ class Store:
         """
         file = self.folder / STORE_FILE
         require(file.is_file(), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
-        try:
-            document = dict(json.loads(file.read_text(encoding="utf-8")))
+        damaged = f"'{file}' is damaged; name another folder for the store."
+        document, _ = read_json(file)
+        with refusing(damaged):
             known = document["format"] == FORMAT
             version = document["format_version"]
             parts = [document[name] for name in ("population", "cases", "matchers", "matching")]
@@ -49,15 +52,13 @@ class Store:
             pairs = document.get("pairs", {})
             known = known and all(isinstance(one, dict) for one in [*entries, pairs])
             float(pairs.get("impostors", 0.0))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise BadInput(f"'{file}' is damaged; name another folder for the store.") from error
-        require(known, f"'{file}' is damaged; name another folder for the store.")
+        require(known, damaged)
         require(
             version == VERSION,
             f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}; use the "
             "splitknit that wrote it, or name another folder.",
         )
-        return document
+        return dict(document)
 
     def cases(self) -> tuple[str, ...]:
         """Names of the cases."""
@@ -89,7 +90,7 @@ class Store:
         wanted = None
         if columns is not None:
             wanted = list(dict.fromkeys(["capture", *(name for name in columns if name != "seconds")]))
-        table = _joined([read_chunk(file, wanted) for file in files], ["capture"])
+        table = _joined([read_chunk(file, wanted, ["capture"]) for file in files], ["capture"])
         if columns is None:
             return table
         if "seconds" in columns:
@@ -110,7 +111,13 @@ class Store:
         require(
             len(files) > 0, f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
         )
-        return _joined([read_chunk(file) for file in files], ["a", "b"])
+        table = _joined([read_chunk(file, None, score_schema(()).names) for file in files], ["a", "b"])
+        require(
+            all(column.null_count == 0 for column in table.columns),
+            f"comparisons of case '{case}' by matcher '{matcher}' in '{self.folder}' lack numbers; delete them and "
+            "run the same again.",
+        )
+        return table
 
     def images(self, case: str, capture: str) -> FingerImages:
         """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them.
@@ -130,14 +137,18 @@ class Store:
         """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
         found: dict[str, float] = {}
         for file in sorted((self.folder / "timings" / case).glob("*.json")):
-            found |= json.loads(file.read_text(encoding="ascii"))
+            times, _ = read_json(file)
+            sound = isinstance(times, dict) and all(as_number(value) is not None for value in times.values())
+            require(sound, f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it.")
+            found |= times
         return found
 
 
 def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
     """The tables as one, ordered by `keys`, of rows with equal keys the first; its bytes may be more than 2 GB."""
     pa, pc = load("pyarrow", "batch"), load("pyarrow.compute", "batch")
-    table = pa.concat_tables(tables)
+    with refusing("chunks of the store have different columns; delete the older ones and run the same again."):
+        table = pa.concat_tables(tables)
     wide = [field.with_type(pa.large_binary()) if pa.types.is_binary(field.type) else field for field in table.schema]
     table = table.cast(pa.schema(wide))
     order = pc.sort_indices(table.select(keys), sort_keys=[(key, "ascending") for key in keys])

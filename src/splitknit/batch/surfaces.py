@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import refusing, require
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.recipe.matchable import Surface
 from splitknit.types import BoolArray, FloatArray
@@ -24,6 +24,10 @@ _HEAD = struct.Struct("<4sII4IId9dII")
 """Magic; rows, columns; top, left, rows and columns of the box; whether normals are stored; pitch in mm; matrix that
 takes the upright frame to the input; rows and columns of the upright frame."""
 _MAGIC = b"SKS1"
+_MOST_PIXELS = 40_000_000
+"""Of a capture's images, five times those of the rig's camera: a surface takes 21 bytes for each once unpacked."""
+_MOST_MM = 1000.0
+"""Of a height."""
 _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again."
 
 
@@ -32,6 +36,7 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     mask = surface.mask
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     require(rows.size > 0, "the mask of a surface is empty.")
+    require(mask.size <= _MOST_PIXELS, f"a surface of {mask.size} pixels is too large to be kept; reduce the images.")
     box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     height, shape = height_mm[mask], surface.shape_mm[mask]
     follow = np.array_equal(_normals(height_mm, mask, surface.pitch_mm), surface.normals)
@@ -62,30 +67,32 @@ def unpack_surface(payload: bytes) -> Surface:
     BadInput
         If it is damaged.
     """
-    try:
+    with refusing(_DAMAGED):
         magic, rows, columns, top, left, high, wide, stored, pitch, *rest = _HEAD.unpack_from(payload)
-        require(magic == _MAGIC and top + high <= rows and left + wide <= columns, _DAMAGED)
-        require(0 < rows * columns < 1 << 30, _DAMAGED)
+        require(magic == _MAGIC and 0 < top + high <= rows and 0 < left + wide <= columns, _DAMAGED)
+        require(rows * columns <= _MOST_PIXELS and rest[9] * rest[10] <= 2 * _MOST_PIXELS, _DAMAGED)
+        require(stored in (0, 1) and 1e-6 < pitch < 1e3 and bool(np.isfinite(rest[:9]).all()), _DAMAGED)
         at = _HEAD.size
         size = (high * wide + 7) // 8
+        require(len(payload) > at + size, _DAMAGED)
         bits = np.unpackbits(np.frombuffer(payload, np.uint8, size, at), count=high * wide)
-        mask = np.zeros((rows, columns), dtype=np.bool_)
-        mask[top : top + high, left : left + wide] = bits.reshape(high, wide).astype(np.bool_)
         at, count = at + size, int(np.count_nonzero(bits))
         planes = 3 + 3 * stored
         require(len(payload) == at + 4 * count * planes and count > 0, _DAMAGED)
         words = [_words(payload, at + 4 * count * k, count) for k in range(planes)]
-    except (struct.error, ValueError) as error:
-        if isinstance(error, BadInput):
-            raise
-        raise BadInput(_DAMAGED) from error
-    height, shape = (_floats(np.cumsum(word, dtype=np.int32)) for word in words[:2])
-    ridge = _floats(_bits(height - shape) + words[2])
+    mask = np.zeros((rows, columns), dtype=np.bool_)
+    mask[top : top + high, left : left + wide] = bits.reshape(high, wide).astype(np.bool_)
+    height, shape, *parts = (_floats(np.cumsum(word, dtype=np.int32)) for word in (*words[:2], *words[3:]))
+    with np.errstate(invalid="ignore", over="ignore"):
+        ridge = _floats(_bits(height - shape) + words[2])
+    sound = all(bool((np.abs(values) <= _MOST_MM).all()) for values in (height, shape, ridge, *parts))
+    require(sound, _DAMAGED)
+    normals = np.zeros((rows, columns, 3), dtype=np.float32)
     if stored:
-        normals = np.zeros((rows, columns, 3), dtype=np.float32)
-        normals[mask] = np.stack([_floats(np.cumsum(word, dtype=np.int32)) for word in words[3:]], axis=1)
-    else:
-        normals = _normals(_placed(height, mask), mask, pitch)
+        normals[mask] = np.stack(parts, axis=1)
+    else:  # where the mask is, and beside it: they follow from neighbours
+        box = slice(max(top - 1, 0), top + high + 1), slice(max(left - 1, 0), left + wide + 1)
+        normals[box] = _normals(_placed(height, mask[box]), mask[box], pitch)
     return Surface(
         ridge_mm=_placed(ridge, mask),
         shape_mm=_placed(shape, mask),

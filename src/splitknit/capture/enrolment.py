@@ -17,6 +17,7 @@ import numpy as np
 
 from splitknit.check import BadInput, require
 from splitknit.io import atomic_file
+from splitknit.io.fields import read_json
 
 HAND = ("thumb", "index", "middle", "ring", "little")
 FINGERS = tuple(f"{side}_{finger}" for side in ("right", "left") for finger in HAND)
@@ -201,13 +202,13 @@ def _write(file: Path, plan: EnrolmentPlan) -> None:
 
 def _read(file: Path) -> EnrolmentPlan:
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document, _ = read_json(file)
         require(document["format"] == _FORMAT and document["version"] == _VERSION, f"'{file}' is of another version.")
         subjects, sessions, fingers = document["subjects"], document["sessions"], document["fingers"]
         sound = type(subjects) is int and type(sessions) is int and isinstance(fingers, list)
         require(sound and all(isinstance(finger, str) for finger in fingers), f"'{file}' is damaged.")
         return EnrolmentPlan(subjects, sessions, tuple(fingers))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         reason = str(error) if isinstance(error, BadInput) else "it is damaged"
         raise BadInput(
             f"the plan '{file}' cannot be read ({reason.rstrip('.')}); put it right, or remove it and give --subjects, "

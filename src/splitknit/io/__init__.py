@@ -13,7 +13,7 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.plain import capture_from_plain_images, read_lights_txt
 from splitknit.io.ply import Mesh, read_ply, write_ply
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
-from splitknit.io.provenance import canonical_json, plain_json, provenance, settings_hash
+from splitknit.io.provenance import canonical_json, file_hash, plain_json, provenance, settings_hash
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "atomic_folder",
     "canonical_json",
     "capture_from_plain_images",
+    "file_hash",
     "image_size",
     "plain_json",
     "provenance",

@@ -20,7 +20,7 @@ from splitknit.io.capture_file import BANDS, CAPTURE_FORMAT, CAPTURE_VERSION, Ba
 from splitknit.io.content import ContentSettings, check_content, mask_from_image
 from splitknit.io.images import ImageSettings, StackReader, encode_image
 from splitknit.io.npz import write_npz
-from splitknit.io.provenance import JsonValue, plain_json
+from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
 from splitknit.types import Band, Capture, PixelArray, Rig
 
@@ -112,8 +112,8 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
                 + (f"of the band '{rig.leds[index].band}' there." if index < len(rig.leds) else "not in it."),
             )
     bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
-    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    return replace(capture, rig=rig, bands=bands, hashes={**capture.hashes, f"replaced rig: {Path(path).name}": digest})
+    hashes = {**capture.hashes, f"replaced rig: {Path(path).name}": file_hash(path)}
+    return replace(capture, rig=rig, bands=bands, hashes=hashes)
 
 
 def write_capture(

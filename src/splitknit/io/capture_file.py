@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.check import BadInput, require
 from splitknit.io.content import check_light_list
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.rig import rig_from_json
@@ -19,6 +19,7 @@ CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "nir")
 ENCODINGS = ("linear", "srgb")
 MATERIALS = ("skin", "opaque")
+_MOST_IMAGES = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +124,10 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
         len(images) >= 3 or (len(images) > 0 and any(led.colour for led in rig.leds if led.band == band)),
         f"{fields.name}: {fields.path('images')} names {len(images)} images, but at least three are needed.",
     )
+    require(
+        len(images) <= _MOST_IMAGES,
+        f"{fields.name}: {fields.path('images')} names {len(images)} images, but at most {_MOST_IMAGES} are read.",
+    )
     leds = tuple(_group(fields, item, k) for k, item in enumerate(fields.items("leds")))
     require(
         len(leds) == len(images),
@@ -132,8 +137,9 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
     check_light_list(rig, band, leds, f"{fields.name}: {fields.path('leds')}")
     entries = [_entry(fields, item, folder, f"{fields.path('images')}[{k}]") for k, item in enumerate(images)]
     names = [entry.name for entry in entries]
-    for k, name in enumerate(names):
-        require(names.index(name) == k, f"{fields.name}: {fields.path('images')} names {name!a} twice.")
+    if len(set(names)) < len(names):
+        twice = next(name for k, name in enumerate(names) if name in names[:k])
+        raise BadInput(f"{fields.name}: {fields.path('images')} names {twice!a} twice.")
     ambient = None
     if fields.has("ambient"):
         ambient = _entry(fields, fields.get("ambient"), folder, fields.path("ambient"))

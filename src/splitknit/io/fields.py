@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 from splitknit.check import BadInput, read_bytes, require
 
 MAX_JSON_BYTES = 16_000_000
+"""A document of 16 MB takes up to 0.5 GB once parsed; the largest of ours, minutiae in space, have 10 MB."""
 
 
 def read_json(path: Path) -> tuple[Any, bytes]:
@@ -19,7 +20,8 @@ def read_json(path: Path) -> tuple[Any, bytes]:
     Raises
     ------
     BadInput
-        If the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity or a key twice in one object.
+        If the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity, a number beyond the
+        largest (1e999) or a key twice in one object.
     """
     data = read_bytes(path, MAX_JSON_BYTES)
     return parse_json(data, str(path)), data
@@ -27,9 +29,15 @@ def read_json(path: Path) -> tuple[Any, bytes]:
 
 def parse_json(data: bytes, name: str) -> Any:
     """Parse the bytes of a JSON file; see :func:`read_json`."""
+    require(len(data) <= MAX_JSON_BYTES, f"{name} is too large: {len(data)} bytes, at most {MAX_JSON_BYTES} are read.")
 
     def constant(word: str) -> NoReturn:
         raise BadInput(f"{name} contains {word}, which is not a JSON number; correct the file.")
+
+    def fraction(word: str) -> float:
+        value = float(word)
+        require(math.isfinite(value), f"{name} contains {word[:20]}, which is beyond all numbers; correct the file.")
+        return value
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         result = dict(items)
@@ -38,7 +46,8 @@ def parse_json(data: bytes, name: str) -> Any:
         return result
 
     try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=constant, object_pairs_hook=pairs)
+        text = data.decode("utf-8-sig")
+        return json.loads(text, parse_constant=constant, parse_float=fraction, object_pairs_hook=pairs)
     except BadInput:
         raise
     except RecursionError:

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.check import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.images import DEFAULTS
 from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import quiet_tifffile
+from splitknit.io.tiff import SIGNATURES, decode_page, quiet_tifffile, tiff_page
 from splitknit.types import FloatArray
 
 
@@ -63,12 +63,13 @@ def read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray
         If the file is missing, damaged or not one of ours.
     """
     data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
-    try:
-        page = quiet_tifffile().TiffFile(io.BytesIO(data)).pages[0]
-        field = np.asarray(page.asarray(maxworkers=1))
+    wrong = f"{name} is not {what} of splitknit"
+    require(data.startswith(SIGNATURES), f"{wrong}, or it is damaged; write it again.")
+    page = tiff_page(data, name)
+    require(page.dtype.kind == "f" and page.dtype.itemsize == 4, f"{wrong}.")
+    with refusing(f"{wrong}, or it is damaged; write it again."):
         description = json.loads(page.description)
-        good = field.dtype == np.float32 and isinstance(description["unit"], str)
-    except Exception as error:  # tifffile raises whatever its parsing meets
-        raise BadInput(f"{name} is not {what} of splitknit, or it is damaged; write it again.") from error
-    require(good, f"{name} is not {what} of splitknit.")
-    return field, description
+    require(isinstance(description, dict) and isinstance(description.get("unit"), str), f"{wrong}.")
+    field = np.empty((page.rows, page.columns, page.channels), dtype=np.float32)
+    decode_page(data, page, name, field)
+    return field[..., 0] if page.channels == 1 else field, description

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.check import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import parse_json
 from splitknit.types import FloatArray
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -149,10 +150,11 @@ def read_glb(path: str | os.PathLike[str]) -> GlbMesh:
         If it is missing, damaged, or laid out in another way.
     """
     data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
-    try:
+    damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."
+    with refusing(damaged):
         magic, version, total, length, kind = struct.unpack_from("<5I", data)
         require((magic, version, total, kind) == (_MAGIC, 2, len(data), _JSON), f"{name} is no glTF 2.0, or cut short.")
-        document = json.loads(data[20 : 20 + length])
+        document = parse_json(data[20 : 20 + length], name)
         body = memoryview(data)[28 + length :]
         blocks = []
         for accessor, (dtype, columns) in zip(
@@ -160,12 +162,11 @@ def read_glb(path: str | os.PathLike[str]) -> GlbMesh:
         ):
             view = document["bufferViews"][accessor["bufferView"]]
             count = accessor["count"] * columns
-            blocks.append(np.frombuffer(body, dtype, count, view["byteOffset"]).reshape(-1, columns).copy())
+            blocks.append(np.frombuffer(body, dtype, count, view["byteOffset"]).reshape(-1, columns))
+        require(sum(block.nbytes for block in blocks) <= len(body), damaged)
         scale = float(document["nodes"][0]["scale"][0])
         extras = dict(document["asset"]["extras"])
-        faces = blocks[3].reshape(-1, 3).astype(np.int32)
-    except BadInput:
-        raise
-    except (ValueError, TypeError, LookupError, AttributeError, struct.error, RecursionError) as error:
-        raise BadInput(f"{name} is no glTF file of splitknit, or it is damaged: {error}.") from error
-    return GlbMesh(blocks[0], blocks[1], blocks[2][:, 0], faces, scale, extras)
+        faces = blocks[3].reshape(-1, 3)
+        require(faces.max(initial=0) < len(blocks[0]) == len(blocks[1]) == len(blocks[2]), damaged)
+    places, normals, colours = (block.copy() for block in blocks[:3])
+    return GlbMesh(places, normals, colours[:, 0], faces.astype(np.int32), scale, extras)

@@ -26,7 +26,7 @@ class ImageSettings:
 
     max_pixels: int = 200_000_000
     """A header that claims more is refused: nothing of the rig's kind is that large, and a small file can claim it."""
-    max_bytes: int = 2_000_000_000
+    max_bytes: int = 600_000_000
     """A file that is longer is refused."""
     threads: int = 0
     """Threads that decode a stack; 0 = one for each core."""
@@ -58,6 +58,8 @@ class ImageInfo:
 
 
 DEFAULTS = ImageSettings()
+STACK_BYTES = 4_000_000_000
+"""Of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour."""
 
 
 def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> PixelArray:
@@ -94,7 +96,8 @@ def image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> Im
     Raises
     ------
     BadInput
-        If the header is damaged, of an unknown format, or claims more than `settings` allows.
+        If the header is damaged, of an unknown format, or claims more than `settings` allows, than 400 MB once decoded,
+        or than the file can hold.
     """
     if data.startswith(png.SIGNATURE[:4]):
         header = png.png_header(data, name)
@@ -104,7 +107,7 @@ def image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> Im
         info = ImageInfo(frame.rows, frame.columns, frame.channels, np.dtype(np.uint8))
     elif data.startswith(tiff.SIGNATURES):
         page = tiff.tiff_header(data, name)
-        info = ImageInfo(page.rows, page.columns, page.channels, page.dtype)
+        info = ImageInfo(page.rows, page.columns, page.channels, page.dtype.newbyteorder("="))
     else:
         what = "is empty" if not data else "is not a PNG, TIFF or JPEG image"
         raise BadInput(f"{name} {what}; export it again as 8- or 16-bit PNG.")
@@ -138,6 +141,7 @@ class StackReader:
         self._settings = settings
         self._pool = ThreadPoolExecutor(settings.workers, thread_name_prefix="splitknit-read")
         self._jobs: list[tuple[str, Future[str]]] = []
+        self._bytes = 0
 
     def __enter__(self) -> StackReader:
         return self
@@ -157,6 +161,12 @@ class StackReader:
         first = read_bytes(files[0], self._settings.max_bytes)
         info = image_info(first, str(files[0]), self._settings)
         _check_size(info, size, str(files[0]), expected_by)
+        self._bytes += len(files) * size[0] * size[1] * info.channels * info.dtype.itemsize
+        require(
+            self._bytes <= STACK_BYTES,
+            f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than the {STACK_BYTES} "
+            "that are read at once; reduce them, or name fewer.",
+        )
         stack = np.empty((len(files), *size, info.channels), dtype=info.dtype)
         for k, file in enumerate(files):
             data = first if k == 0 else None

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.check import BadInput, read_bytes, refusing, require
 from splitknit.io.finger_codes import FINGER_CODES, ITL_IMPRESSIONS, name_of
 from splitknit.io.itl_transaction import COMPRESSIONS, Transaction, TransactionFacts, TransactionPrint, itl_package
 from splitknit.io.png import decode_png, png_header
@@ -25,7 +25,9 @@ _MAX_BYTES = 200_000_000
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _MOST_RECORDS = 1000
 _MOST_PIXELS = 64_000_000
-_SEPARATOR = b"\x1c"
+_SEPARATOR, _WITHIN = b"\x1c", (b"\x1d", b"\x1e", b"\x1f")
+_MOST_PARTS = 100_000
+"""Fields and their parts, before the images: the package makes Python objects of each."""
 _INCH_MM, _CM_MM = 25.4, 10.0
 
 
@@ -46,11 +48,9 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
     _check_frame(data, name)
     nistitl = itl_package()
     message = nistitl.Message()
-    try:
+    with refusing(f"{name} is a damaged ANSI/NIST-ITL transaction; copy it again."):
         message.parse(data)
         records = list(message)
-    except Exception as error:  # the package raises whatever its parsing meets
-        raise BadInput(f"{name} is a damaged ANSI/NIST-ITL transaction ({_short(error)}); copy it again.") from error
     prints = tuple(
         _print(record, f"Type-14 record {place} of {name}")
         for place, record in enumerate((record for record in records if record.type == 14), start=1)
@@ -66,7 +66,7 @@ def read_transaction(path: str | os.PathLike[str]) -> Transaction:
 
 def _check_frame(data: bytes, name: str) -> None:
     """Walk the records by the lengths that they give, before anything is copied."""
-    place, count = 0, 0
+    place, count, parts = 0, 0, 0
     while place < len(data):
         found = _START.match(data, place)
         if found is None and place == 0:
@@ -87,6 +87,9 @@ def _check_frame(data: bytes, name: str) -> None:
         )
         whole = length > len(found.group(0)) and data[place + length - 1 : place + length] == _SEPARATOR
         require(whole, f"{name} is damaged: its Type-{kind} record does not end where its length says; copy it again.")
+        texts = data[place : place + length].split(b".999:")[0]
+        parts += sum(texts.count(separator) for separator in _WITHIN)
+        require(parts <= _MOST_PARTS, f"{name} has more than {_MOST_PARTS} fields; split it.")
         place, count = place + length, count + 1
         require(count <= _MOST_RECORDS, f"{name} has more than {_MOST_RECORDS} records; split it.")
     require(count > 0, f"{name} is empty; an ANSI/NIST-ITL transaction is expected.")

@@ -16,12 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from splitknit.check import BadInput, require
-from splitknit.io.png import copy_rgb
+from splitknit.io.png import check_size, copy_rgb
 from splitknit.types import PixelArray
 
 SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 _FRAMES = frozenset({0xC0, 0xC1, 0xC2})
+_MOST_SCANS = 100
+"""Each scan costs a pass through the whole image, whatever its length; a progressive image has about ten."""
+_BLOCK_PIXELS = 64
 _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 
 
@@ -32,6 +35,8 @@ class JpegHeader:
     rows: int
     columns: int
     channels: int
+    finest: float
+    """Part of the pixels that the finest channel has; each of its blocks of 8 x 8 takes at least one bit."""
 
 
 def jpeg_header(data: bytes, name: str) -> JpegHeader:
@@ -40,11 +45,12 @@ def jpeg_header(data: bytes, name: str) -> JpegHeader:
     Raises
     ------
     BadInput
-        If the file ends early, has no frame, or is CMYK, 12-bit, lossless or arithmetic-coded.
+        If the file ends early, has no frame, is CMYK, 12-bit, lossless or arithmetic-coded, or claims an image that is
+        too large to be decoded, or to be in the file.
     """
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
     frame: JpegHeader | None = None
-    position, scanned = 2, False
+    position, scans = 2, 0
     while True:
         require(position + 2 <= len(data), truncated)
         require(data[position] == 0xFF, f"{name} is damaged: a JPEG marker is missing; copy it again.")
@@ -64,13 +70,22 @@ def jpeg_header(data: bytes, name: str) -> JpegHeader:
             frame = _frame(data[position + 4 : position + 2 + length], name)
         position += 2 + length
         if marker == 0xDA:
-            scanned = True
+            scans += 1
+            require(
+                scans <= _MOST_SCANS, f"{name} is damaged: it has more than {_MOST_SCANS} JPEG scans; copy it again."
+            )
             found = _MARKER_IN_SCAN.search(data, position)
             if found is None:
                 raise BadInput(truncated)
             position = found.end() - 2
-    if frame is None or not scanned:
+    if frame is None or scans == 0:
         raise BadInput(f"{name} is damaged: the JPEG file holds no image; copy it again.")
+    rows, columns = frame.rows, frame.columns
+    check_size(rows * columns * frame.channels, name, f"{rows} x {columns}")
+    require(
+        rows * columns * frame.finest / _BLOCK_PIXELS <= 8 * len(data),
+        f"{name} is damaged: it claims {rows} x {columns} pixels, which cannot be in {len(data)} bytes; copy it again.",
+    )
     return frame
 
 
@@ -110,4 +125,11 @@ def _frame(body: bytes, name: str) -> JpegHeader:
         f"{name} has {body[5]} channels (CMYK?); save it as grey or RGB.",
     )
     require(rows > 0 and columns > 0, f"{name} is damaged: its JPEG frame header gives no size; copy it again.")
-    return JpegHeader(rows, columns, body[5])
+    require(len(body) == 6 + 3 * body[5], f"{name} is damaged: its JPEG frame header is incomplete; copy it again.")
+    sampling = [(body[place] >> 4, body[place] & 15) for place in range(7, len(body), 3)]
+    across, down = (max(factors) for factors in zip(*sampling, strict=True))
+    require(
+        all(1 <= factor <= 4 for pair in sampling for factor in pair),
+        f"{name} is damaged: its JPEG channels have an impossible sampling; copy it again.",
+    )
+    return JpegHeader(rows, columns, body[5], max(x * y for x, y in sampling) / (across * down))

@@ -13,23 +13,34 @@ a sync flush ends on a byte, so that streams can be joined.
 from __future__ import annotations
 
 import io
+import math
 import os
+import re
 import struct
+import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO, Literal
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, open_file, refusing, require
 from splitknit.io.atomic import atomic_file
 
 _BLOCK = 1 << 20
 _LIMIT = (1 << 32) - 1
 _DATE = (0, (0 << 9) | (1 << 5) | 1)  # 1980-01-01 00:00, the first date a ZIP archive knows
 _DEFLATE = 8
+RESULT_BYTES = 600_000_000
+"""Of arrays that are read at once: those that a use needs of a result of 25 million pixels, three times the rig's."""
+_MOST_ARRAYS = 1000
+_LONGEST_HEADER = 4096
+_HEADER = re.compile(
+    rb"\{'descr': '(?P<dtype>[<>|][biufcSU]\d{1,7})', 'fortran_order': (?P<order>True|False), "
+    rb"'shape': \((?P<shape>[\d, ]{0,200})\), \} *\n"
+)
+"""What numpy writes before the values of an array of numbers or text."""
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any], compresslevel: int = 1) -> None:
@@ -60,21 +71,85 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any], compressl
         _write_directory(stream, entries)
 
 
-def read_npz(path: str | os.PathLike[str]) -> dict[str, np.ndarray[Any, Any]]:
-    """Read all arrays of an ``.npz`` file; pickled objects are refused.
+def read_npz(
+    path: str | os.PathLike[str], names: Collection[str] | None = None, max_bytes: int = RESULT_BYTES
+) -> dict[str, np.ndarray[Any, Any]]:
+    """Read arrays of an ``.npz`` file; pickled objects are refused, and sizes are checked before memory is taken.
+
+    Parameters
+    ----------
+    names : of the arrays to read, where they are there; None for all
+    max_bytes : of the arrays that are read, together
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, damaged, or its arrays are too large.
+    """
+    name = os.fspath(path)
+    damaged = f"{name} cannot be read as arrays: it is damaged, or no .npz file of numbers; write it again."
+    with open_file(path, _LIMIT) as (stream, _), refusing(damaged), zipfile.ZipFile(stream) as archive:
+        members = archive.infolist()
+        require(len({one.filename for one in members}) == len(members) <= _MOST_ARRAYS, damaged)
+        chosen = {one.filename.removesuffix(".npy"): one for one in members if one.filename.endswith(".npy")}
+        if names is not None:
+            chosen = {key: one for key, one in chosen.items() if key in names}
+        plain = all(one.compress_type in (zipfile.ZIP_STORED, _DEFLATE) for one in chosen.values())
+        require(plain and not any(one.flag_bits & 1 for one in chosen.values()), damaged)
+        size = sum(one.file_size for one in chosen.values())
+        require(size <= max_bytes, f"{name} holds arrays of {size} bytes, but at most {max_bytes} are read.")
+        result = {}
+        for key, one in chosen.items():
+            with archive.open(one) as member:
+                result[key] = _read_member(member, one.file_size, damaged)
+        return result
+
+
+def map_npy(path: str | os.PathLike[str]) -> np.ndarray[Any, Any]:
+    """Map an ``.npy`` file into memory, read-only: it may be larger than the memory.
 
     Raises
     ------
     BadInput
         If the file is missing or damaged.
     """
-    try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except Exception as error:  # zipfile, zlib and numpy each have their own
-        missing = isinstance(error, FileNotFoundError)
-        reason = "it does not exist" if missing else "it is damaged, or no .npz file of numbers"
-        raise BadInput(f"{os.fspath(path)} cannot be read as arrays: {reason}; write it again.") from error
+    damaged = f"{os.fspath(path)} is damaged or no .npy file of numbers"
+    with open_file(path, 1 << 50) as (stream, size), refusing(f"{damaged}."):
+        dtype, shape, order, start = _header(stream, f"{damaged}.")
+        fits = 0 < size - start == dtype.itemsize * math.prod(shape)
+        require(fits, f"{damaged}: its length does not fit its header.")
+        return np.memmap(stream, dtype, "r", start, shape, order)
+
+
+def _read_member(member: IO[bytes], size: int, damaged: str) -> np.ndarray[Any, Any]:
+    """Read an array of an archive; its header must fit the `size` that the archive gives."""
+    dtype, shape, order, start = _header(member, damaged)
+    require(size - start == dtype.itemsize * math.prod(shape), damaged)
+    array = np.empty(shape, dtype, order)
+    body = (array.T if order == "F" else array).reshape(-1).view(np.uint8)
+    done = 0
+    while done < len(body):
+        block = member.read(min(_BLOCK, len(body) - done))
+        require(len(block) > 0, damaged)
+        body[done : done + len(block)] = np.frombuffer(block, np.uint8)
+        done += len(block)
+    require(member.read(1) == b"", damaged)  # the end, where the checksum is compared
+    return array
+
+
+def _header(stream: IO[bytes], damaged: str) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"], int]:
+    """Type, shape, order and place of the values of an ``.npy`` file; a header is matched, never evaluated."""
+    start = stream.read(10)
+    require(start[:6] == b"\x93NUMPY" and start[6:8] in (b"\1\0", b"\2\0"), damaged)
+    start += stream.read(2) if start[6] == 2 else b""
+    length = int.from_bytes(start[8:], "little")
+    require(length <= _LONGEST_HEADER, damaged)
+    found = _HEADER.fullmatch(stream.read(length))
+    if found is None:
+        raise BadInput(damaged)
+    shape = tuple(int(side) for side in found["shape"].replace(b" ", b"").split(b",") if side)
+    dtype = np.dtype(found["dtype"].decode("ascii"))
+    return dtype, shape, "F" if found["order"] == b"True" else "C", len(start) + length
 
 
 def _write_member(

@@ -29,7 +29,7 @@ def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """
     name = os.fspath(path)
     try:
-        text = read_bytes(path, 10_000_000).decode("utf-8-sig")
+        text = read_bytes(path, 1_000_000).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadInput(f"{name} is not a text file.") from error
     rows: list[list[float]] = []

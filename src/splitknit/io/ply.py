@@ -29,6 +29,7 @@ _VERTEX_LINES = tuple(f"property float {name}" for name in ("x", "y", "z", "nx",
 _FACE_LINES = ("property list uchar int vertex_indices",)
 _MAX_BYTES = 700_000_000
 """A mesh of ten million vertices."""
+_LONGEST_HEADER = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +129,7 @@ def read_ply(path: str | os.PathLike[str]) -> Mesh:
     """
     data = read_bytes(path, _MAX_BYTES)
     name = os.fspath(path)
-    end = data.find(b"end_header\n")
+    end = data.find(b"end_header\n", 0, _LONGEST_HEADER)
     require(data.startswith(b"ply\n") and end > 0, f"{name} is not a PLY file.")
     lines = data[:end].decode("ascii", "replace").splitlines()
     comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
@@ -150,6 +151,10 @@ def read_ply(path: str | os.PathLike[str]) -> Mesh:
     require(len(data) == split + faces * _FACE.itemsize, f"{name} is truncated; write it again.")
     points = np.frombuffer(data, dtype=_VERTEX, count=vertices, offset=start)
     corners = np.frombuffer(data, dtype=_FACE, count=faces, offset=split)
+    whole = bool((corners["count"] == 3).all()) and (
+        faces == 0 or bool(0 <= corners["corners"].min() <= corners["corners"].max() < vertices)
+    )
+    require(whole, f"{name} is damaged: its faces refer to vertices that are not there; write it again.")
     return Mesh(
         points["place"].copy(), points["normal"].copy(), points["quality"].copy(), corners["corners"].copy(), comments
     )

@@ -32,6 +32,12 @@ _ADAM7 = ((0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), 
 """First row, first column, row step, column step of the seven passes."""
 _STRIP_BYTES = 1 << 20
 _PIECE_BYTES = 1 << 18
+DECODED_BYTES = 400_000_000
+"""Of one decoded image: 130 million pixels of 8-bit RGB. Decoders of C hold a second copy beside it."""
+DEFLATE_RATIO = 1032
+"""Deflate makes no more of a byte (zlib, technical details): a longer image cannot be in the file."""
+_WHOLE_BYTES = 100_000_000
+"""Of an image that is decoded in one piece, which takes four copies: interlaced, palette, or below 8 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +81,8 @@ def png_header(data: bytes, name: str) -> PngHeader:
     Raises
     ------
     BadInput
-        If `data` does not begin with a sound IHDR chunk.
+        If `data` does not begin with a sound IHDR chunk, or the image that it claims is too large to be decoded, or to
+        be in the file.
     """
     damaged = f"{name} is not a sound PNG file (its header is damaged); capture or export it again."
     require(len(data) >= 33 and data[:8] == SIGNATURE and data[8:16] == b"\0\0\0\rIHDR", damaged)
@@ -83,7 +90,28 @@ def png_header(data: bytes, name: str) -> PngHeader:
     columns, rows, depth, colour, compression, filters, interlace = struct.unpack(">IIBBBBB", data[16:29])
     require(0 < rows < 1 << 31 and 0 < columns < 1 << 31, damaged)
     require(depth in _DEPTHS.get(colour, ()) and (compression, filters) == (0, 0) and interlace in (0, 1), damaged)
-    return PngHeader(rows, columns, depth, colour, bool(interlace))
+    header = PngHeader(rows, columns, depth, colour, bool(interlace))
+    check_size(rows * columns * header.channels * header.dtype.itemsize, name, f"{rows} x {columns}")
+    stored = sum(count * line for count, line in header.passes())
+    require(
+        stored <= DEFLATE_RATIO * len(data),
+        f"{name} is damaged: it claims {rows} x {columns} pixels, which cannot be in {len(data)} bytes; copy it again.",
+    )
+    require(
+        stored <= _WHOLE_BYTES or not (interlace or depth < 8 or colour == 3),
+        f"{name} claims {rows} x {columns} pixels, too many for an interlaced PNG or one with a palette; save it as "
+        "plain grey or RGB.",
+    )
+    return header
+
+
+def check_size(decoded_bytes: int, name: str, words: str) -> None:
+    """Refuse an image of more bytes than one may have once decoded; `words` is its size in pixels."""
+    require(
+        decoded_bytes <= DECODED_BYTES,
+        f"{name} claims {words} pixels, {decoded_bytes} bytes once decoded, more than the {DECODED_BYTES} that are "
+        "read; reduce the image.",
+    )
 
 
 def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
@@ -190,7 +218,8 @@ def _decode_palette(header: PngHeader, palette: bytes, compressed: bytes, name: 
     index = index // (255 // (2**header.depth - 1))  # the decoder stretches 1, 2 and 4 bits to the full scale
     table = np.frombuffer(palette, dtype=np.uint8).reshape(-1, 3)
     require(int(index.max()) < len(table), f"{name} is damaged: it refers to a colour beyond its palette.")
-    out[...] = table[index]
+    for row in range(header.rows):
+        out[row] = table[index[row]]
 
 
 def _unfilter(header: PngHeader, lines: bytes, rows: int, name: str) -> NDArray[Any]:

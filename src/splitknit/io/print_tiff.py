@@ -8,19 +8,27 @@ TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
 from __future__ import annotations
 
 import io
-import json
 import os
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import read_bytes, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import parse_json
 from splitknit.io.images import ImageSettings, decode_image
 from splitknit.io.prints import PrintFile
 from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import SIGNATURES, quiet_tifffile
+from splitknit.io.tiff import (
+    RESOLUTION_UNIT,
+    SIGNATURES,
+    X_RESOLUTION,
+    Y_RESOLUTION,
+    TiffPage,
+    quiet_tifffile,
+    tiff_page,
+)
 
 _INCH, _CENTIMETRE = 2, 3
 _CM_PER_INCH = 2.54
@@ -76,27 +84,26 @@ def read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
     require(data.startswith(SIGNATURES), f"{name} is not a TIFF file; name another one.")
     pixels = decode_image(data, name, settings=_PRINT)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
-    tags = quiet_tifffile().TiffFile(io.BytesIO(data)).pages[0].tags
-    x, y = (_ratio(tags, tag) for tag in ("XResolution", "YResolution"))
-    unit = tags["ResolutionUnit"].value if "ResolutionUnit" in tags else _INCH
+    page = tiff_page(data, name)
+    x, y = (_ratio(page, tag) for tag in (X_RESOLUTION, Y_RESOLUTION))
+    unit = int(page.tags[RESOLUTION_UNIT][0]) if RESOLUTION_UNIT in page.tags else _INCH
     resolution = None
     if x and y and unit in (_INCH, _CENTIMETRE):
         require(abs(x - y) <= 0.01 * x, f"{name} has {x:g} pixels along and {y:g} across; square pixels are expected.")
         resolution = x if unit == _INCH else x * _CM_PER_INCH
-    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), resolution, _texts(tags))
+    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), resolution, _texts(page))
 
 
-def _ratio(tags: object, tag: str) -> float | None:
+def _ratio(page: TiffPage, tag: int) -> float | None:
+    fraction = page.tags.get(tag, np.zeros(0)).tolist()
+    return fraction[0] / fraction[1] if len(fraction) == 2 and all(fraction) else None
+
+
+def _texts(page: TiffPage) -> dict[str, str]:
     try:
-        above, below = tags[tag].value  # type: ignore[index]
-        return float(above) / float(below) if above > 0 and below > 0 else None
-    except (KeyError, TypeError, ValueError):
-        return None
-
-
-def _texts(tags: object) -> dict[str, str]:
-    try:
-        document = json.loads(tags["ImageDescription"].value)  # type: ignore[index]
-        return {str(key): value for key, value in document.items() if isinstance(value, str)}
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
+        document = parse_json(page.description.encode(), "the description")
+    except BadInput:
         return {}
+    return (
+        {key: value for key, value in document.items() if isinstance(value, str)} if isinstance(document, dict) else {}
+    )

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, open_file, require
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 
@@ -41,6 +42,18 @@ def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) ->
         "settings_sha256": settings_hash(plain),
         "inputs": dict(sorted((hashes or {}).items())),
     }
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """SHA-256 (hex) of a file, read piece by piece.
+
+    Raises
+    ------
+    BadInput
+        If it is missing, no regular file, or cannot be read.
+    """
+    with open_file(path, 1 << 50) as (stream, _):  # nothing is kept of it
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def settings_hash(settings: Any) -> str:

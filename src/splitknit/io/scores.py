@@ -27,7 +27,8 @@ LARGEST = 1e150
 """Of a score: its square is a number, too."""
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 _EXPECTED = "a line of column names and a line for each comparison are expected"
-_MAX_BYTES = 2_000_000_000
+_MAX_BYTES = 500_000_000
+"""Ten million comparisons."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,12 +148,12 @@ def _bytes(path: str | os.PathLike[str]) -> bytes:
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
     """Lines of a CSV file with the number of the line where they begin: column names first, blank lines left out."""
     try:
-        text = data.decode("utf-8-sig")
+        data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise BadInput(f"{name} is not a CSV file: line {line} is not text in UTF-8.") from error
     columns, before = 0, 0
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=""), strict=True)
     try:
         for row in reader:
             line, before = before + 1, reader.line_num

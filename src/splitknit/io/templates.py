@@ -10,9 +10,8 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-from pathlib import Path
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
 
 MAGIC = b"SKTMPL\r\n"
@@ -85,12 +84,7 @@ def read_template(path: str | os.PathLike[str], version: int) -> bytes:
     BadInput
         If the file cannot be read, or as :func:`decode_template`.
     """
-    try:
-        with Path(path).open("rb") as stream:
-            data = stream.read(_LARGEST + HEADER_BYTES + 1)
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{os.fspath(path)} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
-    return decode_template(data, version, os.fspath(path))
+    return decode_template(read_bytes(path, _LARGEST + HEADER_BYTES), version, os.fspath(path))
 
 
 def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:

@@ -1,8 +1,9 @@
 """Prints as WSQ, the FBI's lossy compression for prints of 500 ppi, through the package `wsq` (NIST's own code).
 
 That code ends the whole process on some damaged files, and keeps state in global variables. So it runs in a process of
-its own, which may end: 50 ms more, and whatever the bytes, an image or one sentence. The package serves Pillow; its
-codec is called without it here.
+its own, which may end: 50 ms more, and whatever the bytes, an image or one sentence. The process may take the memory
+and the processor's time that an image of the size in the checked header needs, several times over, and no more (where
+the system has such limits). The package serves Pillow; its codec is called without it here.
 
 References
 ----------
@@ -33,8 +34,18 @@ LEAST_SIDE_PX = 96
 LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
 _MAX_BYTES = 100_000_000
+_MEMORY_BYTES, _MEMORY_PER_PIXEL = 200_000_000, 30
+"""The codec takes 10 bytes a pixel, beside the 13 MB of Python and the file."""
+_CPU_S, _PIXELS_PER_S = 2, 1_000_000
+"""A desktop's core decodes 18 million pixels a second."""
 _CHILD = f"""
 import sys
+try:
+    import resource
+    for limit, most in zip((resource.RLIMIT_AS, resource.RLIMIT_CPU), map(int, sys.argv[3:])):
+        resource.setrlimit(limit, (most, most))
+except ImportError:
+    pass
 sys.path.insert(0, sys.argv[1])
 import _wsq
 data = sys.stdin.buffer.read()
@@ -70,7 +81,7 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
     )
     require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
     rows, columns = array.shape
-    data = _run("encode", rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes())
+    data = _run("encode", array.size, rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes())
     if data is None or wsq_header(data, "the compressed print").rows != rows:
         raise BadInput("the print cannot be compressed as WSQ; write it as PNG.")
     return data
@@ -95,7 +106,7 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
         If it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
     """
     header = wsq_header(data, name)
-    decoded = _run("decode", data)
+    decoded = _run("decode", header.rows * header.columns, data)
     size = header.rows.to_bytes(4, "big") + header.columns.to_bytes(4, "big")
     if decoded is None or decoded[:8] != size or len(decoded) != 8 + header.rows * header.columns:
         raise BadInput(f"{name} is damaged: its WSQ image cannot be decoded; copy it again.")
@@ -115,11 +126,12 @@ def read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
     return decode_wsq(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
 
-def _run(task: str, data: bytes) -> bytes | None:
+def _run(task: str, pixels: int, data: bytes) -> bytes | None:
     """Return what the package makes of the bytes in a process of its own; None if it failed or ended."""
+    limits = _MEMORY_BYTES + _MEMORY_PER_PIXEL * pixels + 4 * len(data), _CPU_S + pixels // _PIXELS_PER_S
     try:
         done = subprocess.run(
-            [sys.executable, "-I", "-S", "-c", _CHILD, str(_package_folder()), task],
+            [sys.executable, "-I", "-S", "-c", _CHILD, str(_package_folder()), task, *map(str, limits)],
             input=data,
             capture_output=True,
             timeout=TIMEOUT_S,

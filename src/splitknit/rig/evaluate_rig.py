@@ -50,6 +50,8 @@ def evaluate(candidate: Candidate, study: Study) -> dict[str, Any]:
         if broken:
             return {**record, "status": REFUSED, "reason": broken[0], "fingers": [], "mean": None}
         fingers = [{"seed": seed, **measure(candidate, study, seed)} for seed in study.seeds]
+    except MemoryError:
+        raise  # of the machine, not of the candidate
     except Exception as error:
         words = " ".join(str(error).split()) or "no further words"
         reason = words if isinstance(error, BadInput) else f"{type(error).__name__}: {words}"

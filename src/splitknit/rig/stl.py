@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.stl import HEADER_BYTES, RECORD
 
 Triangles = NDArray[np.float32]
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
+_MAX_BYTES = 700_000_000
+"""A mesh of fourteen million triangles."""
+_MAX_TEXT_BYTES = 50_000_000
+"""Read line by line, at ten times the memory."""
 
 
 def write_stl(path: str | os.PathLike[str], triangles: Triangles, title: str = "") -> None:
@@ -39,10 +42,7 @@ def read_stl(path: str | os.PathLike[str]) -> Triangles:
     BadInput
         If the file cannot be read or is not STL.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise BadInput(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    data = read_bytes(path, _MAX_BYTES)
     if len(data) >= HEADER_BYTES + 4:
         count = int(np.frombuffer(data, dtype="<u4", count=1, offset=HEADER_BYTES)[0])
         if len(data) == HEADER_BYTES + 4 + count * RECORD.itemsize:
@@ -51,6 +51,7 @@ def read_stl(path: str | os.PathLike[str]) -> Triangles:
             require(bool(np.isfinite(corners).all()), f"'{path}' holds corners that are not numbers.")
             return corners
     require(data.lstrip().startswith(b"solid"), f"'{path}' is not an STL file, or it is cut short.")
+    require(len(data) <= _MAX_TEXT_BYTES, f"'{path}' is a long text file; save it as binary STL.")
     return _text(data, str(path))
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from splitknit import __version__
-from splitknit.check import BadInput, require
+from splitknit.check import require
 from splitknit.io import atomic_file, canonical_json, plain_json, settings_hash
+from splitknit.io.fields import read_json
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.study import Study
 
@@ -47,12 +48,12 @@ class SweepFolder:
     def read(self, candidate: Candidate) -> dict[str, Any] | None:
         """The candidate's record, or None where it is not finished (or its file is damaged)."""
         try:
-            stored = json.loads(self._file(candidate).read_text(encoding="utf-8"))
+            stored, _ = read_json(self._file(candidate))
             if stored["study_sha256"] != self.hash or stored["record"]["candidate"]["name"] != candidate.name:
                 return None
             record: dict[str, Any] = stored["record"]
             return record
-        except (OSError, ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError):
             return None
 
     def write(self, candidate: Candidate, record: Mapping[str, Any]) -> None:
@@ -74,11 +75,8 @@ class SweepFolder:
             not foreign and STUDY_FILE in names,
             f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep of ours to go on with; name another folder.",
         )
-        try:
-            before = json.loads((self.out / STUDY_FILE).read_text(encoding="utf-8"))
-            changed = sorted(_differences(before, self.document))
-        except (OSError, ValueError) as error:
-            raise BadInput(f"'{self.out / STUDY_FILE}' is damaged ({error}); name another folder.") from error
+        before, _ = read_json(self.out / STUDY_FILE)
+        changed = sorted(_differences(before, self.document))
         require(
             not changed,
             f"the sweep in '{self.out}' was made with other settings ({', '.join(changed)}); give the same ones, or "

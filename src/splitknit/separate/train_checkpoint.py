@@ -6,7 +6,7 @@ import io
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.check import refusing, require
 
 NEEDED = ("settings", "curve", "network", "optimiser")
 
@@ -34,12 +34,10 @@ def opened_state(torch: Any, state: bytes, device: Any, settings: Mapping[str, A
     BadInput
         If it is damaged or of a training with other settings.
     """
-    try:
+    with refusing("the checkpoint is damaged; train anew in another folder."):
         document = torch.load(io.BytesIO(state), map_location=device, weights_only=True)
         theirs, *_ = (document[name] for name in NEEDED)
         changed = [name for name in settings if name not in free and theirs.get(name) != settings[name]]
-    except Exception as error:  # torch, zipfile and pickle each have their own
-        raise BadInput(f"the checkpoint is damaged ({type(error).__name__}); train anew in another folder.") from error
     require(
         not changed,
         f"the checkpoint is of a training with other settings ({', '.join(changed)}); "

@@ -16,9 +16,11 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.check import read_bytes, refusing, require
 
 FORMAT = "splitknit-network"
+_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
+"""Networks of ours have less than 1 MB, their cards 3 kB."""
 REINSTALL = "reinstall splitknit, or name another network"
 
 
@@ -123,15 +125,13 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
 
 
 def _read(file: Traversable, words: str, remedy: str) -> bytes:
-    try:
-        return file.read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise BadInput(f"{words} cannot be read ({reason}); {remedy}.") from error
+    with refusing(f"{words} cannot be read; {remedy}."):
+        return read_bytes(file, _MAX_BYTES) if isinstance(file, Path) else file.read_bytes()
 
 
 def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
-    try:
+    with refusing(f"the card '{file}' is damaged; {remedy}."):
+        require(len(data) <= _MAX_CARD_BYTES, f"the card '{file}' has {len(data)} bytes, too many; {remedy}.")
         document = json.loads(data)
         require(
             document["format"] == FORMAT and document["version"] == 1,
@@ -146,7 +146,3 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
             reach=document["reach"],
             facts=document,
         )
-    except BadInput:
-        raise
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"the card '{file}' is damaged ({type(error).__name__}: {error}); {remedy}.") from error

@@ -6,7 +6,6 @@ Into the folder go ``stl/`` (as printed), ``step/`` and ``assembly.step`` (in th
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -16,7 +15,7 @@ from typing import Any
 from splitknit.apps.building.rig_pictures import write_pictures
 from splitknit.apps.targets import check_target
 from splitknit.check import BadInput
-from splitknit.io import atomic_folder, plain_json, provenance, read_rig
+from splitknit.io import atomic_folder, file_hash, plain_json, provenance, read_rig
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts, require_build123d
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimension_table import dimension_table
@@ -105,4 +104,4 @@ def _rig(file: Path | None) -> tuple[Rig, dict[str, str]]:
     if file is None:
         return default_rig(), {}
     rig = read_rig(file)
-    return rig, {file.name: hashlib.sha256(file.read_bytes()).hexdigest()}
+    return rig, {file.name: file_hash(file)}

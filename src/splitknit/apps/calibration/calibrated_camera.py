@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from splitknit.calibrate.camera import CameraCalibration, CameraSettings, calibr
 from splitknit.calibrate.depth_of_field import DepthOfField, depth_of_field
 from splitknit.calibrate.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
 from splitknit.check import BadInput, require
-from splitknit.io import read_rig, write_rig
+from splitknit.io import file_hash, read_rig, write_rig
 from splitknit.simulate.rig import default_rig
 from splitknit.types import Camera, Rig
 
@@ -119,7 +118,7 @@ def find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCa
         found = disc_marks(job.disc, job.dot_mm, size, expected_by)
         marks[job.disc.name], size, expected_by = _same(found, size, expected_by, job.disc)
     for file in (*job.plane, *([job.disc] if job.disc is not None else [])):
-        hashes[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+        hashes[file.name] = file_hash(file)
     assert size is not None
     progress("measuring the plane", 0.95)
     return _assembled(job, base, size, fit, boardless, marks, hashes)

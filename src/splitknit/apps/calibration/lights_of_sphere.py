@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from splitknit.apps.verb import Outcome
 from splitknit.calibrate.light_table import BANDS
 from splitknit.calibrate.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.check import require
-from splitknit.io import image_size, plain_json, provenance, read_image
+from splitknit.io import file_hash, image_size, plain_json, provenance, read_image
 from splitknit.types import Camera, Led, Rig
 
 
@@ -104,5 +103,5 @@ def _ball(mask: Path | None, stack: NDArray[np.float32], size: tuple[int, int], 
         f"{mask} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the photographs have "
         f"{size[0]} x {size[1]}.",
     )
-    hashes[mask.name] = hashlib.sha256(mask.read_bytes()).hexdigest()
+    hashes[mask.name] = file_hash(mask)
     return ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from splitknit.apps.calibration.radiometry_folder import DOCUMENT, RadiometryPla
 from splitknit.calibrate.response import Response, ResponseSettings, fit_response
 from splitknit.calibrate.sensor_noise import Dark, NoiseModel, dark_frames, noise_model, noise_samples
 from splitknit.check import require
-from splitknit.io import read_image
+from splitknit.io import file_hash, read_image
 from splitknit.types import Capture, PixelArray
 
 _PATCHES_ACROSS = 40
@@ -68,7 +67,7 @@ def measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float 
     if not samples:
         samples = [item for band in capture.bands.values() for frame in band.pixels for item in _noise(frame, dark)]
     if plan.document is not None:
-        hashes[plan.document.name] = hashlib.sha256(plan.document.read_bytes()).hexdigest()
+        hashes[plan.document.name] = file_hash(plan.document)
     return CameraFacts(dark, response, _noise_models(samples) if capture.encoding == "linear" else {}, hashes)
 
 
@@ -85,7 +84,7 @@ def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
         f"{pixels.dtype.itemsize * 8} bits, but the card's images have {like.shape[1]} x {like.shape[2]}, "
         f"{like.shape[3]} of {like.dtype.itemsize * 8}; take all with the same settings.",
     )
-    hashes[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    hashes[path.name] = file_hash(path)
     return pixels
 
 

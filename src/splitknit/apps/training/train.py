@@ -28,7 +28,9 @@ from splitknit.apps.training.training_folder import (
     read_file,
     write_file,
 )
-from splitknit.check import BadInput, require
+from splitknit.check import refusing, require
+from splitknit.io.fields import parse_json
+from splitknit.io.npz import map_npy
 from splitknit.preprocess import clahe
 from splitknit.separate.train import (
     MAY_CHANGE,
@@ -141,15 +143,16 @@ def _store(out: Path, kind: str, index: int, data: DataSettings, seed: int) -> N
 def _load(out: Path, kind: str, index: int, data: DataSettings) -> Iterator[Photograph]:
     for view in range(data.views):
         name = out / "data" / f"{kind}_{index:07d}_{view:02d}"
-        try:
-            facts = json.loads(read_file(name.with_suffix(".json")))
+        with refusing(f"'{name}.npy' is damaged; delete it and its .json, and resume."):
+            facts = parse_json(read_file(name.with_suffix(".json")), f"{name}.json")
             corners = np.asarray(facts.pop("corners"), dtype=np.int32).reshape(-1, 2)
             # read as it is needed: a data set may be larger than the memory
-            pixels = np.load(name.with_suffix(".npy"), mmap_mode="r", allow_pickle=False)
+            pixels = map_npy(name.with_suffix(".npy"))
             low, high = corners.min(), corners.max(axis=0) + data.patch_px
-            require(bool(low >= 0 and (high <= pixels.shape[:2]).all()), "patches lie outside the photograph")
-        except (OSError, ValueError, KeyError, AttributeError) as error:
-            raise BadInput(f"'{name}.npy' is damaged ({error}); delete it and its .json, and resume.") from error
+            require(
+                bool(low >= 0 and (high <= pixels.shape[:2]).all()),
+                f"patches lie outside the photograph '{name}.npy'; delete it and its .json, and resume.",
+            )
         yield Photograph(pixels, corners, facts)
 
 

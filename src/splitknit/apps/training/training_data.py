@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from splitknit.apps.training.training_folder import read_file, write_file
 from splitknit.check import BadInput, require
+from splitknit.io.fields import parse_json
+from splitknit.io.npz import map_npy
 
 HELD_OUT_FROM = 1_000_000
 """Fingers from this number on are never trained on."""
@@ -59,14 +61,12 @@ def load_data(out: Path, kind: str, numbers: Sequence[int], fits: Callable[[tupl
         if "refused" in _facts(out, kind, number):
             continue
         file = _name(out, kind, number).with_suffix(".npy")
-        try:
-            sample = np.load(file, mmap_mode="r", allow_pickle=False)
-            require(
-                sample.dtype == np.float16 and fits(sample.shape),
-                f"it holds {sample.dtype} of the shape {sample.shape}",
-            )
-        except (OSError, ValueError) as error:
-            raise BadInput(f"'{file}' is damaged ({error}); delete it and its .json, and resume.") from error
+        sample = map_npy(file)
+        require(
+            sample.dtype == np.float16 and fits(sample.shape),
+            f"'{file}' is damaged (it holds {sample.dtype} of the shape {sample.shape}); delete it and its .json, and "
+            "resume.",
+        )
         found[number] = sample
     return found
 
@@ -100,9 +100,6 @@ def _name(out: Path, kind: str, number: int) -> Path:
 
 def _facts(out: Path, kind: str, number: int) -> dict[str, Any]:
     file = _name(out, kind, number).with_suffix(".json")
-    try:
-        facts = json.loads(read_file(file))
-        require(isinstance(facts, dict), "no table")
-        return dict(facts)
-    except ValueError as error:
-        raise BadInput(f"'{file}' is damaged ({error}); delete it and resume.") from error
+    facts = parse_json(read_file(file), str(file))
+    require(isinstance(facts, dict), f"'{file}' is damaged (no table); delete it and resume.")
+    return dict(facts)

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.apps.charts import Line, line_chart
-from splitknit.check import BadInput, require
+from splitknit.check import read_bytes, refusing, require
 from splitknit.io import atomic_file
+from splitknit.io.fields import parse_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 """Hears what is being done, and the share of the whole that is done."""
 
+_MAX_BYTES = 2_000_000_000
+"""A state with its optimiser has three times the network's bytes."""
 FREE = ("threads", "device", "precision")
 """Settings of a training that may change on the way."""
 
@@ -67,16 +70,14 @@ def open_folder(
         return
     require(file.is_file(), f"'{out}' is not empty and holds no training of ours; name another folder.")
     require(resume, f"'{out}' holds a training already; add --resume to go on with it, or name another folder.")
-    try:
-        before = json.loads(read_file(file))
+    with refusing(f"'{file}' is damaged; train anew in another folder."):
+        before = parse_json(read_file(file), str(file))
         changed = [
             f"{part}.{name}"
             for part in ("data", "training")
             for name in sorted({*run[part], *before[part]})
             if before[part].get(name) != run[part].get(name) and name not in free
         ]
-    except (ValueError, KeyError, AttributeError, TypeError) as error:
-        raise BadInput(f"'{file}' is damaged ({error}); train anew in another folder.") from error
     require(
         not changed,
         f"the training in '{out}' has other settings ({', '.join(changed)}); resume with the same ones.",
@@ -93,10 +94,7 @@ def read_file(file: Path) -> bytes:
     BadInput
         If it cannot be read.
     """
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise BadInput(f"'{file}' cannot be read ({error.strerror or error}); train anew.") from error
+    return read_bytes(file, _MAX_BYTES)
 
 
 def write_file(file: Path, content: bytes) -> None:
