@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.match.gallery_box import Damaged, PlainBox
-from splitknit.match.gallery_key import Key, ScryptSettings, SealedBox, key_from_bytes
+from splitknit.match.gallery_key import Damaged, Key, PlainBox, ScryptSettings, SealedBox, key_from_bytes
 
 CHEAP = ScryptSettings(log2_n=10)
 SALT = b"s" * 16
@@ -67,10 +66,13 @@ def test_a_passphrase_is_stretched_by_scrypt() -> None:
 
     secret = hashlib.scrypt(b"a passphrase", salt=SALT, n=1024, r=8, p=1, dklen=32)
     middle = hmac.new(SALT, secret, hashlib.sha256).digest()
-    first = hmac.new(middle, b"splitknit gallery 1\x01", hashlib.sha256).digest()
-    second = hmac.new(middle, first + b"splitknit gallery 1\x02", hashlib.sha256).digest()
+    first = hmac.new(middle, b"splitknit gallery 2\x01", hashlib.sha256).digest()
+    second = hmac.new(middle, first + b"splitknit gallery 2\x02", hashlib.sha256).digest()
+    third = hmac.new(middle, second + b"splitknit gallery 2\x03", hashlib.sha256).digest()
     box = SealedBox(Key(b"a passphrase", raw=False), SALT, CHEAP)
     assert box.tag(b"Ann") == hmac.new(second, b"Ann", hashlib.sha256).digest()[:16]
+    leaf = hashlib.blake2b(b"row", digest_size=32, key=third).digest()
+    assert box.leaf(b"row") == int.from_bytes(leaf, "little")
     from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
     sealed = box.seal(b"ridges", b"place")
@@ -88,6 +90,20 @@ def test_plain_boxes_notice_damage() -> None:
             box.open(changed, place)
 
 
-def test_costs_have_bounds() -> None:
-    with pytest.raises(BadInput, match="scrypt needs"):
-        ScryptSettings(log2_n=40)
+@pytest.mark.parametrize(
+    ("cost", "words"),
+    [
+        ((40, 8, 1), "log2_n must be an integer from 10 to 20, but it is '40'"),
+        ((10**30, 8, 1), "log2_n must be"),
+        (("17", 8, 1), "log2_n must be"),
+        ((17.5, 8, 1), "log2_n must be"),
+        ((17, 0, 1), "r must be"),
+        ((17, 8, True), "p must be"),
+        ((20, 32, 1), "takes 4096 MB 1 times; at most 1024 MB"),
+        ((20, 8, 16), "takes 1024 MB 16 times; at most 1024 MB, and 4096 MB in all"),
+    ],
+)
+def test_costs_have_bounds(cost: tuple[int, int, int], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        ScryptSettings(*cost)
+    ScryptSettings(20, 8, 4)

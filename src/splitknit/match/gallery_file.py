@@ -1,8 +1,11 @@
-"""The SQLite file of a gallery: made whole or not at all, opened only if it is one, errors in words.
+"""The SQLite file of a gallery, and the counter file that may lie beside its key.
+
+A gallery is made whole or not at all, opened only if it is one, and errors are one sentence.
 
 A rollback journal (not a write-ahead log): at rest a gallery is one file, which can be copied, moved and read from a
-read-only disk, and a removal leaves no older pages in a log. A killed writer leaves a journal from which the next one
-who opens the gallery restores it. ``synchronous=EXTRA`` holds through a loss of power.
+read-only disk. A killed writer leaves a journal from which the next one who opens the gallery restores it.
+``synchronous=EXTRA`` holds through a loss of power. A journal holds pages as they were, removed templates too, so that
+it is never just unlinked: SQLite leaves it (``journal_mode=PERSIST``), and :func:`wipe_journal` overwrites it first.
 """
 
 from __future__ import annotations
@@ -16,27 +19,38 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, read_bytes, require, shown_path
 
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file."""
-VERSION = 1
-"""Of the layout; a reader refuses others."""
+VERSION = 2
+"""Of the layout; one of version 1 is read, and changed only by a migration."""
 WAIT_S = 10.0
 """How long one waits for another program's transaction."""
-SCHEMA = (
-    "CREATE TABLE about (document TEXT NOT NULL)",
-    "CREATE TABLE finger (id INTEGER PRIMARY KEY, tag BLOB NOT NULL UNIQUE, entry BLOB NOT NULL, code BLOB, "
-    "code_version INTEGER)",
-    "CREATE TABLE images (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
-    "CREATE TABLE template (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
-)
+_ABOUT = "CREATE TABLE about (document TEXT NOT NULL)"
+STATE = "CREATE TABLE state (sealed BLOB NOT NULL)"
+ROWS = {
+    "finger": "CREATE TABLE finger (id INTEGER PRIMARY KEY, tag BLOB NOT NULL UNIQUE, version BLOB NOT NULL, "
+    "code_version INTEGER, entry BLOB NOT NULL, code BLOB)",
+    "images": "CREATE TABLE images (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
+    "template": "CREATE TABLE template (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
+}
 """What is large lies apart: names and codes of very many fingers are read without it."""
+_FINGER_1 = (
+    "CREATE TABLE finger (id INTEGER PRIMARY KEY, tag BLOB NOT NULL UNIQUE, entry BLOB NOT NULL, code BLOB, "
+    "code_version INTEGER)"
+)
+_SCHEMAS = {
+    1: (_ABOUT, _FINGER_1, ROWS["images"], ROWS["template"]),
+    2: (_ABOUT, ROWS["finger"], ROWS["images"], STATE, ROWS["template"]),
+}
+_MOST_RECORD, _MOST_COUNTER = 10_000, 1_000_000
+"""Bytes of what a gallery says of itself, and of a counter file (about 20,000 galleries)."""
 _MAGIC = b"SQLite format 3\0"
 _BUSY, _READONLY, _FULL, _CANTOPEN = (5, 6), 8, 13, 14
 
 
-def create_file(path: Path, about: dict[str, Any]) -> bool:
+def create_file(path: Path, about: str, state: bytes) -> bool:
     """Make an empty gallery that only its owner may read (0600); False if there is a file of that name already."""
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}.tmp")
     try:
@@ -50,9 +64,10 @@ def create_file(path: Path, about: dict[str, Any]) -> bool:
             database.execute(f"PRAGMA user_version={VERSION}")
             database.execute("PRAGMA synchronous=EXTRA")
             database.execute("BEGIN")
-            for statement in SCHEMA:
+            for statement in _SCHEMAS[VERSION]:
                 database.execute(statement)
-            database.execute("INSERT INTO about VALUES (?)", (json.dumps(about, sort_keys=True),))
+            database.execute("INSERT INTO about VALUES (?)", (about,))
+            database.execute("INSERT INTO state VALUES (?)", (state,))
             database.execute("COMMIT")
         try:
             os.link(temporary, path)  # fails where one exists, unlike a renaming
@@ -105,20 +120,23 @@ def _look_at(path: Path) -> None:
 
 
 def _prepare(database: sqlite3.Connection, path: Path) -> None:
+    # the first look at the file may roll a killed writer's change back; so that its journal is not unlinked with what
+    # it holds, SQLite must be in one of the modes that keep it, and only the exclusive one can be set without a look
+    for pragma in (
+        "locking_mode=EXCLUSIVE", "journal_mode=PERSIST", "locking_mode=NORMAL",
+        "trusted_schema=OFF", "cell_size_check=ON", "secure_delete=ON", "temp_store=MEMORY", "synchronous=EXTRA",
+    ):  # fmt: skip
+        database.execute(f"PRAGMA {pragma}").fetchall()
     (application,) = database.execute("PRAGMA application_id").fetchone()
     (version,) = database.execute("PRAGMA user_version").fetchone()
     require(application == APPLICATION_ID, f"'{path}' is another program's database, not a gallery; name another file.")
     require(
-        version == VERSION,
-        f"'{path}' is a gallery of version {version}, but this program reads version {VERSION}; use the program that "
-        "wrote it to export the gallery, and import it here.",
+        version in _SCHEMAS,
+        f"'{path}' is a gallery of version {version}, but this program reads versions 1 and {VERSION}; use the program "
+        "that wrote it to export the gallery, and import it here.",
     )
-    for pragma in (
-        "trusted_schema=OFF", "cell_size_check=ON", "secure_delete=ON", "temp_store=MEMORY", "synchronous=EXTRA",
-    ):  # fmt: skip
-        database.execute(f"PRAGMA {pragma}").fetchall()
     found = database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
-    require([row[0] for row in found] == list(SCHEMA), damaged(path, "its tables are not a gallery's"))
+    require([row[0] for row in found] == list(_SCHEMAS[version]), damaged(path, "its tables are not a gallery's"))
 
 
 @contextlib.contextmanager
@@ -126,6 +144,8 @@ def told(path: Path) -> Iterator[None]:
     """Turn what SQLite says into one sentence."""
     try:
         yield
+    except UnicodeDecodeError as error:  # a name in its schema, or in SQLite's own message
+        raise BadInput(damaged(path, "a text in it is not UTF-8")) from error
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in _BUSY:
@@ -137,7 +157,7 @@ def told(path: Path) -> Iterator[None]:
         elif code == _CANTOPEN:
             message = f"the gallery '{path}' cannot be opened, or its folder cannot be written; check the permissions."
         else:
-            message = damaged(path, str(error))
+            message = damaged(path, shown_path(str(error)))
         raise BadInput(message) from error
 
 
@@ -146,15 +166,27 @@ def damaged(path: Path, what: str) -> str:
     return f"the gallery '{path}' is damaged ({what}); take a copy or an export of it, or enrol the fingers again."
 
 
-def read_about(database: sqlite3.Connection, path: Path) -> dict[str, Any]:
-    """What the gallery says of itself."""
+def read_about(database: sqlite3.Connection, path: Path) -> tuple[int, dict[str, Any]]:
+    """Version of the layout, and what the gallery says of itself."""
+    (version,) = database.execute("PRAGMA user_version").fetchone()
     try:
-        rows = database.execute("SELECT document FROM about").fetchall()
-        document: dict[str, Any] = json.loads(rows[0][0])
-        require(len(rows) == 1 and isinstance(document, dict), "not one document")
-    except (IndexError, ValueError, TypeError, RecursionError) as error:
+        document: dict[str, Any] = json.loads(read_record(database, "about", "document"))
+        require(isinstance(document, dict), "no object")
+    except (ValueError, RecursionError) as error:
         raise BadInput(damaged(path, "what it says of itself cannot be read")) from error
-    return document
+    return int(version), document
+
+
+def read_record(database: sqlite3.Connection, table: str, column: str) -> bytes:
+    """The one record of a table; raises ValueError unless it is one, and short."""
+    try:
+        rows = database.execute(f"SELECT rowid FROM {table} LIMIT 2").fetchall()
+        with database.blobopen(table, column, rows[0][0], readonly=True) as record:
+            if len(rows) == 1 and len(record) <= _MOST_RECORD:
+                return record.read()
+    except (IndexError, sqlite3.OperationalError):  # none, or neither text nor bytes
+        pass
+    raise ValueError(table)
 
 
 @contextlib.contextmanager
@@ -171,6 +203,80 @@ def transaction(database: sqlite3.Connection, path: Path, *, write: bool) -> Ite
             raise
 
 
+def wipe_journal(database: sqlite3.Connection, path: Path) -> None:
+    """Overwrite the rollback journal with zeros and remove it, also one that a killed writer left.
+
+    Nothing is done while another program writes: the journal is its own then, and it wipes it.
+    """
+    (wait_ms,) = database.execute("PRAGMA busy_timeout").fetchone()
+    database.execute("PRAGMA busy_timeout = 0")
+    try:
+        database.execute("BEGIN IMMEDIATE")  # keeps other writers away, not readers; rolls a killed one's change back
+    except sqlite3.OperationalError:
+        return
+    finally:
+        database.execute(f"PRAGMA busy_timeout = {int(wait_ms)}")
+    journal = Path(f"{path.resolve()}-journal")
+    try:
+        # a link in its place would lead to a file that is not ours
+        descriptor = os.open(journal, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(descriptor, "r+b", buffering=0) as stream:
+            left = os.fstat(descriptor).st_size
+            while left > 0:
+                left -= stream.write(bytes(min(left, 1 << 20)))
+            os.fsync(descriptor)
+        journal.unlink()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise BadInput(
+            f"'{journal}' cannot be overwritten: {error.strerror}; it may hold what was removed: delete it once no "
+            "program uses the gallery."
+        ) from error
+    finally:
+        database.execute("ROLLBACK")
+
+
+def read_counter(file: Path) -> dict[str, int]:
+    """Last change that was seen of each gallery; an empty file has seen none.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read, or is no counter file.
+    """
+    content = read_bytes(file, _MOST_COUNTER)
+    try:
+        seen: Any = json.loads(content) if content else {}
+        require(isinstance(seen, dict) and all(type(one) is int for one in seen.values()), "other values")
+        return dict(seen)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(
+            f"'{shown_path(file)}' is no counter file of galleries, or damaged; empty it to begin anew."
+        ) from error
+
+
+def write_counter(file: Path, gallery: str, change: int) -> None:
+    """Keep the number of a gallery's last change, or leave the file as it was."""
+    seen = read_counter(file)
+    if seen.get(gallery, -1) >= change:
+        return
+    target = file.resolve()
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.tmp")
+    try:
+        with os.fdopen(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "wb") as stream:
+            stream.write(json.dumps(seen | {gallery: change}, sort_keys=True, indent=1).encode("ascii") + b"\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(target)
+    except OSError as error:
+        raise BadInput(
+            f"the gallery is changed, but its counter '{shown_path(file)}' cannot be written: {error.strerror}."
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def describe(path: Path) -> dict[str, Any]:
     """What anyone can see of a gallery without its key: kind of key, number of rows, sizes.
 
@@ -180,7 +286,7 @@ def describe(path: Path) -> dict[str, Any]:
         If it is no gallery, damaged, or of another version.
     """
     with contextlib.closing(connect(path)) as database, transaction(database, path, write=False):
-        about = read_about(database, path)
+        version, about = read_about(database, path)
         counted = []
         for what in ("count(*), count(code) FROM finger",
                      "total(length(content)) FROM template",
@@ -188,7 +294,7 @@ def describe(path: Path) -> dict[str, Any]:
             counted += database.execute(f"SELECT {what}").fetchone()
     captures, codes, template_bytes, images, image_bytes = (int(one) for one in counted)
     return {
-        "version": VERSION,
+        "version": version,
         "encrypted": about.get("box") != "plain",
         "key": about.get("key"),
         "template_version": about.get("template_version"),
