@@ -59,7 +59,6 @@ NO_READERS = {
     "capture.pi.open_lights": "opens a device",
     "capture.pi.open_camera": "opens a device",
     "capture.pi.open_pi": "opens devices",
-    "apps.capture_verb.open_devices": "opens devices",
     "apps.capture_devices.read_settings": "sorts settings that are read already",
     "apps.printing_rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "separate.train_network.load_torch": "imports a package",
@@ -312,6 +311,7 @@ class Runner:
             os.kill(block.pid, signal.SIGKILL)
             os.waitpid(block.pid, 0)
         number, accepted, refused, slow_s, slow, peak_mb, peak = _STATE.unpack(block.shared[: _STATE.size])
+        number = max(number, block.begin)  # it may have ended before its first input
         tally = self.tallies[block.target.name]
         tally.accepted += accepted
         tally.refused += refused

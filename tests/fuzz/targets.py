@@ -19,7 +19,7 @@ import tempfile
 import threading
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -556,9 +556,10 @@ def _gallery(key: Key | None) -> bytes:
         return path.read_bytes()
 
 
-def _opened(key: Key | None) -> Callable[[Path, Files], object]:
+def _opened(kind: Key | None) -> Callable[[Path, Files], object]:
     def read(folder: Path, files: Files) -> object:
         path = folder / "x.skg"
+        key = replace(kind, counter=folder / "counter") if kind is not None and "counter" in files else kind
 
         def contents() -> None:
             with Gallery.open(path, key) as gallery:
@@ -765,7 +766,7 @@ def _shown() -> Files:
     capture = _captures()[0]
     report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
     report |= {"capture": {"subject": {"id": "S01", "finger": "right_index", "session": 1}}}
-    report |= {"inputs_sha256": {"capture.json": hashlib.sha256(capture["capture.json"]).hexdigest()}}  # type: ignore[arg-type]
+    report |= {"inputs_sha256": {name: hashlib.sha256(content).hexdigest() for name, content in capture.items()}}
     made = {"result/height.npz": _npz(arrays)[0]["height.npz"], "result/report.json": json.dumps(report).encode()}
     made |= _written("result/print.png", lambda path: (path.parent.mkdir(), write_print_png(path, _print(), 500.0)))[0]
     made |= {"result/minutiae.iso": ISO_BYTES, "result/preview.png": encode_image(_noise(20, 30, 3), ".png")}
@@ -907,7 +908,7 @@ TARGETS = (
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),
     Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse", bytes(range(200, 232))), _keys),
     Target("gallery", lambda: _each("x.skg", _gallery(None)), _opened(None)),
-    Target("gallery_sealed", lambda: _each("x.skg", _gallery(RAW)), _opened(RAW)),
+    Target("gallery_sealed", lambda: [{"x.skg": _gallery(RAW), "counter": b'{"": 1}'}], _opened(RAW)),
     Target("gallery_phrase", lambda: _each("x.skg", _gallery(PHRASE)), _opened(PHRASE)),
     Target("gallery_entry", lambda: _each("bytes", encode_entry(_new("Ann", 1).entry)), _of_bytes(decode_entry)),
     Target("identify", _galleries, _identified, _skt_repaired),
