@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput, check_image, check_lights, check_mask, check_stack, require
+from splitknit.check import BadInput, check_image, check_lights, check_mask, check_stack, read_bytes, refusing, require
 
 RING = np.array([[np.cos(a), np.sin(a), 2.0] for a in 2 * np.pi * np.arange(5) / 5])
 
@@ -74,3 +77,34 @@ def test_weak_but_real_depth_of_lights_is_enough() -> None:
     """Directions 2 deg about one: all near a line, but not in a plane."""
     angles = 2 * np.pi * np.arange(3) / 3
     assert len(check_lights(np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)]))) == 3
+
+
+def test_only_whole_regular_files_of_the_budget_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"12345")
+    assert read_bytes(tmp_path / "a", 5) == b"12345"
+    os.mkfifo(tmp_path / "pipe")
+    for path, words in (
+        (tmp_path / "a", "too large: 5 bytes"),
+        (tmp_path / "pipe", "is not a file"),
+        (tmp_path, "is not a file"),
+        ("/dev/zero", "is not a file"),
+        (tmp_path / "none", "does not exist"),
+        (tmp_path / "a" / "b", "cannot be read"),
+        ("a\0b", "cannot be read"),
+        ("/proc/self/maps", "too large: more than 4 bytes"),
+    ):
+        with pytest.raises(BadInput, match=words) as caught:
+            read_bytes(path, 4)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [(KeyError("x"), BadInput), (RecursionError(), BadInput), (MemoryError(), MemoryError), (BadInput("x"), BadInput)],
+)
+def test_parsers_are_refused_in_one_sentence_but_not_for_want_of_memory(
+    raised: Exception, expected: type[Exception]
+) -> None:
+    with pytest.raises(expected) as caught, refusing("the table is damaged."):
+        raise raised
+    assert str(caught.value) == ("the table is damaged." if type(caught.value) is not type(raised) else str(raised))

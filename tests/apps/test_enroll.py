@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import shutil
 import stat
 import zipfile
@@ -299,14 +300,19 @@ def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
-        ("gallery.json", lambda data: b"{}", "not of an export"),
+        ("gallery.json", lambda data: b"{}", "format is missing"),
+        ("gallery.json", lambda data: data.replace(b'_version": 1', b'_version": 1e999'), "1e999, which is beyond"),
+        ("gallery.json", lambda data: data.replace(b'_version": 1', b'_version": 1.0'), "not of an export"),
+        ("gallery.csv", lambda data: re.sub(rb",,\n", b",,images/0001.png\n", data), "'images' must be 'thumbnail'"),
+        ("gallery.csv", lambda data: re.sub(rb",\d+\.\d+,", b",1e999,", data), "area_mm2 must be a number"),
+        ("gallery.csv", lambda data: data + b"\xff\n", "cannot be read as a table"),
         ("gallery.json", lambda data: data.replace(b'"template_version": 1', b'"template_version": 9'), "version 9"),
         ("gallery.csv", lambda data: data.replace(b"0001.skt", b"../a.skt"), "line 2: a template is named"),
         ("gallery.csv", lambda data: data.replace(b"right_index", b"Right Index"), "cannot be a finger"),
         ("gallery.csv", lambda data: data.replace(b"session", b"seance", 1), "columns"),
         ("gallery.csv", lambda data: data.splitlines(keepends=True)[0], "lists no finger"),
         ("templates/0003.skt", lambda data: data[:-1] + bytes([data[-1] ^ 1]), "line 4: .*damaged"),
-        ("templates/0003.skt", None, "line 4: .*cannot be read"),
+        ("templates/0003.skt", None, "line 4: .*does not exist"),
     ],
 )
 def test_a_damaged_export_is_not_imported(whole: Path, tmp_path: Path, capsys, *, file, change, words) -> None:
@@ -316,8 +322,6 @@ def test_a_damaged_export_is_not_imported(whole: Path, tmp_path: Path, capsys, *
     (out / file).unlink()
     if change is not None:
         (out / file).write_bytes(change(data))
-    import re
-
     assert re.search(words, refusal_of(capsys, "gallery", "import", tmp_path / "new.skg", out))
     assert not (tmp_path / "new.skg").exists()
 

@@ -68,11 +68,16 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "words"),
     [
-        ("s.json", b"{", "not sound JSON"),
+        ("s.json", b"{", "not valid JSON"),
+        ("s.json", b'{"a": {"b": 1e999}}', "beyond all numbers"),
+        ("s.json", b'{"a": {"b": 1}, "a": {}}', "twice"),
         ("s.json", b"[1]", "must hold a table"),
         ("s.toml", b"a = ", "not sound TOML"),
         ("s.toml", b"\xff\xfe\x00", "not a text file"),
-        ("s.json", b"[" * 100_000, "not sound JSON"),
+        ("s.json", b"[" * 60_000, "nested too deeply"),
+        ("s.toml", b"a = " + b"[" * 60_000, "not sound TOML"),
+        ("s.toml", b".".join([b"a"] * 3000) + b" = 1", "nested too deeply"),
+        ("s.toml", b"#" * 64_001, "too large"),
     ],
 )
 def test_broken_files_are_refused(tmp_path: Path, name: str, data: bytes, words: str) -> None:
@@ -82,5 +87,5 @@ def test_broken_files_are_refused(tmp_path: Path, name: str, data: bytes, words:
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="No such file"):
+    with pytest.raises(BadInput, match="does not exist"):
         read_settings_file(tmp_path / "none.json")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import tracemalloc
 from dataclasses import fields, replace
 
 import numpy as np
@@ -50,3 +52,37 @@ def test_relief_and_normals_of_their_own_come_back_too() -> None:
 def test_damage_is_noticed(change) -> None:
     with pytest.raises(BadInput, match="damaged"):
         unpack_surface(change(pack_surface(*surface())))
+
+
+@pytest.mark.parametrize(
+    ("place", "layout", "values"),
+    [
+        (4, "<II", (32_000, 32_000)),  # rows and columns: 2^30 pixels
+        (4, "<II", (6400, 6400)),
+        (20, "<II", (60_000, 60_000)),  # of the box
+        (28, "<I", (7,)),  # whether normals are stored
+        (32, "<d", (float("nan"),)),  # pitch
+        (32, "<d", (0.0,)),
+        (40, "<d", (float("inf"),)),  # matrix
+        (112, "<II", (60_000, 60_000)),  # of the upright frame
+    ],
+)
+def test_a_head_that_claims_too_much_is_refused_before_memory_is_taken(place, layout, values) -> None:
+    payload = bytearray(pack_surface(*surface()))
+    struct.pack_into(layout, payload, place, *values)
+    tracemalloc.start()
+    with pytest.raises(BadInput, match="damaged"):
+        unpack_surface(bytes(payload))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1_000_000
+
+
+def test_heights_that_are_no_numbers_are_refused() -> None:
+    kept, height = surface()
+    payload = bytearray(pack_surface(kept, height))
+    count = int(kept.mask.sum())
+    payload[-12 * count + 3 * count] = 0x7F  # the highest byte of the first height
+    payload[-12 * count + 2 * count] = 0x80
+    with pytest.raises(BadInput, match="damaged"):
+        unpack_surface(bytes(payload))

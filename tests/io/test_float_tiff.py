@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -54,3 +55,22 @@ def test_light_is_no_height(tmp_path: Path) -> None:
         assert read_light_tiff(path)[1] == description
         with pytest.raises(BadInput, match="is not a height map"):
             read_height_tiff(path)
+
+
+def test_a_small_file_cannot_claim_a_large_field(tmp_path: Path) -> None:
+    path = tmp_path / "a.tiff"
+    write_float_tiff(path, FIELD, {"unit": "rad"})
+    whole = path.read_bytes()
+    with tifffile.TiffFile(path) as file:
+        places = [file.pages[0].tags[tag].valueoffset for tag in (256, 257, 278)]
+    for side, words in ((9000, "cannot be in"), (30_000, "more than the 400000000 that are read")):
+        data = bytearray(whole)
+        for place in places:
+            data[place : place + 4] = side.to_bytes(4, "little")
+        path.write_bytes(data)
+        tracemalloc.start()
+        with pytest.raises(BadInput, match=words):
+            read_float_tiff(path, "a field")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 1_000_000

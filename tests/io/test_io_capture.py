@@ -227,6 +227,7 @@ Change = Callable[[Any], Any]
         (lambda d: d["bands"]["white"].pop("leds"), r"bands\.white\.leds is missing"),
         (lambda d: d["bands"]["white"].update(images="white_0.png"), "images must be a list"),
         (lambda d: d["bands"]["white"].update(images=["white_0.png"] * 2), "at least three"),
+        (lambda d: d["bands"]["white"].update(images=[f"{k}.png" for k in range(1001)]), "at most 1000 are read"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2]), "4 images but 3 entries"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]), r"leds\[3\] names LED 99, but the rig has 8"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, -1]), r"leds\[3\] must be the number"),
@@ -274,6 +275,9 @@ def test_documents_that_are_refused(change: Change, words: str, folder: Path) ->
         (b'{"version": 1, "version": 1}', "twice"),
         (b'{"version": ' + b"9" * 5000 + b"}", "not valid JSON"),
         (b"[" * 100_000, "nested too deeply"),
+        (b'{"version": 1e999}', "contains 1e999, which is beyond all numbers"),
+        (b'{"version": -1E999}', "contains -1E999, which is beyond all numbers"),
+        (b" " * 16_000_001, "too large"),
     ],
 )
 @pytest.mark.parametrize("file", ["capture.json", "rig.json"])
@@ -515,4 +519,13 @@ def test_lights_in_one_plane(folder: Path) -> None:
 
     edit(folder / "rig.json", flatten)
     with pytest.raises(BadInput, match=r"capture\.json: bands\.white\.leds: lights are coplanar"):
+        read_capture(folder)
+
+
+def test_the_images_of_a_capture_have_a_budget_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = read_capture(folder).bands["white"].pixels
+    monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes)
+    read_capture(folder)
+    monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes - 1)
+    with pytest.raises(BadInput, match=rf"take {2 * pixels.nbytes} bytes once decoded"):
         read_capture(folder)

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import io
+import struct
+import tracemalloc
+import zlib
 from typing import Any
 
 import cv2
@@ -120,3 +123,124 @@ def test_tiff_with_lzw(capfd: pytest.CaptureFixture[str]) -> None:
 def test_tiff_of_other_kinds(image: np.ndarray, options: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInput, match=words):
         decode_image(tiff_bytes(image, **options), "x")
+
+
+def peak_bytes_of_refusal(data: bytes, words: str) -> int:
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadInput, match=words):
+            decode_image(data, "x")
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_small_jpeg_cannot_claim_a_large_image() -> None:
+    data = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    assert len(data) < 700
+    frame = data.index(b"\xff\xc0") + 5
+    for side, words in ((11_000, "cannot be in"), (14_000, "more than the 400000000 that are read")):
+        claim = side.to_bytes(2, "big") * 2
+        assert peak_bytes_of_refusal(data[:frame] + claim + data[frame + 4 :], words) < 1_000_000
+
+
+def test_jpeg_of_many_scans_or_impossible_sampling_is_refused() -> None:
+    data = cv2.imencode(".jpg", smooth((40, 56, 3)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    last = data.rindex(b"\xff\xda")
+    with pytest.raises(BadInput, match="more than 100 JPEG scans"):
+        decode_image(data[:last] + data[last:-2] * 101 + b"\xff\xd9", "x")
+    frame = data.index(b"\xff\xc2")
+    for factors in (0, 0x05, 0x51):
+        with pytest.raises(BadInput, match="impossible sampling"):
+            decode_image(data[: frame + 11] + bytes([factors]) + data[frame + 12 :], "x")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib", "packbits"])
+@pytest.mark.parametrize(
+    "options",
+    [{"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}, {"planarconfig": "separate"}],
+)
+def test_tiff_against_tifffile(options: dict[str, Any], compression: str | None, dtype: type) -> None:
+    image = smooth((41, 57, 3), dtype)
+    image[5:30, 8:40] = 77  # runs
+    stored = np.moveaxis(image, -1, 0) if "planarconfig" in options else image
+    if compression == "packbits":  # tifffile cannot write it without another package
+        options = {key: value for key, value in options.items() if key == "rowsperstrip"}
+        written = [cv2.IMWRITE_TIFF_COMPRESSION, 32773, cv2.IMWRITE_TIFF_ROWSPERSTRIP, options.get("rowsperstrip", 41)]
+        data = cv2.imencode(".tif", image[..., ::-1], written)[1].tobytes()
+    else:
+        data = tiff_bytes(stored, photometric="rgb", compression=compression, **options)
+    np.testing.assert_array_equal(decode_image(data, "x"), image)
+
+
+@pytest.mark.parametrize("predictor", [1, 2])
+@pytest.mark.parametrize("compression", [8, 32946])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_deflated_tiff_of_libtiff(dtype: type, compression: int, predictor: int) -> None:
+    image = smooth((41, 57, 3), dtype)
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
+    data = cv2.imencode(".tif", image[..., ::-1], options)[1].tobytes()
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        assert file.pages[0].predictor == predictor
+    np.testing.assert_array_equal(decode_image(data, "x"), image)
+
+
+def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
+    """Replace type, count and value of a tag of a little-endian TIFF file by 10 bytes."""
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        place = file.pages[0].tags[tag].offset
+    return data[: place + 2] + entry + data[place + 12 :]
+
+
+@pytest.mark.parametrize(
+    ("tag", "entry", "words"),
+    [
+        (256, struct.pack("<HII", 3, 0, 0), "tags are damaged"),  # no value
+        (256, struct.pack("<HII", 2, 4, 0), "not a single flat image"),  # a text: its first letter is a zero
+        (256, struct.pack("<HII", 12, 1, 0), "tags are damaged"),  # a type that no width has
+        (258, struct.pack("<HII", 3, 3, 1 << 31), "tags are damaged"),  # beyond the file
+        (258, struct.pack("<HIHH", 3, 2, 8, 16), "8- or 16-bit"),
+        (259, struct.pack("<HII", 3, 1, 50000), "compression 50000"),
+        (262, struct.pack("<HII", 3, 1, 9), "neither grey nor RGB"),
+        (273, struct.pack("<HII", 4, 2, 8), "tags are damaged"),
+        (278, struct.pack("<HII", 4, 1, 1), "tags are damaged"),  # more strips than are named
+        (279, struct.pack("<HII", 4, 1, 1 << 30), "truncated"),
+        (257, struct.pack("<HII", 4, 1, 1 << 20), "cannot be in|tags are damaged"),
+        (257, struct.pack("<HII", 4, 1, 1 << 30), "more than the 400000000"),
+        (257, struct.pack("<HII", 4, 1, 0), "not a single flat image"),
+    ],
+)
+def test_odd_tags_are_refused(tag: int, entry: bytes, words: str) -> None:
+    data = tiff_bytes(smooth((20, 30)), rowsperstrip=20)
+    assert peak_bytes_of_refusal(set_tag(data, tag, entry), words) < 1_000_000
+
+
+def test_strips_may_not_share_their_bytes() -> None:
+    data = tiff_bytes(smooth((20, 30)), rowsperstrip=5)
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        page = file.pages[0]
+        counts, first = page.tags[279], min(page.dataoffsets)
+    assert counts.count == 4
+    long = struct.pack("<4I", *[len(data) - first] * 4)
+    again = data + long + struct.pack("<4I", *[first] * 4)
+    again = set_tag(again, 279, struct.pack("<HII", 4, 4, len(data)))
+    again = set_tag(again, 273, struct.pack("<HII", 4, 4, len(data) + 16))
+    with pytest.raises(BadInput, match="tags are damaged"):
+        decode_image(again, "x")
+
+
+def test_a_strip_inflates_to_its_size_and_no_further() -> None:
+    bomb = zlib.compress(bytes(50_000_000))
+    data = tiff_bytes(np.zeros((300, 400), np.uint8), compression="zlib", rowsperstrip=300)
+    bigger = data + bomb
+    bigger = set_tag(bigger, 273, struct.pack("<HII", 4, 1, len(data)))
+    bigger = set_tag(bigger, 279, struct.pack("<HII", 4, 1, len(bomb)))
+    tracemalloc.start()
+    assert decode_image(bigger, "x").shape == (300, 400, 1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2_000_000
+    short = set_tag(data, 257, struct.pack("<HII", 4, 1, 301))
+    with pytest.raises(BadInput, match="damaged"):
+        decode_image(set_tag(short, 278, struct.pack("<HII", 4, 1, 301)), "x")

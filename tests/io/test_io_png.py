@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -224,3 +225,30 @@ def test_files(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_text("not an image")
     with pytest.raises(BadInput, match="not a PNG, TIFF or JPEG"):
         read_image(tmp_path / "text.png")
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "depth", "colour", "interlaced", "words"),
+    [
+        (20_000, 20_001, 8, 0, 0, "more than the 400000000 that are read"),
+        (20_000, 20_000, 8, 0, 0, "cannot be in"),
+        (10_000, 10_000, 16, 2, 1, "more than the 400000000 that are read"),
+        (10_000, 10_000, 8, 2, 1, "cannot be in"),
+    ],
+)
+def test_a_small_file_cannot_claim_a_large_image(columns, rows, depth, colour, interlaced, words) -> None:  # noqa: PLR0917
+    data = make((columns, rows, depth, colour, 0, 0, interlaced), bytes(1000))
+    tracemalloc.start()
+    with pytest.raises(BadInput, match=words):
+        decode_image(data, "x")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1_000_000
+
+
+def test_interlaced_images_are_decoded_whole_and_so_must_be_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splitknit.io.png._WHOLE_BYTES", 100)
+    plain, interlaced = (make((20, 20, 8, 0, 0, 0, kind), bytes(21 * 20)) for kind in (0, 1))
+    assert decode_image(plain, "x").shape == (20, 20, 1)
+    with pytest.raises(BadInput, match="too many for an interlaced PNG"):
+        decode_image(interlaced, "x")

@@ -278,3 +278,17 @@ def test_provenance_and_canonical_json() -> None:
 def test_importing_io_needs_no_image_library() -> None:
     code = "import sys, splitknit.io; sys.exit(bool({'cv2', 'tifffile', 'scipy'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_ply_with_faces_that_lead_nowhere_is_refused(tmp_path: Path) -> None:
+    points = np.zeros((3, 3), dtype=np.float32)
+    write_ply(tmp_path / "m.ply", points, points, np.zeros(3, np.uint8), np.array([[0, 1, 2]], dtype=np.int32))
+    whole = (tmp_path / "m.ply").read_bytes()
+    assert read_ply(tmp_path / "m.ply").faces.tolist() == [[0, 1, 2]]
+    for end in (b"\3\0\0\0", b"\xff\xff\xff\xff"):
+        (tmp_path / "m.ply").write_bytes(whole[:-4] + end)
+        with pytest.raises(BadInput, match="vertices that are not there"):
+            read_ply(tmp_path / "m.ply")
+    (tmp_path / "m.ply").write_bytes(whole[:-13] + b"\4" + whole[-12:])
+    with pytest.raises(BadInput, match="vertices that are not there"):
+        read_ply(tmp_path / "m.ply")

@@ -97,3 +97,45 @@ def test_faces_that_lead_nowhere_are_refused(mesh, tmp_path: Path) -> None:
         with pytest.raises(BadInput):
             write()
     assert list(tmp_path.iterdir()) == []
+
+
+def glb_with(mesh, tmp_path: Path, change) -> Path:
+    """A file whose document was changed."""
+    write_glb(tmp_path / "a.glb", *mesh)
+    data = (tmp_path / "a.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    text = data[20 : 20 + length].decode()
+    assert change(text) != text
+    new = change(text).encode()
+    head = struct.pack("<5I", 0x46546C67, 2, len(data) - length + len(new), len(new), 0x4E4F534A)
+    (tmp_path / "a.glb").write_bytes(head + new + data[20 + length :])
+    return tmp_path / "a.glb"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace('"count":', '"count":' + "9" * 400, 1), "damaged"),
+        (lambda text: text.replace('"byteOffset":0', '"byteOffset":' + "9" * 30), "damaged"),
+        (lambda text: text.replace('"byteOffset":0', '"byteOffset":-8'), "damaged"),
+        (lambda text: text.replace('"scale":[', '"scale":[' + "9" * 400 + ","), "damaged"),
+        (lambda text: text.replace('"scale":[', '"scale":[1e999,'), "beyond all numbers"),
+        (lambda text: text.replace('"bufferView":3', '"bufferView":1'), "damaged"),  # faces beyond the vertices
+        (lambda text: "[" * 100_000, "nested too deeply"),
+        (lambda text: text + " " * 16_000_001, "too large"),
+    ],
+)
+def test_a_glb_whose_document_does_not_fit_is_refused(mesh, tmp_path: Path, change, words: str) -> None:
+    with pytest.raises(BadInput, match=words) as caught:
+        read_glb(glb_with(mesh, tmp_path, change))
+    assert "\n" not in str(caught.value)
+
+
+def test_text_stl_is_read_up_to_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.stl").write_text("solid x\n" + "vertex 1 2 3\n" * 3)
+    assert read_stl(tmp_path / "a.stl").shape == (1, 3, 3)
+    monkeypatch.setattr("splitknit.rig.stl._MAX_TEXT_BYTES", 20)
+    with pytest.raises(BadInput, match="save it as binary STL"):
+        read_stl(tmp_path / "a.stl")
+    with pytest.raises(BadInput, match="is not a file"):
+        read_stl("/dev/zero")

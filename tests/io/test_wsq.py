@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -150,3 +152,24 @@ def test_without_the_package_the_remedy_is_named(sound: bytes, monkeypatch: pyte
     monkeypatch.setattr(subprocess, "run", refuse)
     with pytest.raises(BadInput, match="could not be started"):
         decode_wsq(sound)
+
+
+@pytest.mark.parametrize(
+    ("work", "signals", "words"),
+    [("bytearray(2_000_000_000)", (), b"MemoryError"), ("sum(iter(int, 1))", (-signal.SIGXCPU, -signal.SIGKILL), b"")],
+)
+def test_the_codec_may_take_no_more_memory_and_time_than_an_image_needs(
+    sound: bytes, monkeypatch: pytest.MonkeyPatch, work: str, signals: tuple[int, ...], words: bytes
+) -> None:
+    monkeypatch.setattr(wsq_image, "_CHILD", wsq_image._CHILD.replace("import _wsq", work))
+    monkeypatch.setattr(wsq_image, "_CPU_S", 1)
+    run, ended = subprocess.run, []
+
+    def spy(*arguments: Any, **options: Any) -> Any:
+        ended.append(run(*arguments, **options))
+        return ended[-1]
+
+    monkeypatch.setattr(subprocess, "run", spy)
+    with pytest.raises(BadInput, match="cannot be decoded"):
+        decode_wsq(sound)
+    assert words in ended[0].stderr and ended[0].returncode in (signals or (1,))

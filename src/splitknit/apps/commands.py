@@ -91,7 +91,15 @@ def truth_of(capture: Capture) -> dict[str, Any] | None:
     """Read a simulator's truth, if the capture names one, and only what is compared."""
     if capture.truth is None:
         return None
-    return dict(read_npz(capture.truth, TRUTH_ARRAYS))  # only what is asked for: the rest is large
+    truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large
+    for name, array in truth.items():
+        expected = (*capture.shape, 3) if name == "normals" else capture.shape
+        require(
+            array.shape == expected and array.dtype.kind in "fiub",
+            f"{capture.truth}: the truth's {name} has the shape {array.shape}, but the images have {capture.shape}; "
+            "simulate the capture again.",
+        )
+    return dict(truth)
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.check import BadInput, refusing, require
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
@@ -73,7 +73,7 @@ def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
     lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
     lines = [(k, line) for k, line in lines if line.strip(" \t,") and not line.lstrip().startswith("#")]
     require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
-    header = [cell.strip().lower() for cell in next(csv.reader([lines[0][1]]))]
+    header = [cell.lower() for cell in _cells(lines[0][1], name)]
     missing = [column for column in COLUMNS if column not in header]
     require(
         not missing,
@@ -159,7 +159,7 @@ def pixels(tips: Sequence[Tip]) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def _tip(line: str, header: Sequence[str], where: str) -> Tip:
-    cells = [cell.strip() for cell in next(csv.reader([line]))]
+    cells = _cells(line, where)
     require(
         len(cells) == len(header),
         f"{where} has {len(cells)} fields, but the first line names {len(header)}; correct the line.",
@@ -174,6 +174,13 @@ def _tip(line: str, header: Sequence[str], where: str) -> Tip:
     )
     numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
     return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
+
+
+def _cells(line: str, where: str) -> list[str]:
+    with refusing(
+        f"{where} is no line of a CSV table."
+    ):  # such as one of a hundred thousand characters without a comma
+        return [cell.strip() for cell in next(csv.reader([line]))]
 
 
 def _whole(text: str, where: str, column: str) -> int:

@@ -104,11 +104,10 @@ class PiCamera(Closing):
             self._camera = picamera2(tuning=tuning)
             self._camera.configure(self._configuration())
             self._camera.start()
-        except BadInput:
-            self.close()
-            raise
         except Exception as error:
             self.close()
+            if isinstance(error, (BadInput, MemoryError)):
+                raise
             raise BadInput(
                 f"the camera could not be started ({' '.join(str(error).split())}); close other programs that use it."
             ) from error

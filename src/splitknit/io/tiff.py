@@ -30,9 +30,10 @@ DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT = 270, 282, 283, 296
 _COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER = 256, 257, 258, 259, 262, 266
 _SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH = 277, 278, 284, 317, 339, 32997
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 322, 323, 324, 325
+_OPTIONAL = (DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT)
 _READ = frozenset(
     {
-        *(DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT),
+        *_OPTIONAL,
         *(_COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER),
         *(_SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH),
         *(_STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES),
@@ -122,18 +123,18 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     grey = photometric in (_WHITE_IS_ZERO, _BLACK_IS_ZERO) and samples in (1, 2)
     colour = photometric == _RGB and samples in (3, 4)
     require(grey or colour, f"{name} is neither grey nor RGB (CMYK or palette?); save it as grey or RGB.")
-    readable = compression in _RATIO and number(_BIT_ORDER, 1) == 1 and number(_PREDICTOR, 1) in (1, 2)
+    readable = compression in _RATIO and number(_PREDICTOR, 1) in (1, 2)
     require(
-        readable and number(_PLANAR, 1) in (1, 2),
-        f"{name} is compressed in a way that is not read (number {compression}); save it as PNG or as uncompressed "
-        "TIFF.",
+        readable and number(_BIT_ORDER, 1) == 1 and number(_PLANAR, 1) in (1, 2),
+        f"{name} is stored in a way that is not read (compression {compression}, predictor {number(_PREDICTOR, 1)}, "
+        f"order of bits {number(_BIT_ORDER, 1)}); save it as PNG or as uncompressed TIFF.",
     )
     dtype = np.dtype(shown).newbyteorder(order)
     check_size(rows * columns * samples * dtype.itemsize, name, f"{rows} x {columns}")
     tiled = _TILE_OFFSETS in tags
     if tiled:
         segment = number(_TILE_ROWS), number(_TILE_COLUMNS)
-        require(min(segment) >= _LEAST_TILE and segment[0] < rows + 1024 and segment[1] < columns + 1024, damaged)
+        require(min(segment) >= _LEAST_TILE and segment[0] < rows + 4096 and segment[1] < columns + 4096, damaged)
     else:
         segment = max(1, min(number(_STRIP_ROWS, rows), rows)), columns
     separate = samples > 1 and number(_PLANAR, 1) == _SEPARATE
@@ -237,6 +238,8 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
     for k in range(count):
         tag, kind, number, inline = entry.unpack_from(data, place + k * entry.size)
         if tag not in _READ:
+            continue
+        if tag in _OPTIONAL and kind not in _TYPES:
             continue
         require(tag not in tags and kind in _TYPES and number > 0, damaged)
         dtype, parts = np.dtype(_TYPES[kind][0]).newbyteorder(order), _TYPES[kind][1]

@@ -44,8 +44,8 @@ try:
     import resource
     for limit, most in zip((resource.RLIMIT_AS, resource.RLIMIT_CPU), map(int, sys.argv[3:])):
         resource.setrlimit(limit, (most, most))
-except ImportError:
-    pass
+except (ImportError, OSError, ValueError):
+    pass  # not on every system
 sys.path.insert(0, sys.argv[1])
 import _wsq
 data = sys.stdin.buffer.read()

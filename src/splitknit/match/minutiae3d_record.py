@@ -105,8 +105,6 @@ def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
         return no_space_minutiae()
     _, body = _PACKING.unpack(data, lambda count: count * _ROW.itemsize)
     table = np.frombuffer(body, dtype=_ROW)
-    places = np.stack([table[name] for name in "xyz"], axis=1).astype(np.float64)
-    return SpaceMinutiae(
-        places, table["theta"].astype(np.float64), table["phi"].astype(np.float64), table["type"].copy(),
-        table["quality"].copy(),
-    )  # fmt: skip
+    with np.errstate(invalid="ignore"):  # NaN is refused below
+        numbers = np.stack([table[name] for name in ("x", "y", "z", "theta", "phi")], axis=1).astype(np.float64)
+    return SpaceMinutiae(numbers[:, :3], numbers[:, 3], numbers[:, 4], table["type"].copy(), table["quality"].copy())

@@ -139,8 +139,9 @@ def pack_surface_code(surface_code: SurfaceCode) -> bytes:
 
 
 def _body_size(rows: int, columns: int, pitch_um: int) -> int:
-    """Bytes of mask and planes; none where there is no scale."""
-    return (1 + PLANES) * ((rows * columns + 7) // 8) if pitch_um > 0 else 0
+    """Bytes of mask and planes; none where there is no scale, or more places than a finger has."""
+    possible = pitch_um > 0 and max(rows, columns) <= LARGEST_SIDE_PX
+    return (1 + PLANES) * ((rows * columns + 7) // 8) if possible else 0
 
 
 def unpack_surface_code(data: bytes) -> SurfaceCode:

@@ -138,7 +138,7 @@ def unpack(payload: bytes) -> Template:
     require(len(payload) >= _HEAD.size, wrong)
     height, width, count, pitch_um = _HEAD.unpack_from(payload)
     require(0 < height <= _LARGEST_SIDE and 0 < width <= _LARGEST_SIDE and pitch_um > 0, wrong)
-    require(0 < count <= height * width + 1, wrong)
+    require(0 < count <= height * width + 1 and len(payload) >= _HEAD.size + 2 * count, wrong)
     runs, position = [], _HEAD.size
     for _ in range(count):
         require(position + 2 <= len(payload), wrong)
