@@ -375,8 +375,9 @@ class Runner:
                             left.append((block.target, *rest))
         finally:
             for block in running:
-                os.kill(block.pid, signal.SIGKILL)
-                os.waitpid(block.pid, 0)
+                with contextlib.suppress(ProcessLookupError, ChildProcessError):
+                    os.kill(block.pid, signal.SIGKILL)
+                    os.waitpid(block.pid, 0)
 
 
 def _used_s(pid: int) -> float:
@@ -411,7 +412,7 @@ def main(arguments: list[str] | None = None) -> int:
     each = math.ceil(options.inputs / len(chosen))
     until = None if options.hours is None else time.monotonic() + 3600 * options.hours
     began = time.monotonic()
-    for module in ("onnxruntime", "pyarrow.parquet", "tifffile", "nistitl", "nbis", "cryptography.x509"):
+    for module in ("pyarrow.parquet", "tifffile", "nistitl", "nbis", "cryptography.x509"):
         with contextlib.suppress(ImportError):  # once, here, and not in every child
             importlib.import_module(module)
     with tempfile.TemporaryDirectory(prefix="splitknit-fuzz-") as scratch:

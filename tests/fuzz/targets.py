@@ -31,7 +31,8 @@ import numpy as np
 from tests.apps.handmade import finger
 from tests.batch.batch_stores import waves
 from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, three_minutiae
-from tests.fuzz.mutators import PNG, Files, chunk
+from tests.fuzz.mutators import Files
+from tests.png_files import png_of
 
 from splitknit.apps.calibration.camera_photos import read_photo
 from splitknit.apps.calibration.lights_of_images import read_stack
@@ -211,26 +212,6 @@ def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
 # --- images ------------------------------------------------------------------------------------------------------
 
 
-def png_of(  # noqa: PLR0917
-    rows: int, columns: int, depth: int, colour: int, interlaced: bool, random: Random
-) -> bytes:
-    """A PNG of noise, written by hand: of any kind that the standard knows."""
-    samples = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]
-    steps = (
-        ((0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1))
-        if interlaced
-        else ((0, 0, 1, 1),)
-    )
-    lines = b""
-    for r, c, dr, dc in steps:
-        height, width = len(range(r, rows, dr)), len(range(c, columns, dc))
-        size = (width * samples * depth + 7) // 8
-        lines += b"".join(bytes([random.randrange(5)]) + random.randbytes(size) for _ in range(height if width else 0))
-    head = struct.pack(">IIBBBBB", columns, rows, depth, colour, 0, 0, int(interlaced))
-    palette = chunk(b"PLTE", random.randbytes(768)) if colour == 3 else b""
-    return PNG + chunk(b"IHDR", head) + palette + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
-
-
 @cache
 def _images() -> list[Files]:
     import tifffile
@@ -405,7 +386,7 @@ def _packed() -> list[Files]:
 
 def _packed_repaired(files: Files) -> Files:
     """The checksum is the last of the head, whose size goes by the magic."""
-    data = files["bytes"]
+    data = files.get("bytes")
     if not isinstance(data, bytes):
         return files
     head = {b"SKMI": 16, b"SKM3": 12}.get(data[:4], 16)
@@ -518,12 +499,12 @@ def _networks() -> list[Files]:
 def _network_repaired(files: Files) -> Files:
     """The card of the weights that there are."""
     weights, card = files.get("x.onnx"), files.get("x.json")
-    with contextlib.suppress(ValueError, TypeError, RecursionError):
-        assert isinstance(weights, bytes)
-        document = json.loads(card) if isinstance(card, bytes) else {}
-        document["sha256"] = hashlib.sha256(weights).hexdigest()
-        return {**files, "x.json": json.dumps(document).encode()}
-    return files
+    try:
+        document = dict(json.loads(card))  # type: ignore[arg-type]
+        document["sha256"] = hashlib.sha256(weights).hexdigest()  # type: ignore[arg-type]
+    except (ValueError, TypeError, RecursionError):
+        return files
+    return {**files, "x.json": json.dumps(document).encode()}
 
 
 def _keys(folder: Path, files: Files) -> object:

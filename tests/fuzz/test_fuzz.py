@@ -1,4 +1,4 @@
-"""A few changed inputs of every reader; `python -m tests.fuzz.run` goes on for as long as one likes."""
+"""A few changed inputs of every reader, and a few kills; `python -m tests.fuzz.run` goes on as long as one likes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,24 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def run(*words: str) -> str:
+    command = [sys.executable, "-m", *words]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+@pytest.mark.slow
 def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.fuzz.run", "--inputs", "1600", "--keep", str(tmp_path / "findings")]
-    run = subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert run.stderr == ""
+    assert " 0 findings" in run("tests.fuzz.run", "--inputs", "1640", "--keep", str(tmp_path / "findings"))
+
+
+@pytest.mark.slow
+def test_kills_lose_and_double_nothing() -> None:
+    assert "batch: 3 kills" in run("tests.fuzz.kills", "--kills", "3")
