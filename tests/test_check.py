@@ -115,5 +115,6 @@ def test_refusals_are_one_printable_line_whatever_they_quote() -> None:
     error = BadInput("'a\nb\x1b[2J\ud800\u2028é' is no name")
     assert str(error) == r"'a\nb\x1b[2J\ud800\u2028é' is no name"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert len(str(BadInput("x" * 10**6))) < 2100
     with pytest.raises(BadInput, match="NaN or infinite"):
         check_lights([[1e200, 0, 1], [0, 1, 1], [-1, 0, 1]])

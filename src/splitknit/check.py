@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
     """The input cannot be used; the message says which part, and the remedy.
 
-    A message quotes what files hold: characters that end a line or cannot be printed become escapes in it.
+    A message quotes what files hold: characters that end a line or cannot be printed become escapes in it, and what is
+    longer than 2000 characters is cut.
     """
 
     def __init__(self, message: str = "") -> None:
         """Take over the message."""
+        message = message if len(message) <= 2000 else f"{message[:2000]} ..."
         plain = message.isprintable()
         super().__init__(message if plain else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
