@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -108,3 +109,12 @@ def test_parsers_are_refused_in_one_sentence_but_not_for_want_of_memory(
     with pytest.raises(expected) as caught, refusing("the table is damaged."):
         raise raised
     assert str(caught.value) == ("the table is damaged." if type(caught.value) is not type(raised) else str(raised))
+
+
+def test_refusals_are_one_printable_line_whatever_they_quote() -> None:
+    error = BadInput("'a\nb\x1b[2J\ud800\u2028é' is no name")
+    assert str(error) == r"'a\nb\x1b[2J\ud800\u2028é' is no name"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert len(str(BadInput("x" * 10**6))) < 2100
+    with pytest.raises(BadInput, match="NaN or infinite"):
+        check_lights([[1e200, 0, 1], [0, 1, 1], [-1, 0, 1]])

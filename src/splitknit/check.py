@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 
 
 class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
-    """The input cannot be used; the message says which part, and the remedy."""
+    """The input cannot be used; the message says which part, and the remedy.
+
+    A message quotes what files hold: characters that end a line or cannot be printed become escapes in it, and what is
+    longer than 2000 characters is cut.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        """Take over the message."""
+        message = message if len(message) <= 2000 else f"{message[:2000]} ..."
+        plain = message.isprintable()
+        super().__init__(message if plain else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
 
 def require(condition: bool, message: str) -> None:
@@ -155,7 +165,8 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     """
     array = np.asarray(lights, dtype=np.float64)
     require(array.ndim == 2 and array.shape[1] == 3, f"{name} must have the shape (L, 3), but it has {array.shape}.")
-    require(bool(np.isfinite(array).all()), f"{name} contains NaN or infinite values.")
+    finite = np.isfinite(array) & (np.abs(array) < 1e100)  # the squares of more overflow
+    require(bool(finite.all()), f"{name} contains NaN or infinite values.")
     if count is not None:
         require(
             array.shape[0] == count,

@@ -17,6 +17,8 @@ from splitknit.match.unroll import AnyArray, GridSettings, band_places, blur, sa
 from splitknit.types import BoolArray, FloatArray
 
 MM_PER_INCH = 25.4
+_FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
+"""Pixels and surfaces beyond these are no finger's, and ask for grids and windows that fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,10 @@ def ridge_band(  # noqa: PLR0917
     (unrolling by arc length).
     """
     settings = settings or RidgeBandSettings()
-    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
+    require(
+        _FINEST_MM <= pitch_mm <= _COARSEST_MM,
+        f"pitch_mm must be a number from {_FINEST_MM:g} to {_COARSEST_MM:g}, but it is {pitch_mm}.",
+    )
     require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1])) & np.isfinite(ridge_mm)
     require(bool(mask.any()), "ridge_mm is NaN all over the mask.")
@@ -123,6 +128,10 @@ def ridge_band(  # noqa: PLR0917
         require(bool(mask.any()), "shape_mm is NaN all over the mask.")
     transform = np.eye(3) if input_from_upright is None else np.asarray(input_from_upright, dtype=np.float64)
     size = mask.shape if upright_size is None else upright_size
+    require(
+        max(size) * pitch_mm <= _LONGEST_MM,
+        f"the surface is {max(size) * pitch_mm:.0f} mm long, more than any finger; check its pitch ({pitch_mm:g} mm).",
+    )
     grid = GridSettings(settings.pitch_mm, settings.slant_deg, settings.unroll)
     columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, grid)
 

@@ -76,7 +76,8 @@ def network_of(card: Card, weights: bytes) -> Network:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     try:
-        session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
+        # without enable_fallback=0 it prints what it could not load, and tries the same once more
+        session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"], enable_fallback=0)
         (source,), (result,) = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
         raise BadInput(

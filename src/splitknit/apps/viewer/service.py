@@ -212,9 +212,11 @@ class Service:
 def _thumb(folder: Path) -> bytes:
     import cv2  # noqa: PLC0415
 
-    encoded = np.frombuffer(read_below(folder, "preview.png", 100_000_000), dtype=np.uint8)
-    picture: Any = cv2.imdecode(encoded, cv2.IMREAD_REDUCED_COLOR_2)
-    require(picture is not None, "preview.png cannot be read.")
+    from splitknit.io.images import decode_image  # noqa: PLC0415
+
+    stored = decode_image(read_below(folder, "preview.png", 100_000_000), "preview.png")
+    require(stored.dtype == np.uint8, "preview.png has more than 8 bits.")
+    picture: Any = np.ascontiguousarray(stored[..., ::-1])
     scale = _THUMB_PX / max(picture.shape[:2])
     if scale < 1:
         size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))

@@ -1,4 +1,4 @@
-"""Whatever bytes a record of minutiae holds, its reader gives a record that writes the same bytes, or one sentence."""
+"""Records of minutiae are read as they were written, each flipped bit included; tests/fuzz changes more of them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, STANDARDS, encode, records
 from splitknit.check import BadInput
 from splitknit.io.ansi378 import decode_ansi378
 from splitknit.io.ansi378_2009 import decode_ansi378_2009
 from splitknit.io.iso19794 import decode_iso19794
-from splitknit.io.iso19794_card import decode_card, encode_card
 from splitknit.io.minutiae_files import decode_minutiae_record
 from splitknit.io.minutiae_record import MinutiaeRecord
 
@@ -28,7 +26,6 @@ READERS: tuple[Callable[[bytes], MinutiaeRecord], ...] = (
     decode_ansi378_2009,
     decode_minutiae_record,
 )
-STARTS = (b"", b"FMR\0", b"FMR\0 20\0", b"FMR\x00030\0", b"FMR\x00035\0", ISO_BYTES[:24], ANSI_BYTES[:26])
 
 
 def attempt(data: bytes) -> int:
@@ -44,25 +41,6 @@ def attempt(data: bytes) -> int:
             assert encode(record) == data
             taken += 1
     return taken
-
-
-@FUZZ
-@given(st.sampled_from(STARTS), st.binary(max_size=200))
-def test_any_bytes(start: bytes, data: bytes) -> None:
-    attempt(start + data)
-
-
-@FUZZ
-@given(
-    st.sampled_from(SAMPLES),
-    st.lists(st.tuples(st.integers(0, 1000), st.integers(1, 255)), min_size=1, max_size=5),
-    st.integers(-3, 3),
-)
-def test_changed_bytes(sample: bytes, changes: list[tuple[int, int]], longer: int) -> None:
-    data = bytearray(sample)
-    for place, value in changes:
-        data[place % len(data)] ^= value
-    attempt(bytes(data) + bytes(max(longer, 0)) if longer >= 0 else bytes(data[:longer]))
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
@@ -94,18 +72,6 @@ def test_what_is_written_is_read(standard: str) -> None:
                 assert getattr(ours, name) == getattr(theirs, name), name
 
     check()
-
-
-@FUZZ
-@given(st.binary(max_size=60), st.booleans(), st.tuples(st.integers(-1, 700), st.integers(-1, 700)))
-def test_any_bytes_as_a_list_of_a_card(data: bytes, compact: bool, size: tuple[int, int]) -> None:
-    try:
-        view = decode_card(data, size, (197, 197), compact)
-    except BadInput as error:
-        assert str(error).endswith(".")
-        return
-    if compact:  # 0.1 mm is wider than a pixel, so that no two places fall together
-        assert encode_card(view, compact) == data
 
 
 def test_counts_that_lie_cost_nothing() -> None:

@@ -1,0 +1,912 @@
+"""What reads bytes that somebody else made, and a sound sample of each.
+
+A target's function gets the files as they are and, if it reads files, the folder they lie in. It returns, or raises
+``BadInput``; what it asserts beside that must hold for whatever is accepted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import datetime
+import hashlib
+import io
+import json
+import os
+import socket
+import struct
+import tempfile
+import threading
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any
+from unittest import mock
+
+import cv2
+import numpy as np
+from tests.apps.handmade import finger
+from tests.batch.batch_stores import waves
+from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, three_minutiae
+from tests.fuzz.mutators import Files
+from tests.png_files import png_of
+
+from splitknit.apps.calibration.camera_photos import read_photo
+from splitknit.apps.calibration.lights_of_images import read_stack
+from splitknit.apps.calibration.radiometry_folder import read_radiometry_plan
+from splitknit.apps.commands import truth_of
+from splitknit.apps.evaluation_gallery import gallery_scores
+from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
+from splitknit.apps.gallery_export import export_gallery, import_gallery
+from splitknit.apps.gallery_options import key_of
+from splitknit.apps.gallery_work import gallery_info, list_gallery
+from splitknit.apps.identifying import IdentifySettings, Question, identify_file
+from splitknit.apps.matching_inputs import read_print, read_side
+from splitknit.apps.matching_inputs import read_surface as read_matched
+from splitknit.apps.options import parse_assignment, read_changes
+from splitknit.apps.pattern_folder import read_pattern_folder
+from splitknit.apps.pattern_light import read_light
+from splitknit.apps.printing_sources import read_source
+from splitknit.apps.targets import check_target
+from splitknit.apps.training.training_data import load_data
+from splitknit.apps.training.training_folder import open_folder, plain
+from splitknit.apps.viewer.open_paths import open_paths
+from splitknit.apps.viewer.people import People
+from splitknit.apps.viewer.serve import start
+from splitknit.apps.viewer.service import Service
+from splitknit.batch import BatchSettings, Store, preset_cases
+from splitknit.batch.chunks import read_origin, write_chunk, write_timings
+from splitknit.batch.features import BANDS, QUALITY, feature_schema
+from splitknit.batch.population import read_population
+from splitknit.batch.store import open_store
+from splitknit.batch.surfaces import pack_surface, unpack_surface
+from splitknit.calibrate.light_table import COLUMNS, check_tips, read_tips
+from splitknit.capture.enrolment import open_enrolment
+from splitknit.check import BadInput
+from splitknit.io import (
+    capture_from_plain_images,
+    image_size,
+    read_capture,
+    read_height_tiff,
+    read_image,
+    read_lights_txt,
+    read_npz,
+    read_ply,
+    read_print_png,
+    read_rig,
+    surface_mesh,
+    write_capture,
+    write_height_tiff,
+    write_npz,
+    write_ply,
+    write_print_png,
+)
+from splitknit.io.ansi378 import decode_ansi378, read_ansi378
+from splitknit.io.ansi378_2009 import decode_ansi378_2009
+from splitknit.io.glb import read_glb, write_glb
+from splitknit.io.images import decode_image, encode_image
+from splitknit.io.iso19794 import decode_iso19794, read_iso19794
+from splitknit.io.iso19794_card import decode_card, encode_card
+from splitknit.io.itl_reading import read_transaction
+from splitknit.io.itl_transaction import TransactionFacts, TransactionPrint, encode_transaction
+from splitknit.io.light import read_light_tiff, write_light_tiff
+from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
+from splitknit.io.minutiae_files import decode_minutiae_record, read_minutiae_record
+from splitknit.io.print_tiff import read_print_tiff, write_print_tiff
+from splitknit.io.scores import read_exclusions, read_scores
+from splitknit.io.templates import encode_template, read_template
+from splitknit.io.wsq_image import encode_wsq, read_print_wsq
+from splitknit.match import VERSION, Template, make_template, pack, unpack
+from splitknit.match.code import CODE_VERSION, code_of
+from splitknit.match.gallery import Gallery, NewCapture
+from splitknit.match.gallery_entry import Entry, decode_entry, encode_entry
+from splitknit.match.gallery_key import Key, ScryptSettings
+from splitknit.match.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
+from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.match.ridge_band import ridge_band
+from splitknit.match.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
+from splitknit.pipeline import preset_settings
+from splitknit.recipe.matchable import MatchingSettings, Surface
+from splitknit.rig.candidates import Candidate
+from splitknit.rig.stl import read_stl, write_stl
+from splitknit.rig.store import SweepFolder
+from splitknit.rig.study import Study
+from splitknit.separate.train_settings import DataSettings, TrainSettings
+from splitknit.separate.unet import load_network
+from splitknit.settings import override
+from splitknit.types import Band, Camera, Capture, Led, Rig
+
+TINY_NETWORK = Path(__file__).resolve().parents[1] / "separate" / "tiny.onnx"
+RAW = Key(bytes(range(32)), raw=True)
+PHRASE = Key(b"correct horse battery", raw=False)
+EA = BatchSettings(cases=preset_cases(("ea",)), matchers=())
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader, or several of the same files."""
+
+    name: str
+    samples: Callable[[], Sequence[Files]]
+    read: Callable[[Path, Files], object]
+    repair: Callable[[Files], Files] | None = None
+    """Makes checksums fit again."""
+
+
+def _of_files(name: str, *readers: Callable[[Any], object]) -> Callable[[Path, Files], object]:
+    """Each of several readers of one file gets a chance; the last refusal stands if all refuse."""
+
+    def read(folder: Path, files: Files) -> object:
+        return _any(*(lambda reader=reader: reader(folder / name) for reader in readers))
+
+    return read
+
+
+def _of_bytes(*readers: Callable[[bytes], object]) -> Callable[[Path, Files], object]:
+    def read(folder: Path, files: Files) -> object:
+        data = files.get("bytes")
+        if not isinstance(data, bytes):
+            return None
+        return _any(*(lambda reader=reader: reader(data) for reader in readers))
+
+    return read
+
+
+def _any(*readers: Callable[[], object]) -> object:
+    taken, refusal = [], None
+    for reader in readers:
+        try:
+            taken.append(reader())
+        except BadInput as error:
+            said(error)
+            refusal = error
+    if refusal is not None and not taken:
+        raise refusal
+    return taken
+
+
+def said(error: BadInput) -> None:
+    """A refusal is one printable sentence."""
+    text = str(error)
+    assert text.strip(), "the refusal is empty"
+    assert len(text.splitlines()) == 1, f"the refusal has several lines: {text!a}"
+    assert text.isprintable(), f"the refusal cannot be printed: {text!a}"
+    assert len(text) < 3000, f"the refusal has {len(text)} characters"
+
+
+def _each(name: str, *contents: bytes) -> list[Files]:
+    return [{name: content} for content in contents]
+
+
+def _written(name: str, *writers: Callable[[Path], object]) -> list[Files]:
+    """What writers of a file make."""
+    with tempfile.TemporaryDirectory() as scratch:
+        made = []
+        for write in writers:
+            write(Path(scratch) / name)
+            made.append({name: (Path(scratch) / name).read_bytes()})
+    return made
+
+
+def _folder(make: Callable[[Path], object]) -> Files:
+    """All files that `make` leaves in a folder."""
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch) / "made"
+        make(root)
+        found = sorted(file for file in root.rglob("*") if file.is_file())
+        return {file.relative_to(root).as_posix(): file.read_bytes() for file in found}
+
+
+def _seeded() -> Any:
+    """Salts and nonces that are the same every time."""
+    return mock.patch("os.urandom", Random(5).randbytes)
+
+
+def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
+    return np.random.default_rng(seed).integers(0, np.iinfo(kind).max, shape).astype(kind)
+
+
+# --- images ------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _images() -> list[Files]:
+    import tifffile
+
+    random = Random(1)
+    pngs = [
+        png_of(9, 11, depth, colour, interlaced, random)
+        for depth, colour in ((1, 0), (8, 0), (16, 0), (8, 2), (16, 2), (4, 3), (8, 3), (8, 4), (16, 6))
+        for interlaced in (False, True)
+    ]
+    tiffs = []
+    for compression, pixels in ((1, _noise(20, 24, 3)), (5, _noise(20, 24, 3)), (5, _noise(20, 24, kind=np.uint16))):
+        tiffs.append(cv2.imencode(".tif", pixels, [cv2.IMWRITE_TIFF_COMPRESSION, compression])[1].tobytes())
+    options: list[dict[str, Any]] = [
+        {"compression": "zlib"}, {"tile": (16, 16)}, {"tile": (16, 16), "compression": "zlib"},
+        {"compression": "zlib", "predictor": True}, {"rowsperstrip": 3}, {"byteorder": ">"}, {"bigtiff": True},
+        {"resolution": (500, 500)},
+    ]  # fmt: skip
+    for more in options:
+        for pixels in (_noise(20, 24), _noise(33, 24, 3), _noise(20, 24, kind=np.uint16)):
+            stream = io.BytesIO()
+            with contextlib.suppress(ImportError, KeyError, ValueError):  # without codecs tifffile writes fewer kinds
+                tifffile.imwrite(stream, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack", **more)
+                tiffs.append(stream.getvalue())
+    smooth = cv2.GaussianBlur(_noise(40, 48, 3), (9, 9), 3)
+    jpegs = [
+        cv2.imencode(".jpg", pixels, options)[1].tobytes()
+        for pixels in (smooth, smooth[..., 0])
+        for options in ([], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 1])
+    ]
+    return [{"image": data} for data in (*pngs, *tiffs, *jpegs) if _decodes(data)]
+
+
+def _decodes(data: bytes) -> bool:
+    try:
+        decode_image(data, "x")
+    except BadInput:  # kinds that this software does not read serve as bytes to splice nowhere
+        return False
+    return True
+
+
+def _pixels(path: Path) -> None:
+    image = read_image(path)
+    assert image.ndim == 3
+    assert image.shape[2] in (1, 3)
+    assert image.dtype in (np.uint8, np.uint16)
+    assert image_size(path) == image.shape[:2]
+    said_hash = read_photo(path, None, "x")[1]
+    assert said_hash == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _print() -> Any:
+    rows, columns = np.mgrid[:120, :100]
+    return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
+
+
+# --- captures and results ----------------------------------------------------------------------------------------
+
+
+@cache
+def _captures() -> list[Files]:
+    pixels = _noise(6, 7, 9, 3)
+    angles = (0, 2, 4)
+    near = [Led(b, position_mm=(50 * np.cos(a), 50 * np.sin(a), 140.0)) for b in ("white", "nir") for a in angles]
+    distant = [Led("white", direction=(0.4 * np.cos(a), 0.4 * np.sin(a), 0.9)) for a in angles]
+    bands = {
+        name: Band(name, pixels[k : k + 3], ((k,), (k + 1,), (k + 2,)), np.full(3, 0.5), np.ones(3), pixels[0] // 30)
+        for name, k in (("white", 0), ("nir", 3))
+    }
+    first = Capture(Rig(Camera(20.0, (7, 9)), tuple(near)), bands, mask=np.ones((7, 9), bool), subject={"id": "x"})
+    grey = Band("white", pixels[:3, ..., :1].astype(np.uint16) * 257, ((0,), (1,), (2,)), np.ones(3), np.zeros(3))
+    matrix = np.array([[2800.0, 0, 4], [0, 2800, 3], [0, 0, 1]])
+    camera = Camera(20.0, (7, 9), 140.0, "perspective", matrix, (0.1, 0.0, 0.0, 0.0, 0.0), (0.1,), np.eye(3))
+    second = Capture(Rig(camera, tuple(distant)), {"white": grey}, encoding="srgb")
+    truth = {"height_mm": np.zeros((7, 9)), "mask": np.ones((7, 9), bool)}
+    return [_folder(lambda to: write_capture(first, to, truth)), _folder(lambda to: write_capture(second, to))]
+
+
+def _capture(folder: Path, files: Files) -> None:
+    capture = read_capture(folder)
+    vectors = capture.rig.light_vectors() if capture.rig.leds else np.zeros(1)
+    assert np.isfinite(vectors).all()
+    for band in capture.bands.values():
+        assert band.pixels.shape[1:3] == capture.rig.camera.image_size
+        assert np.isfinite(band.exposure).all()
+    truth_of(capture)
+
+
+def _plain_images() -> list[Files]:
+    lights = b"3\n0.5 0 1\n-0.3 0.4 1\n-0.3 -0.4 1\n"
+    return [{"lights.txt": lights, **{f"{k}.png": encode_image(_noise(5, 6, seed=k), ".png") for k in range(3)}}]
+
+
+def _plain_capture(folder: Path, files: Files) -> None:
+    lights = read_lights_txt(folder / "lights.txt")
+    assert lights.ndim == 2
+    assert lights.shape[1] == 3
+    assert np.isfinite(lights).all()
+    capture_from_plain_images([folder / f"{k}.png" for k in range(3)], lights, 10.0)
+
+
+@cache
+def _arrays() -> dict[str, Any]:
+    result, _ = finger(px_per_mm=4.0, size=(80, 110))
+    names = ("height_mm", "ridge_mm", "shape_mm", "mask", "normals", "pitch_mm", "input_from_upright", "upright_size")
+    return {name: np.asarray(getattr(result, name)) for name in names}
+
+
+def _npz(arrays: dict[str, Any]) -> list[Files]:
+    return _written("height.npz", lambda path: write_npz(path, arrays), lambda path: np.savez(path, **arrays))
+
+
+def _results() -> list[Files]:
+    return _npz(_arrays())
+
+
+def _result(folder: Path, files: Files) -> object:
+    path = folder / "height.npz"
+    return _any(
+        lambda: read_matched(path),
+        lambda: read_source(path, photo=False, surface=True),
+        lambda: read_side(folder, "metric", MatchingSettings()),
+    )
+
+
+def _meshes() -> tuple[Any, Any, Any, Any]:
+    arrays = _arrays()
+    rows, columns = np.mgrid[:80, :110].astype(np.float32)
+    height = np.where(arrays["mask"], arrays["height_mm"], np.nan).astype(np.float32)
+    part = np.s_[30:40, 50:60]
+    vertices, faces, _ = surface_mesh(columns[part] / 4, rows[part] / 4, height[part])
+    normals = np.tile(np.float32([0, 0, 1]), (len(vertices), 1))
+    return vertices, normals, np.full(len(vertices), 99, np.uint8), faces
+
+
+# --- templates, records, scores ----------------------------------------------------------------------------------
+
+
+def _templates() -> list[Files]:
+    small = pack(Template(_noise(60, 50) % 4, np.ones((60, 50), bool), 0.1))
+    return _each("x.skt", *(encode_template(payload, VERSION) for payload in (waves("S01", 1), small)))
+
+
+def _skt_repaired(files: Files) -> Files:
+    """Size and hash of the payload that there is."""
+
+    def one(data: bytes) -> bytes:
+        head = len(encode_template(b"x", VERSION)) - 1
+        payload = data[head:]
+        return data[: head - 36] + struct.pack("<I", len(payload)) + hashlib.sha256(payload).digest() + payload
+
+    assert one(encode_template(b"abc", VERSION)) == encode_template(b"abc", VERSION)
+    return {
+        name: one(file) if isinstance(file, bytes) and name.endswith(".skt") else file for name, file in files.items()
+    }
+
+
+def _packed() -> list[Files]:
+    many = np.random.default_rng(1)
+    flat = Minutiae(
+        many.integers(0, 99, 7).astype(np.int32), many.integers(0, 99, 7).astype(np.int32), many.uniform(0, 6, 7),
+        np.ones(7, np.uint8), np.full(7, 50, np.uint8), (100, 100),
+    )  # fmt: skip
+    space = SpaceMinutiae(
+        many.uniform(-9, 9, (7, 3)), many.uniform(0, 6, 7), many.uniform(-1, 1, 7), np.ones(7, np.uint8),
+        np.full(7, 50, np.uint8),
+    )  # fmt: skip
+    mask = np.ones((40, 30), bool)
+    code = SurfaceCode(np.where(mask, _noise(40, 30) % 9, 0).astype(np.uint8), mask, 0.1)
+    return _each("bytes", pack_minutiae(flat), pack_space_minutiae(space), pack_surface_code(code))
+
+
+def _packed_repaired(files: Files) -> Files:
+    """The checksum is the last of the head, whose size goes by the magic."""
+    data = files.get("bytes")
+    if not isinstance(data, bytes):
+        return files
+    head = {b"SKMI": 16, b"SKM3": 12}.get(data[:4], 16)
+    body = data[head:]
+    return {"bytes": data[: head - 4].ljust(head - 4, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
+
+
+def _record(folder: Path, files: Files) -> object:
+    """Whatever a reader takes writes the same bytes."""
+    data = files.get("x.fmr")
+    path = folder / "x.fmr"
+    if not isinstance(data, bytes):
+        return _any(lambda: read_minutiae_record(path), lambda: read_iso19794(path), lambda: read_ansi378(path))
+
+    def same(record: Any) -> None:
+        assert encode(record) == data
+
+    return _any(
+        lambda: same(decode_iso19794(data)),
+        lambda: same(decode_ansi378(data)),
+        lambda: same(decode_ansi378_2009(data)),
+        lambda: same(decode_minutiae_record(data)),
+        lambda: same(read_minutiae_record(path)),
+        lambda: same(read_iso19794(path)),
+        lambda: same(read_ansi378(path)),
+    )
+
+
+def _cards() -> list[Files]:
+    return _each("bytes", encode_card(three_minutiae(), True), encode_card(three_minutiae(), False))
+
+
+def _card(data: bytes) -> object:
+    def compact() -> None:  # 0.1 mm is wider than a pixel, so that no two places fall together
+        assert encode_card(decode_card(data, (500, 350), (197, 197), True), True) == data
+
+    return _any(compact, lambda: decode_card(data, (500, 350), (197, 197), False))
+
+
+def _transactions() -> list[Files]:
+    facts = TransactionFacts(datetime.date(2026, 11, 20), "P01-7", "OTHER", "LAB", "RIG3")
+    prints = [TransactionPrint(_noise(11, 13), "right_index"), TransactionPrint(_noise(11, 13), compression="png")]
+    wsq = TransactionPrint(_print(), compression="wsq")
+    return _each("x.eft", encode_transaction(prints, facts), encode_transaction([wsq], facts))
+
+
+def _spaces() -> list[Files]:
+    many = np.random.default_rng(2)
+    x, y, z = many.uniform(-9, 9, (3, 6))
+    found = Minutiae3D(
+        x, y, z, many.uniform(0, 6, 6), many.uniform(-1, 1, 6), np.ones(6, int), np.full(6, 9), "right_index"
+    )
+    return _written("x.json", lambda path: write_minutiae3d(path, found))
+
+
+SCORES = b"""system,label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b
+a,1,0.9,right_index,right_index,S01,S01,1,2
+a,0,0.1,right_index,right_index,S01,S02,1,2
+a,1,0.7,left_index,left_index,S01,S01,1,2
+a,0,0.2,left_index,left_index,S02,S01,1,2
+"""
+EXCLUDED = b"subject,finger,session,reason\nS01,right_index,1,wet\nS02,left_index,,\n"
+
+
+def _scores(folder: Path, files: Files) -> None:
+    read_scores(folder / "scores.csv")
+    (first, *_), _, _ = read_systems([folder / "scores.csv"], turn=True)
+    read_exclusions(folder / "excluded.csv")
+    read_exclusion_list(folder / "excluded.csv", first)
+
+
+# --- settings, networks, keys ------------------------------------------------------------------------------------
+
+
+def _settings(folder: Path, files: Files) -> object:
+    def of(name: str) -> None:
+        override(preset_settings("metric"), read_changes(folder / name, ()))
+
+    def set_() -> None:
+        lines = files.get("set")
+        for line in (lines if isinstance(lines, bytes) else b"").decode("utf-8", "replace").split("\n"):
+            parse_assignment(line)
+            override(preset_settings("metric"), read_changes(None, [line]))
+
+    return _any(lambda: of("x.json"), lambda: of("x.toml"), set_)
+
+
+def _setting_files() -> list[Files]:
+    document: dict[str, Any] = {
+        "knit": {"method": "crossover"},
+        "height": {"padding": "mirror"},
+        "metric": {"coarse_steps": [5, 3]},
+    }
+    document |= {"skin": {"invert_blur": None, "scattering_per_mm": [3.4, 4.1, 5.2, 2.2]}, "normals.rounds": 2}
+    toml = b'cut_at_crease = true\n[knit]\nmethod = "crossover"\n[height]\nmethod = "poisson"\n[height.poisson]\n'
+    toml += b"max_iterations = 200\n[metric]\ncoarse_steps = [5, 3]\n"
+    return [
+        {
+            "x.json": json.dumps(document).encode(),
+            "x.toml": toml,
+            "set": b"knit.method=crossover\nnormals.rounds=2\nmetric.coarse_steps=[5, 3]\nlights.balance=true",
+        }
+    ]
+
+
+def _networks() -> list[Files]:
+    return [{"x.onnx": TINY_NETWORK.read_bytes(), "x.json": TINY_NETWORK.with_suffix(".json").read_bytes()}]
+
+
+def _network_repaired(files: Files) -> Files:
+    """The card of the weights that there are."""
+    weights, card = files.get("x.onnx"), files.get("x.json")
+    try:
+        document = dict(json.loads(card))  # type: ignore[arg-type]
+        document["sha256"] = hashlib.sha256(weights).hexdigest()  # type: ignore[arg-type]
+    except (ValueError, TypeError, RecursionError):
+        return files
+    return {**files, "x.json": json.dumps(document).encode()}
+
+
+def _keys(folder: Path, files: Files) -> object:
+    return key_of(folder / "key")
+
+
+# --- galleries ---------------------------------------------------------------------------------------------------
+
+
+def _new(person: str, seed: int, session: str = "1", images: str = "") -> NewCapture:
+    template = make_template(ridge_band(_relief(seed), np.ones((90, 80), bool), 0.1))
+    entry = Entry(person, "right_index", session, "result", f"{seed:064x}", area_mm2=70.0, images=images)
+    picture = encode_image(_noise(9, 9), ".png") if images else None
+    return NewCapture(entry, pack(template), code_of(template).tobytes(), CODE_VERSION, picture)
+
+
+def _relief(seed: int) -> Any:
+    row, column = np.mgrid[:90, :80] * 0.1
+    return np.sin(14 * (np.cos(seed) * column + np.sin(seed) * row) + np.hypot(row - 4, column - 4)).astype(np.float32)
+
+
+@cache
+def _gallery(key: Key | None) -> bytes:
+    from splitknit.apps.gallery_options import templates_hash
+
+    with tempfile.TemporaryDirectory() as scratch, _seeded():
+        path = Path(scratch) / "x.skg"
+        with Gallery.create(path, templates_hash(MatchingSettings()), key, ScryptSettings(log2_n=10)) as gallery:
+            gallery.add([_new("Ann", 1, images="thumbnail"), _new("Ann", 1, "2"), _new("Bob", 2)])
+        return path.read_bytes()
+
+
+def _opened(kind: Key | None) -> Callable[[Path, Files], object]:
+    def read(folder: Path, files: Files) -> object:
+        path = folder / "x.skg"
+        key = replace(kind, counter=folder / "counter") if kind is not None and "counter" in files else kind
+
+        def contents() -> None:
+            with Gallery.open(path, key) as gallery:
+                gallery.entries()
+                gallery.templates()
+                gallery.codes(CODE_VERSION)
+                gallery.images()
+
+        def checked() -> None:
+            with Gallery.open(path, key) as gallery:
+                gallery.problems()
+
+        return _any(
+            contents,
+            checked,
+            lambda: list_gallery(path, None, key=key),
+            lambda: gallery_info(path, key=key),
+            lambda: gallery_scores(path, key=key),
+        )
+
+    return read
+
+
+def _galleries() -> list[Files]:
+    probe = encode_template(_new("x", 1).template, VERSION)
+    return [{"x.skg": _gallery(None), "x.skt": probe}]
+
+
+def _identified(folder: Path, files: Files) -> object:
+    question = Question(search="codes")
+    return identify_file(folder / "x.skg", folder / "x.skt", question, IdentifySettings())
+
+
+def _exports() -> list[Files]:
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "x.skg"
+        path.write_bytes(_gallery(None))
+        return [_folder(lambda to: export_gallery(path, to, images=True))]
+
+
+def _imported(folder: Path, files: Files) -> None:
+    with tempfile.TemporaryDirectory(dir=folder.parent) as other:
+        path = Path(other) / "x.skg"
+        try:
+            import_gallery(path, folder)
+        except BadInput:
+            if path.exists():
+                with Gallery.open(path) as gallery:
+                    assert len(gallery) == 0, "a refused folder left something in the gallery"
+            raise
+        with Gallery.open(path) as gallery:
+            assert gallery.problems() == [], "what was imported is damaged"
+            gallery.codes(CODE_VERSION)
+
+
+# --- batch, populations, folders that grow -----------------------------------------------------------------------
+
+
+def _enrolment(folder: Path) -> None:
+    enrolment = open_enrolment(folder, subjects=2, sessions=1, fingers=("right_index",))
+    for place in enrolment.places():
+        enrolment.path(place).mkdir(parents=True)
+        (enrolment.path(place) / "capture.json").write_bytes(b"{}")
+    facts = {"format": "splitknit-population", "format_version": 1, "settings_sha256": "ab" * 32, "settings": {}}
+    (folder / "population.json").write_text(json.dumps(facts))
+
+
+def _surface() -> bytes:
+    arrays = _arrays()
+    kinds = {"ridge_mm", "shape_mm", "normals", "mask", "input_from_upright", "upright_size"}
+    parts = {name: arrays[name] for name in kinds}
+    return pack_surface(Surface(pitch_mm=0.25, **parts), arrays["height_mm"])
+
+
+@cache
+def _store() -> Files:
+    def make(out: Path) -> None:
+        population = out / "people"
+        _enrolment(population)
+        there = read_population(population)
+        store = out / "store"
+        store.mkdir()
+        open_store(store, there, EA)
+        columns: dict[str, list[object]] = {name: [] for name in feature_schema().names}
+        for number, capture in enumerate(there.captures):
+            row: dict[str, object] = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
+            row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
+            row |= {"session": capture.session, "acquired": True, "failure": "", "area_mm2": 70.0, "warnings": []}
+            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": None}
+            row |= {"images": _surface()}
+            for name, value in row.items():
+                columns[name].append(value)
+        write_chunk(store / "features" / "ea" / "00000-x.parquet", columns, feature_schema(), {"kind": "features"})
+        write_timings(store / "timings" / "ea", "00000-x", {capture.name: 1.5 for capture in there.captures})
+
+    return _folder(make)
+
+
+def _batch(folder: Path, files: Files) -> object:
+    def opened() -> None:
+        open_store(folder / "store", read_population(folder / "people"), EA)
+
+    store = Store(folder / "store")
+    return _any(
+        opened,
+        store.cases,
+        lambda: store.captures("ea"),
+        lambda: store.features("ea"),
+        lambda: store.features("ea", ["capture", "template", "seconds"]),
+        lambda: store.images("ea", "S01/session_1/right_index"),
+        lambda: [read_origin(file) for file in store.files("features", "ea")],
+    )
+
+
+def _training(folder: Path) -> None:
+    open_folder(folder, DataSettings(), TrainSettings(), False)
+    (folder / "data").mkdir()
+    np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
+    (folder / "data" / "finger_0000001.json").write_text(json.dumps(plain({"finger": 1, "light": [1, 2]})))
+
+
+def _trained(folder: Path, files: Files) -> object:
+    def loaded() -> None:
+        for sample in load_data(folder, "finger", [1], lambda shape: len(shape) == 3).values():
+            np.asarray(sample).sum()
+
+    return _any(loaded, lambda: open_folder(folder, DataSettings(), TrainSettings(), True))
+
+
+CANDIDATE = Candidate(150.0, 50.0, 1.0)
+
+
+def _sweeps() -> list[Files]:
+    def make(folder: Path) -> None:
+        SweepFolder(folder, Study()).write(CANDIDATE, {"candidate": {"name": CANDIDATE.name}, "rms_um": 3.5})
+
+    return [_folder(make)]
+
+
+def _sweep(folder: Path, files: Files) -> object:
+    return SweepFolder(folder, Study()).read(CANDIDATE)
+
+
+# --- calibration and separated light -----------------------------------------------------------------------------
+
+
+def _tips() -> list[Files]:
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(COLUMNS)
+    for led in range(7):
+        for nail in range(2):
+            table.writerow(["white", led, nail, 300.5 + nail, 240.25, 280 - led, 250.75])
+    return _each("bytes", stream.getvalue().encode())
+
+
+def _tipped(data: bytes) -> None:
+    check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
+
+
+def _radiometry() -> list[Files]:
+    images = [f"{k}.png" for k in range(6)]
+    document = {"format": "splitknit-radiometry", "version": 1, "dark": ["dark.png"]}
+    document |= {"exposures": [{"file": one, "exposure_s": 0.01 * (k + 1)} for k, one in enumerate(images)]}
+    pictures: Files = {name: encode_image(_noise(5, 6, seed=9), ".png") for name in (*images, "dark.png")}
+    stack = {f"white_{k}.png": pictures["0.png"] for k in range(2)} | {"ambient_white.png": pictures["dark.png"]}
+    return [{"radiometry.json": json.dumps(document).encode(), **pictures, **stack}]
+
+
+def _radiometric(folder: Path, files: Files) -> object:
+    return _any(
+        lambda: read_radiometry_plan(folder),
+        lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb", {}, folder),
+    )
+
+
+def _patterns() -> list[Files]:
+    images = {f"board_{i}_{j}.png": encode_image(_noise(8, 9, seed=i + 5 * j), ".png") for i in (0, 2) for j in (0, 2)}
+    singles = {name: encode_image(_noise(8, 9, seed=8) // 20, ".png") for name in ("black.png", "white.png")}
+    document = {"format": "splitknit-separation", "version": 1, "method": "checkerboard", "images": list(images)}
+    document |= {"shifts": [[0, 0], [0, 2], [2, 0], [2, 2]], "black": "black.png", "white": "white.png", "period": 4}
+    files: Files = {**images, **singles}
+    return [files, {**files, "separation.json": json.dumps(document).encode()}]
+
+
+def _pattern(folder: Path, files: Files) -> None:
+    read_light(read_pattern_folder(folder), folder)
+
+
+# --- viewer ------------------------------------------------------------------------------------------------------
+
+PATHS = (
+    "api/catalogue", "api/result/0", "api/result/0/first", "api/result/0/tile/1/0/0", "api/result/0/minutiae",
+    "api/result/0/pick?ox=0&oy=0&oz=50&dx=0&dy=0&dz=-1", "api/result/0/section?x0=-3&y0=0&x1=3&y1=1",
+    "api/result/0/picture/preview.png", "api/result/0/thumb", "api/result/0/photo/0?width=20",
+    "api/result/0/export/ply?step=4", "api/result/0/export/stl?step=2", "api/result/0/export/glb?step=1",
+)  # fmt: skip
+
+
+@cache
+def _shown() -> Files:
+    arrays = _arrays()
+    capture = _captures()[0]
+    report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
+    report |= {"capture": {"subject": {"id": "S01", "finger": "right_index", "session": 1}}}
+    report |= {"inputs_sha256": {name: hashlib.sha256(content).hexdigest() for name, content in capture.items()}}
+    made = {"result/height.npz": _npz(arrays)[0]["height.npz"], "result/report.json": json.dumps(report).encode()}
+    made |= _written("result/print.png", lambda path: (path.parent.mkdir(), write_print_png(path, _print(), 500.0)))[0]
+    made |= {"result/minutiae.iso": ISO_BYTES, "result/preview.png": encode_image(_noise(20, 30, 3), ".png")}
+    return {**made, **{f"capture/{name}": content for name, content in capture.items()}}
+
+
+def _viewed(folder: Path, files: Files) -> object:
+    service = open_paths([folder / "result"])
+
+    def ask(path: str) -> None:
+        where, _, query = path.partition("?")
+        answer = service.answer(where, dict(part.split("=") for part in query.split("&") if part))
+        with contextlib.closing(answer):
+            size = sum(len(piece) for piece in answer.chunks)
+        assert size == answer.size, f"{path} gives {size} bytes and says {answer.size}"
+
+    return _any(*(lambda path=path: ask(path) for path in PATHS))
+
+
+def _requests() -> list[Files]:
+    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "api/people/1", "api/pair/0/0", *PATHS)]
+    lines += ["HEAD /TOKEN/ HTTP/1.0"]
+    more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\nAccept: */*\r\n\r\n"
+    return _each("bytes", *(f"{line}\r\n{more}".encode() for line in lines))
+
+
+@cache
+def _server() -> Any:
+    """A server of this process, beside whose thread nothing else runs here."""
+    folder = Path(tempfile.mkdtemp(dir=SCRATCH[0] if SCRATCH else None))
+    put(folder, {**_shown(), "x.skg": _gallery(None)})
+    server = start(Service(open_paths([folder / "result"]).catalogue, People(folder / "x.skg")), 0)
+    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+    return server
+
+
+SCRATCH: list[Path] = []
+"""Where a process of the runner may leave what lives as long as it does."""
+
+
+def _asked(data: bytes) -> None:
+    server = _server()
+    data = data.replace(b"TOKEN", server.token.encode()).replace(b"HOST", f"127.0.0.1:{server.server_port}".encode())
+    with socket.create_connection(("127.0.0.1", server.server_port), timeout=30) as connection:
+        answer = b""
+        with contextlib.suppress(ConnectionError):
+            connection.sendall(data)
+            with contextlib.suppress(OSError):  # it has closed already
+                connection.shutdown(socket.SHUT_WR)
+            while piece := connection.recv(1 << 16):
+                answer += piece
+    head = answer[:40].split(b"\r\n")[0]
+    assert b" 500 " not in head, f"the server failed: {data[:200]!a}"
+    if not answer.startswith((b"HTTP/1.1 200", b"HTTP/1.0 200")):
+        raise BadInput(f"refused: {head[:30]!a}")
+
+
+# --- all of them -------------------------------------------------------------------------------------------------
+
+
+def put(folder: Path, files: Files) -> None:
+    """Write files, and what stands in for a file."""
+    for name, file in files.items():
+        path = folder / name
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True)
+        if isinstance(file, bytes):
+            path.write_bytes(file)
+        elif file == "folder":
+            path.mkdir()
+        elif file == "pipe":
+            os.mkfifo(path)
+        elif file == "loop":
+            path.symlink_to(path.name)
+        else:
+            path.touch()
+            os.truncate(path, 3 << 30)
+
+
+def _tiffs(path: Path) -> object:
+    return _any(lambda: read_height_tiff(path), lambda: read_light_tiff(path))
+
+
+def _tiff_samples() -> list[Files]:
+    height = np.where(_arrays()["mask"], _arrays()["height_mm"], np.nan)[30:50, 40:60].astype(np.float32)
+    return _written(
+        "x.tiff",
+        lambda path: write_height_tiff(path, height, 0.25, {"a": 1}),
+        lambda path: write_light_tiff(path, np.stack([height] * 3, axis=-1), "linear light", {"b": [1, 2]}),
+    )
+
+
+def _prints() -> list[Files]:
+    return _written("print.png", lambda path: write_print_png(path, _print(), 500.0, {"a": "b"})) + _written(
+        "print.png", lambda path: path.write_bytes(encode_image(_print(), ".png"))
+    )
+
+
+def _glbs() -> list[Files]:
+    vertices, normals, shade, faces = _meshes()
+    return _written("x.glb", lambda path: write_glb(path, vertices, normals, shade, faces, {"a": 1}))
+
+
+def _plys() -> list[Files]:
+    vertices, normals, shade, faces = _meshes()
+    return _written(
+        "x.ply",
+        lambda path: write_ply(path, vertices, normals, shade, faces, ("mm",)),
+        lambda path: write_ply(path, vertices, normals, shade),
+    )
+
+
+def _stls() -> list[Files]:
+    vertices, _, _, faces = _meshes()
+    return _written("x.stl", lambda path: write_stl(path, vertices[faces], "x"))
+
+
+TARGETS = (
+    Target("image", _images, _of_files("image", _pixels)),
+    Target("capture", _captures, _capture),
+    Target("plain_images", _plain_images, _plain_capture),
+    Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
+    Target("npz", _results, _of_files("height.npz", read_npz)),
+    Target("result", _results, _result),
+    Target("float_tiff", _tiff_samples, _of_files("x.tiff", _tiffs)),
+    Target("ply", _plys, _of_files("x.ply", read_ply)),
+    Target("glb", _glbs, _of_files("x.glb", read_glb)),
+    Target("stl", _stls, _of_files("x.stl", read_stl)),
+    Target("print_png", _prints, _of_files("print.png", read_print_png, read_print)),
+    Target("print_tiff", lambda: _written("print.tiff", lambda path: write_print_tiff(path, _print(), 500.0)),
+           _of_files("print.tiff", read_print_tiff, read_print)),
+    Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
+           _skt_repaired),
+    Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
+    Target("packed", _packed, _of_bytes(unpack_minutiae, unpack_space_minutiae, unpack_surface_code), _packed_repaired),
+    Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
+    Target("minutiae_card", _cards, _of_bytes(_card)),
+    Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
+    Target("transaction", _transactions, _of_files("x.eft", read_transaction)),
+    Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_print_wsq)),
+    Target("scores", lambda: [{"scores.csv": SCORES, "excluded.csv": EXCLUDED}], _scores),
+    Target("settings", _setting_files, _settings),
+    Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),
+    Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse", bytes(range(200, 232))), _keys),
+    Target("gallery", lambda: _each("x.skg", _gallery(None)), _opened(None)),
+    Target("gallery_sealed", lambda: [{"x.skg": _gallery(RAW), "counter": b'{"": 1}'}], _opened(RAW)),
+    Target("gallery_phrase", lambda: _each("x.skg", _gallery(PHRASE)), _opened(PHRASE)),
+    Target("gallery_entry", lambda: _each("bytes", encode_entry(_new("Ann", 1).entry)), _of_bytes(decode_entry)),
+    Target("identify", _galleries, _identified, _skt_repaired),
+    Target("gallery_import", _exports, _imported, _skt_repaired),
+    Target("batch", lambda: [_store()], _batch),
+    Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
+    Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
+    Target("training", lambda: [_folder(_training)], _trained),
+    Target("rig_sweep", _sweeps, _sweep),
+    Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x"}'),
+           lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
+    Target("light_table", _tips, _of_bytes(_tipped)),
+    Target("radiometry", _radiometry, _radiometric),
+    Target("patterns", _patterns, _pattern),
+    Target("viewer_folder", lambda: [_shown()], _viewed),
+    Target("viewer_request", _requests, _of_bytes(_asked)),
+)  # fmt: skip

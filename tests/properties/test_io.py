@@ -1,0 +1,97 @@
+"""What is written is read again, and a PNG is decoded as others decode it; tests/fuzz reads what is damaged."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import cv2
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from png_files import PNG, chunk, png_of
+from splitknit.check import BadInput
+from splitknit.io import canonical_json, read_npz, write_npz
+from splitknit.io.png import decode_png
+
+FUZZ = settings(max_examples=150, derandomize=True, deadline=None)
+SCALARS = st.none() | st.booleans() | st.integers(-(10**30), 10**30) | st.floats() | st.text(max_size=8)
+JSON = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4)
+)
+COLOURS = [
+    (depth, colour)
+    for colour in (0, 2, 3, 4, 6)
+    for depth in ((1, 2, 4, 8, 16), (8, 16), (1, 2, 4, 8))[0 if colour == 0 else 2 if colour == 3 else 1]
+]
+
+
+def refused(data: bytes) -> bool:
+    try:
+        decode_png(data, "x.png")
+    except BadInput:
+        return True
+    return False
+
+
+@FUZZ
+@given(st.integers(1, 12), st.integers(1, 12), st.sampled_from(COLOURS), st.booleans(), st.integers(0, 2**32))
+def test_any_sound_png_is_decoded_as_opencv_does(
+    rows: int, columns: int, kind: tuple[int, int], interlaced: bool, seed: int
+) -> None:
+    depth, colour = kind
+    data = png_of(rows, columns, depth, colour, interlaced, Random(seed))
+    expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    expected = expected[..., None] if expected.ndim == 2 else expected
+    expected = expected[..., :1] if colour in (0, 4) else expected[..., 2::-1]
+    np.testing.assert_array_equal(decode_png(data, "x"), expected)
+
+
+def test_every_byte_of_a_png_is_covered_by_a_checksum() -> None:
+    for colour, interlaced in ((2, False), (3, True)):
+        sound = png_of(5, 6, 8, colour, interlaced, Random(colour))
+        assert not refused(sound)
+        for place in range(len(sound)):
+            assert refused(sound[:place]), place
+            assert refused(sound[:place] + bytes([sound[place] ^ 0x21]) + sound[place + 1 :]), place
+
+
+def test_kinds_of_png_that_the_standard_does_not_know_are_refused() -> None:
+    for depth in (1, 2, 3, 4, 8, 16):
+        for colour in range(8):
+            known = (depth, colour) in COLOURS
+            head = b"\0\0\0\3\0\0\0\2" + bytes([depth, colour, 0, 0, 0])
+            made = PNG + chunk(b"IHDR", head) + chunk(b"IEND", b"")
+            assert refused(png_of(2, 3, depth, colour, False, Random(1)) if known else made) != known
+
+
+@FUZZ
+@given(JSON)
+def test_canonical_json_is_a_fixed_point(value: Any) -> None:
+    try:
+        text = canonical_json(value)
+    except BadInput:
+        return
+    assert canonical_json(json.loads(text)) == text
+
+
+@FUZZ
+@given(
+    st.dictionaries(
+        st.text(alphabet="abcdef_0", min_size=1, max_size=5),
+        st.integers(-(2**60), 2**60) | st.floats() | st.lists(st.integers(-5, 5), max_size=5) | st.booleans(),
+        max_size=4,
+    ),
+    st.integers(0, 9),
+)
+def test_any_numbers_survive_an_archive(arrays: dict[str, Any], level: int) -> None:
+    with tempfile.TemporaryDirectory() as scratch:
+        write_npz(Path(scratch) / "a.npz", arrays, level)
+        found = read_npz(Path(scratch) / "a.npz")
+    assert list(found) == list(arrays)
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(found[name], value)
