@@ -141,7 +141,7 @@ class Store:
             damaged = f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it."
             times, _ = read_json(file, damaged)
             require(isinstance(times, dict) and all(as_number(one) is not None for one in times.values()), damaged)
-            found |= times
+            found |= {name: float(value) for name, value in times.items()}
         return found
 
 
