@@ -34,9 +34,9 @@ from splitknit.match.minutiae import extract, minutiae_match, nfiq2
 from splitknit.match.minutiae_enhance import enhance_print
 from splitknit.match.minutiae_record import pack_minutiae
 from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.surface import Surface
 from timing import machine, print_table, race
 
 SURFACE = 0.5

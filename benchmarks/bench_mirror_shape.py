@@ -21,12 +21,12 @@ import numpy as np
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.mirrors import views_in
 from splitknit.shape import mirror_shape, view_binning
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface, place
-from splitknit.simulate.finger_shape import FingerBody
-from splitknit.simulate.mirror_parts import mirror_rig
-from splitknit.simulate.mirror_settings import MirrorViews
-from splitknit.simulate.mirror_view import mirror_view
-from splitknit.simulate.skin_map import skin_map
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger_shape import FingerBody
+from splitknit.simulator.mirror_parts import mirror_rig
+from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.mirror_view import mirror_view
+from splitknit.simulator.skin_map import skin_map
 from timing import machine
 
 SIZE = (2000, 3000)

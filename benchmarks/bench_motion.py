@@ -22,8 +22,8 @@ from splitknit.recipe.finger import find_finger
 from splitknit.recipe.steady import register, resampled
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
-from splitknit.simulate.motion import HandMotion
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.motion import HandMotion
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
 from timing import machine
 

@@ -28,8 +28,8 @@ from splitknit.apps.printing_sources import Source
 from splitknit.flatten import CurvatureSettings, curvature, gabor_enhance, ridge_mask, stft_enhance, thin
 from splitknit.match.minutiae import nfiq2
 from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
 from timing import machine
 
 PRINTS = Path(__file__).resolve().parents[2] / "shared" / "data" / "fvc2002_db1b"

@@ -16,8 +16,8 @@ from splitknit.calibrate.light_table import Tip
 from splitknit.calibrate.lights import Circle, by_circle
 from splitknit.calibrate.nail import by_joint_fit
 from splitknit.rig.netlist import design_circuit
-from splitknit.simulate.bench_nail import NailScene
-from splitknit.simulate.built_rig import built_rig
+from splitknit.simulator.bench_nail import NailScene
+from splitknit.simulator.built_rig import built_rig
 from splitknit.types import Rig
 
 PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))

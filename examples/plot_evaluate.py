@@ -18,9 +18,9 @@ from splitknit.apps.evaluation_charts import roc_chart
 from splitknit.evaluate import BootstrapSettings, bootstrap, comparisons, roc, scores_of_comparisons
 from splitknit.match import Prepared, Template, make_template, ridge_band, ridge_match
 from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.finger import draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.finger import draw_finger, finger_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.rig import default_rig
 
 PHALANGE_MM, NOISE_UM = 20.0, 12.0
 

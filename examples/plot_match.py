@@ -21,7 +21,7 @@ from splitknit.match import ridge_match
 from splitknit.match.minutiae import extract, minutiae_match
 from splitknit.match.minutiae_record import Minutiae
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 
 def marked(image: np.ndarray, minutiae: Minutiae) -> np.ndarray:

@@ -20,8 +20,8 @@ from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import upright_frame
 from splitknit.io import write_image
 from splitknit.recipe.presets import PRESETS
-from splitknit.simulate.mirror_settings import MirrorViews
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

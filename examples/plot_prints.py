@@ -19,7 +19,7 @@ from splitknit.apps.printing_sources import read_source
 from splitknit.flatten import as_print, ridge_mask, thin
 from splitknit.io import write_capture, write_image
 from splitknit.match.minutiae import extract, nfiq2
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 METHODS = ("relief", "unroll", "curvature", "photo")
 

@@ -19,7 +19,7 @@ from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import grey, on_paper, to_frame, upright_frame
 from splitknit.io import write_image
 from splitknit.radiance import linear_image
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 
 def describe(result: splitknit.Reconstruction) -> None:

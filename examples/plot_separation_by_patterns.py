@@ -18,12 +18,12 @@ import numpy as np
 
 from splitknit.io import write_image
 from splitknit.separate import Separation, StackSettings, checkerboard, single_image
-from splitknit.simulate.palm import draw_palm, palm_surface
-from splitknit.simulate.palm_settings import PalmSettings
-from splitknit.simulate.projector import Checkerboard, pattern_states
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.separation import checkerboard_stack, separate_truth
-from splitknit.simulate.skin import SkinSettings
+from splitknit.simulator.palm import draw_palm, palm_surface
+from splitknit.simulator.palm_settings import PalmSettings
+from splitknit.simulator.projector import Checkerboard, pattern_states
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.separation import checkerboard_stack, separate_truth
+from splitknit.simulator.skin import SkinSettings
 from splitknit.types import Camera
 
 CHECK_MM, PX_PER_MM, BLOCK = 0.4, 20.0, 16

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.io import write_image
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from splitknit.io import write_capture
-from splitknit.simulate.finger import Pose
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger import Pose
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # started in the background by a shell: what tests interrupt would inherit the deafness

@@ -19,8 +19,8 @@ from splitknit.recipe.coloured import balanced, colour_factors
 from splitknit.recipe.compose import COMPOSED, composed
 from splitknit.recipe.settings_document import LATER, settings_document
 from splitknit.settings import override
-from splitknit.simulate.coloured import CROSSTALK, coloured_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.coloured import CROSSTALK, coloured_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Band, Camera, Capture, Led, Rig
 
 MIXING = np.array(CROSSTALK)

@@ -20,8 +20,8 @@ from splitknit.recipe import surfaces
 from splitknit.recipe.memory import Memory
 from splitknit.recipe.settings_document import settings_document
 from splitknit.settings import flatten
-from splitknit.simulate.finger import Pose
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger import Pose
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.view import pixel_axes_mm
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.pipeline import reconstruct
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
 
 

@@ -17,12 +17,12 @@ from splitknit.apps.compare import compare
 from splitknit.check import BadInput
 from splitknit.io import read_capture, read_image, read_npz, write_capture
 from splitknit.pipeline import PRESETS, reconstruct
-from splitknit.simulate.background import BackgroundSettings
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.sensor import SensorSettings
-from splitknit.simulate.skin import SkinSettings
-from splitknit.simulate.twin import TwinSettings, photograph, simulate_capture
+from splitknit.simulator.background import BackgroundSettings
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.sensor import SensorSettings
+from splitknit.simulator.skin import SkinSettings
+from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
 from splitknit.types import Capture, Reconstruction
 
 Truth = dict[str, np.ndarray]

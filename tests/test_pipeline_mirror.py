@@ -15,9 +15,9 @@ from splitknit.apps.compare import compare
 from splitknit.check import BadInput
 from splitknit.io import write_capture
 from splitknit.pipeline import reconstruct
-from splitknit.simulate.finger import Pose
-from splitknit.simulate.mirror_settings import MirrorViews
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger import Pose
+from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
 
 Photographed = tuple[Capture, dict[str, Any]]

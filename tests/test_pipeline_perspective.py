@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from splitknit.pipeline import reconstruct
-from splitknit.simulate.finger import Pose
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger import Pose
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Camera, Capture
 
 SCALE = 0.18

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.simulate.diffusion import walk
+from splitknit.simulator.diffusion import walk
 
 WALKS = 6_000_000
 SEED = 20261120
 
 
 def main() -> None:
-    """Write ``src/splitknit/simulate/data/walks.npz``."""
+    """Write ``src/splitknit/simulator/data/walks.npz``."""
     table = walk(WALKS, SEED)
     target = Path(__file__).resolve().parents[1] / "src" / "splitknit" / "simulate" / "data" / "walks.npz"
     target.parent.mkdir(exist_ok=True)

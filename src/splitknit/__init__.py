@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from splitknit.io import write_capture as write_capture
     from splitknit.pipeline import preset_settings as preset_settings
     from splitknit.pipeline import reconstruct as reconstruct
-    from splitknit.simulate.twin import simulate_capture as simulate_capture
+    from splitknit.simulator.twin import simulate_capture as simulate_capture
     from splitknit.types import Camera as Camera
     from splitknit.types import Capture as Capture
     from splitknit.types import Led as Led
@@ -33,7 +33,7 @@ _HOMES = {
     "preset_settings": "splitknit.pipeline",
     "read_capture": "splitknit.io",
     "reconstruct": "splitknit.pipeline",
-    "simulate_capture": "splitknit.simulate.twin",
+    "simulate_capture": "splitknit.simulator.twin",
     "write_capture": "splitknit.io",
 }
 

@@ -12,9 +12,9 @@ import pytest
 
 from splitknit.apps.cli import main
 from splitknit.io import read_image, read_rig, write_image, write_rig
-from splitknit.simulate.bench import NailScene, SphereScene, photograph_bench, well_exposed
-from splitknit.simulate.built_rig import built_rig, nominal_rig
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.bench import NailScene, SphereScene, photograph_bench, well_exposed
+from splitknit.simulator.built_rig import built_rig, nominal_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Mirror
 
 THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"

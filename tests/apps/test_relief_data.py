@@ -18,8 +18,8 @@ from splitknit.metric.learned import GLARE as GLARE_UNIT
 from splitknit.metric.learned import RELIEF_MM
 from splitknit.pipeline import preset_settings
 from splitknit.separate.train_relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT, mirrored, transposed
-from splitknit.simulate import twin
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator import twin
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Camera, Led, Rig
 
 PITCH_MM = 0.04

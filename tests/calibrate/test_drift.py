@@ -9,8 +9,8 @@ from splitknit.calibrate.drift import DriftSettings, drift_words, led_drift
 from splitknit.check import BadInput
 from splitknit.normals.light_field import light_field
 from splitknit.radiance import linear_stack
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Rig
 
 NAMES = [f"white {k}" for k in range(7)]

@@ -13,8 +13,8 @@ from splitknit.calibrate.card_model import LADDER, Answer, CardModel
 from splitknit.calibrate.flat_field import FlatFieldSettings, fit_flat_field
 from splitknit.check import BadInput
 from splitknit.radiance import lens_shading
-from splitknit.simulate.built_rig import built_rig, nominal_rig
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.built_rig import built_rig, nominal_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Led
 from white_cards import as_placed, scene_of
 

@@ -13,7 +13,7 @@ from splitknit.calibrate.lights import Circle
 from splitknit.calibrate.nail import by_joint_fit
 from splitknit.calibrate.nail_model import NailModel, NailSettings
 from splitknit.check import BadInput
-from splitknit.simulate.lens import pixels_of_points
+from splitknit.simulator.lens import pixels_of_points
 from splitknit.types import Camera
 
 ORTHOGRAPHIC = Camera(px_per_mm=75.7, image_size=(2200, 3200))

@@ -15,8 +15,8 @@ from splitknit.calibrate.radiometry import PROVENANCE, RadiometrySettings, calib
 from splitknit.check import BadInput
 from splitknit.io.provenance import canonical_json
 from splitknit.io.rig import rig_from_json, rig_to_json
-from splitknit.simulate.built_rig import built_rig
-from splitknit.simulate.sensor import SensorSettings
+from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.sensor import SensorSettings
 from splitknit.types import Rig
 from white_cards import as_placed, photograph, scene_of
 

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.calibrate.sensor_noise import dark_frames, noise_model, noise_samples
 from splitknit.check import BadInput
-from splitknit.simulate.sensor import SensorSettings, record
+from splitknit.simulator.sensor import SensorSettings, record
 
 SIZE = (150, 220)
 FULL = 65535

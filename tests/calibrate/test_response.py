@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.calibrate.response import ResponseSettings, fit_response
 from splitknit.check import BadInput
-from splitknit.simulate.sensor import SensorSettings, record
+from splitknit.simulator.sensor import SensorSettings, record
 
 TIMES = np.array([1.0, 2.0, 4.0, 8.0])
 LIGHT = np.random.default_rng(0).uniform(0.01, 0.12, 400)

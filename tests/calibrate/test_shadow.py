@@ -8,9 +8,9 @@ import pytest
 from splitknit.calibrate.shadow import find_nail
 from splitknit.calibrate.shadow_shape import Shape, hull_distance
 from splitknit.check import BadInput
-from splitknit.simulate.bench import NailScene, photograph_bench, well_exposed
-from splitknit.simulate.built_rig import built_rig
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
+from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.rig import default_rig
 
 SCALE = 0.15
 NAMES = [f"white_{k}.png" for k in range(7)]

@@ -7,8 +7,8 @@ import pytest
 
 from splitknit.calibrate.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.check import BadInput
-from splitknit.simulate.bench import SphereScene
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.bench import SphereScene
+from splitknit.simulator.rig import default_rig
 
 BALL = Ball(81.3, 58.6, 41.5)
 SIZE = (120, 160)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import pytest
 from twin_bench import Devices, twin_devices
 
-from splitknit.simulate.faults import Faults, FaultyScene
-from splitknit.simulate.finger import Pose
-from splitknit.simulate.finger_scene import FingerScene
-from splitknit.simulate.twin import TwinSettings
+from splitknit.simulator.faults import Faults, FaultyScene
+from splitknit.simulator.finger import Pose
+from splitknit.simulator.finger_scene import FingerScene
+from splitknit.simulator.twin import TwinSettings
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from splitknit.capture.pi import open_camera, open_lights, open_pi
 from splitknit.capture.pi_camera import PiCamera, PiCameraSettings
 from splitknit.capture.pi_linear import developed, linear_tuning
 from splitknit.check import BadInput
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.rig import default_rig
 
 SMALL = PiCameraSettings(image_size=(64, 96))
 

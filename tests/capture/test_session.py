@@ -13,9 +13,9 @@ from splitknit.capture.exposure import ExposureSettings
 from splitknit.capture.session import SessionSettings, check_fit, run_session
 from splitknit.check import BadInput
 from splitknit.radiance import linear_stack
-from splitknit.simulate.device import TwinDeviceSettings
-from splitknit.simulate.faults import Faults, FaultyScene
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.device import TwinDeviceSettings
+from splitknit.simulator.faults import Faults, FaultyScene
+from splitknit.simulator.rig import default_rig
 
 # photographs of a session that measures focus once
 FOCUS, WHITE_AMBIENT, WHITE, NIR_AMBIENT, NIR = 0, 1, 2, 9, 10

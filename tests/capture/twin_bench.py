@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from splitknit.simulate.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
 
 Devices = tuple[TwinCamera, TwinLightBank, Clock]
 

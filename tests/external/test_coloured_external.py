@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.simulate.coloured import CROSSTALK
-from splitknit.simulate.sensor import RESPONSE
+from splitknit.simulator.coloured import CROSSTALK
+from splitknit.simulator.sensor import RESPONSE
 
 pytestmark = pytest.mark.external
 

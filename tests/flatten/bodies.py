@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from splitknit.flatten import GridSettings, SurfaceGrid, surface_grid
-from splitknit.simulate.master_print import MasterPrint
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.master_print import MasterPrint
+from splitknit.simulator.surface import Surface
 
 PX_PER_MM = 16.0
 

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.check import BadInput
 from splitknit.flatten import PhaseMinutiaeSettings, gabor_enhance, phase_minutiae
-from splitknit.simulate.master_print import MasterPrintSettings, ink_print, master_print
+from splitknit.simulator.master_print import MasterPrintSettings, ink_print, master_print
 
 PERIOD_PX = 9.0
 

@@ -30,7 +30,7 @@ from splitknit.match import Template, pack
 from splitknit.match.gallery import Gallery, NewCapture
 from splitknit.match.gallery_entry import Entry
 from splitknit.match.gallery_key import Key
-from splitknit.simulate.population import PopulationSettings
+from splitknit.simulator.population import PopulationSettings
 
 KEYS = [Key(bytes([k] * 32), raw=True) for k in range(2)]
 BATCH = replace(EA, matchers=("ridge",), chunk_captures=1)

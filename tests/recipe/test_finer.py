@@ -10,8 +10,8 @@ from splitknit.apps.compare import compare
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.recipe.finer import coarser, finer_grid, finer_images
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Camera
 from splitknit.view import view_of
 

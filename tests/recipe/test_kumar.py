@@ -16,8 +16,8 @@ from splitknit.recipe.smooth import smoothed
 from splitknit.recipe.space_minutiae import space_minutiae
 from splitknit.recipe.surface_codes import surface_code
 from splitknit.settings import override
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
 
 
 def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:

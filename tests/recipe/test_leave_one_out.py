@@ -23,7 +23,7 @@ from splitknit.recipe.leave_one_out import (
     voted_minutiae,
 )
 from splitknit.recipe.matchable import surface_print
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Band, Capture
 
 ZHENG = preset_settings("zheng")

@@ -10,8 +10,8 @@ from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled_capture import find_mirror_views
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.recipe.rolled_work import Work
-from splitknit.simulate.mirror_settings import MirrorViews
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 
 @pytest.mark.slow

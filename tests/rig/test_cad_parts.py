@@ -18,7 +18,7 @@ from splitknit.rig.part_reports import report_part
 from splitknit.rig.part_settings import PartSettings
 from splitknit.rig.rays import first_hits
 from splitknit.settings import override
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Camera, Led, Rig
 
 build123d = pytest.importorskip("build123d", reason="build123d (extra 'rig') is not installed")

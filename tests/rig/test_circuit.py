@@ -23,7 +23,7 @@ from splitknit.rig.netlist import (
     kicad_netlist,
     ohm_text,
 )
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Led
 
 

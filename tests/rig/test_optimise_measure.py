@@ -13,7 +13,7 @@ from splitknit.rig.photo import photograph
 from splitknit.rig.photons import PhotonSettings, intensity_w_sr
 from splitknit.rig.study import Study
 from splitknit.rig.subject import phalange, places, printed, truth, view_of
-from splitknit.simulate.diffusion import load_walks
+from splitknit.simulator.diffusion import load_walks
 from splitknit.types import Reconstruction
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)

@@ -16,8 +16,8 @@ from splitknit.rig.mirror_shape import mirror_front, mirror_profile, mirror_view
 from splitknit.rig.nail import nail_height, shadow_tips
 from splitknit.rig.part_settings import PartSettings
 from splitknit.settings import override
-from splitknit.simulate.built_rig import built_rig
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Camera, Led, Rig
 
 

@@ -26,7 +26,7 @@ from splitknit.separate.train import (
 )
 from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import card_bytes, read_network
-from splitknit.simulate.skin import SkinRanges
+from splitknit.simulator.skin import SkinRanges
 from splitknit.types import BoolArray, FloatArray
 
 SMALL = DataSettings(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)

@@ -11,7 +11,7 @@ from mirrored import Scene, scene, turned
 
 from splitknit.check import BadInput
 from splitknit.shape import MirrorShapeSettings, Slopes, Views, mirror_shape
-from splitknit.simulate.finger import Pose
+from splitknit.simulator.finger import Pose
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import pytest
 
 from script_folder import Script, scripts_of
 from splitknit.radiance import linear_channels, linear_stack
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"
 

@@ -13,8 +13,8 @@ from script_folder import Script, scripts_of
 from splitknit.check import BadInput
 from splitknit.preprocess.orientation import find_upright
 from splitknit.recipe.matchable import Surface
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "family"
 PATTERNS = ("left_loop", "whorl", "right_loop", "left_loop")

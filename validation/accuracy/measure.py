@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import splitknit
 from cases import Case, Truth, photographed
 from splitknit.apps.compare import Comparison, compare
-from splitknit.simulate.finger import draw_finger
+from splitknit.simulator.finger import draw_finger
 from splitknit.types import Reconstruction
 
 CREASE_TOLERANCE_MM = 1.0

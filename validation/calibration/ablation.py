@@ -28,8 +28,8 @@ from splitknit.apps.cli import main as splitknit
 from splitknit.apps.compare import compare
 from splitknit.io import read_rig
 from splitknit.pipeline import reconstruct
-from splitknit.simulate.built_rig import nominal_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.built_rig import nominal_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture, Led, Reconstruction, Rig
 
 FIRST_FINGER = 2000

@@ -22,8 +22,8 @@ from splitknit.calibrate.camera import CameraCalibration, calibrate_camera
 from splitknit.calibrate.disc import find_disc
 from splitknit.calibrate.lens_model import fit_lens
 from splitknit.calibrate.plane import PlanePose, mean_pose, plane_pose
-from splitknit.simulate import bench
-from splitknit.simulate.built_rig import built_rig
+from splitknit.simulator import bench
+from splitknit.simulator.built_rig import built_rig
 from splitknit.types import Rig
 
 BOARD = Board(9, 6, 3.0)

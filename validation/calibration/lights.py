@@ -27,9 +27,9 @@ from splitknit.calibrate.lights import Circle, by_circle
 from splitknit.calibrate.nail import by_joint_fit
 from splitknit.calibrate.nail_model import NailSettings
 from splitknit.calibrate.shadow import find_nail
-from splitknit.simulate.bench import NailScene, photograph_bench, well_exposed
-from splitknit.simulate.built_rig import built_rig
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
+from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Rig
 
 Points = NDArray[np.float64]

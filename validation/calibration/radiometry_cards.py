@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulate.bench import BenchSettings, CardScene, photograph_bench, well_exposed
-from splitknit.simulate.sensor import SensorSettings
+from splitknit.simulator.bench import BenchSettings, CardScene, photograph_bench, well_exposed
+from splitknit.simulator.sensor import SensorSettings
 from splitknit.types import Band, Camera, Capture, FloatArray, Rig
 
 Array = NDArray[np.float64]

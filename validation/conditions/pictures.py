@@ -17,9 +17,9 @@ from run import KINDS
 
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import surface_of, surface_print
-from splitknit.simulate.conditions import Condition
-from splitknit.simulate.renderer import RenderSettings
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.conditions import Condition
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "images" / "conditions.jpg"

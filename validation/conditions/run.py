@@ -21,7 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-import splitknit.simulate.finger as drawing
+import splitknit.simulator.finger as drawing
 from splitknit.apps.compare import compare
 from splitknit.apps.matching import false_match_rate
 from splitknit.apps.printing import enhance, make_print, measured
@@ -33,9 +33,9 @@ from splitknit.match.minutiae import nfiq2
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
 from splitknit.recipe.memory import Memory
-from splitknit.simulate.conditions import Condition
-from splitknit.simulate.renderer import RenderSettings
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.conditions import Condition
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Reconstruction
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)

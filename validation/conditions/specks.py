@@ -24,12 +24,12 @@ import cv2
 import numpy as np
 from run import KINDS, SEEDS, photographed
 
-import splitknit.simulate.finger as drawing
+import splitknit.simulator.finger as drawing
 from splitknit.io import read_capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.simulate.twin import simulate_capture
+from splitknit.simulator.twin import simulate_capture
 from splitknit.types import Capture
 
 OUT = Path(__file__).with_name("specks.json")

@@ -26,8 +26,8 @@ from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.radiance import linear_stack
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.simulate.coloured import coloured_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.coloured import coloured_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import COLOURS, Capture
 
 FIRST_SEED = 4100

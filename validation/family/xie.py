@@ -31,8 +31,8 @@ from xie_ways import Scene, error_deg, figures, trials, ways
 import splitknit
 from splitknit.normals import hanrahan_krueger, lambertian
 from splitknit.radiance import linear_channels
-from splitknit.simulate.skin import SkinRanges
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.skin import SkinRanges
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
 
 Array = NDArray[Any]

@@ -11,7 +11,7 @@ from xie_ways import SHIPPED, error_deg
 
 from splitknit.normals import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian
 from splitknit.normals.hanrahan_krueger_fit import Pixels
-from splitknit.simulate.twin import TwinSettings, lay_down
+from splitknit.simulator.twin import TwinSettings, lay_down
 
 SKINS = {
     "skin of the book": Skin(),

@@ -21,12 +21,12 @@ from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_te
 from splitknit.io.atomic import atomic_file
 from splitknit.match import Template, pack, unpack
 from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.deformation import deformed, draw_deformation
-from splitknit.simulate.finger import finger_surface
-from splitknit.simulate.people import FINGERS, draw_person
-from splitknit.simulate.population import finger_of_today
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.sessions import SessionRanges, draw_impression
+from splitknit.simulator.deformation import deformed, draw_deformation
+from splitknit.simulator.finger import finger_surface
+from splitknit.simulator.people import FINGERS, draw_person
+from splitknit.simulator.population import finger_of_today
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.sessions import SessionRanges, draw_impression
 
 SCALE = 0.15
 CHUNK = 50

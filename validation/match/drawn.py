@@ -6,9 +6,9 @@ import numpy as np
 
 from splitknit.preprocess.orientation import find_upright
 from splitknit.recipe.matchable import Surface
-from splitknit.simulate.finger import draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.finger import draw_finger, finger_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.rig import default_rig
 
 PHALANGE_MM = 20.0
 """Of each finger so much is used, from the tip on: what a reconstruction keeps."""

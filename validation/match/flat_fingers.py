@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from splitknit.io.atomic import atomic_file
 from splitknit.match import Template, make_template, pack, unpack
 from splitknit.match.ridge_band import RidgeBandSettings, even
-from splitknit.simulate.master_print import MasterPrintSettings
-from splitknit.simulate.orientation_field import OrientationField, fan_log_period, orientation_field, smooth_noise
-from splitknit.simulate.people import FINGERS, draw_person
-from splitknit.simulate.ridge_growth import grow_ridges
+from splitknit.simulator.master_print import MasterPrintSettings
+from splitknit.simulator.orientation_field import OrientationField, fan_log_period, orientation_field, smooth_noise
+from splitknit.simulator.people import FINGERS, draw_person
+from splitknit.simulator.ridge_growth import grow_ridges
 from splitknit.types import BoolArray, FloatArray
 
 PITCH_MM = 0.1

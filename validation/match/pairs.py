@@ -21,7 +21,7 @@ from splitknit.evaluate import Scores, bootstrap, ids_of
 from splitknit.match import Prepared, ThesisSettings, ridge_match, thesis_match
 from splitknit.pipeline import reconstruct
 from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 HERE = Path(__file__).resolve().parent
 

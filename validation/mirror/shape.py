@@ -28,8 +28,8 @@ from splitknit.radiance import linear_survey
 from splitknit.recipe.mirrors import found_views, skin_slopes
 from splitknit.settings import override
 from splitknit.shape import MirrorShape, MirrorShapeSettings, Views, mirror_shape
-from splitknit.simulate.mirror_settings import MirrorViews
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture, Mirror
 
 OUT = Path(__file__).resolve().parent / "shape.json"

@@ -27,11 +27,11 @@ from run import interval, rounded
 from splitknit import reconstruct
 from splitknit.check import BadInput
 from splitknit.io import write_capture
-from splitknit.simulate.coloured import coloured_rig
-from splitknit.simulate.motion import HandMotion
-from splitknit.simulate.renderer import RenderSettings
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.coloured import coloured_rig
+from splitknit.simulator.motion import HandMotion
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Rig
 
 RESULTS = Path(__file__).resolve().parent / "coloured.json"

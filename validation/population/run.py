@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.evaluate.rates import d_prime, equal_error
-from splitknit.simulate.finger import Finger, finger_surface
-from splitknit.simulate.master_print import MasterPrint, ink_print
-from splitknit.simulate.pattern_classes import DIGITS, class_shares
-from splitknit.simulate.people import FINGERS, Person
-from splitknit.simulate.population import PopulationSettings, finger_of_today, population_capture
-from splitknit.simulate.sessions import draw_impression
+from splitknit.simulator.finger import Finger, finger_surface
+from splitknit.simulator.master_print import MasterPrint, ink_print
+from splitknit.simulator.pattern_classes import DIGITS, class_shares
+from splitknit.simulator.people import FINGERS, Person
+from splitknit.simulator.population import PopulationSettings, finger_of_today, population_capture
+from splitknit.simulator.sessions import draw_impression
 
 HERE = Path(__file__).resolve().parent
 PROFILE_MM = np.arange(1.0, 16.1, 1.0)

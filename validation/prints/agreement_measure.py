@@ -26,7 +26,7 @@ from splitknit.match.minutiae import extract, nfiq2
 from splitknit.match.minutiae_enhance import EnhanceSettings
 from splitknit.match.minutiae_record import Minutiae, pack_minutiae
 from splitknit.radiance import linear_channels
-from splitknit.simulate.press import press_finger
+from splitknit.simulator.press import press_finger
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

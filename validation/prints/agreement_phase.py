@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from splitknit.flatten import Enhanced
 from splitknit.match.minutiae_record import Minutiae
-from splitknit.simulate.ridge_growth import phase_singularities
+from splitknit.simulator.ridge_growth import phase_singularities
 
 
 def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced) -> Minutiae:

@@ -17,12 +17,12 @@ from scipy.spatial import cKDTree
 
 from splitknit.apps.printing_sources import Source
 from splitknit.io import read_npz
-from splitknit.simulate.deformation import Deformation
-from splitknit.simulate.finger import Pose, place
-from splitknit.simulate.finger_shape import FingerBody
-from splitknit.simulate.population import PopulationSettings, finger_of_today
-from splitknit.simulate.press import deformed_minutiae
-from splitknit.simulate.sessions import draw_impression
+from splitknit.simulator.deformation import Deformation
+from splitknit.simulator.finger import Pose, place
+from splitknit.simulator.finger_shape import FingerBody
+from splitknit.simulator.population import PopulationSettings, finger_of_today
+from splitknit.simulator.press import deformed_minutiae
+from splitknit.simulator.sessions import draw_impression
 
 Array = NDArray[np.float64]
 SAME_MM = 0.06

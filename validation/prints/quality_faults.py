@@ -14,12 +14,12 @@ import numpy as np
 
 from splitknit.io import write_npz
 from splitknit.pipeline import reconstruct
-from splitknit.simulate.finger import Finger, draw_finger
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.renderer import RenderSettings
-from splitknit.simulate.sensor import SensorSettings
-from splitknit.simulate.skin import SkinRanges
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger import Finger, draw_finger
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.sensor import SensorSettings
+from splitknit.simulator.skin import SkinRanges
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 BASE = TwinSettings(scale=0.35, render=RenderSettings(workers=1))
 FAULTS = {

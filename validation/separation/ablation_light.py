@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.radiance import GREY_WEIGHTS, linear_channels, linear_stack
-from splitknit.simulate.diffusion import load_walks
-from splitknit.simulate.finger import draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.separation import separate_truth
-from splitknit.simulate.skin import SkinRanges, SkinSettings
-from splitknit.simulate.surface import Surface
-from splitknit.simulate.twin import TwinSettings, photograph
+from splitknit.simulator.diffusion import load_walks
+from splitknit.simulator.finger import draw_finger, finger_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.separation import separate_truth
+from splitknit.simulator.skin import SkinRanges, SkinSettings
+from splitknit.simulator.surface import Surface
+from splitknit.simulator.twin import TwinSettings, photograph
 from splitknit.types import Band, Capture, FloatArray
 
 BLACK, GAIN = 0.1, 0.85
@@ -35,7 +35,7 @@ class Twin:
 
 
 def twin_of(seed: int, scale: float) -> Twin:
-    """The first capture of a person: the same as :func:`splitknit.simulate.twin.simulate_capture` takes."""
+    """The first capture of a person: the same as :func:`splitknit.simulator.twin.simulate_capture` takes."""
     settings = TwinSettings(scale=scale)
     assert isinstance(settings.skin, SkinRanges) and isinstance(settings.pose, PoseRanges)
     rig = default_rig(scale, settings.rig_seed, settings.intensity_spread)

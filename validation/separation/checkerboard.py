@@ -44,11 +44,11 @@ from patches import (
 from summary import summary
 
 from splitknit.separate.patterns import Separation, StackSettings, by_symmetry, checkerboard, estimate_patterns
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.palm import draw_palm, palm_surface
-from splitknit.simulate.projector import Checkerboard
-from splitknit.simulate.separation import Separated
-from splitknit.simulate.skin import SkinSettings
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.palm import draw_palm, palm_surface
+from splitknit.simulator.projector import Checkerboard
+from splitknit.simulator.separation import Separated
+from splitknit.simulator.skin import SkinSettings
 from splitknit.types import Camera, Led
 
 HERE = Path(__file__).resolve().parent

@@ -7,15 +7,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.simulate.diffusion import load_walks
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.palm import draw_palm, palm_surface
-from splitknit.simulate.projector import Checkerboard, pattern_states
-from splitknit.simulate.renderer import RenderSettings
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.separation import Separated, checkerboard_stack, separate_truth
-from splitknit.simulate.skin import ChannelOptics, SkinRanges, SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.diffusion import load_walks
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.palm import draw_palm, palm_surface
+from splitknit.simulator.projector import Checkerboard, pattern_states
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.separation import Separated, checkerboard_stack, separate_truth
+from splitknit.simulator.skin import ChannelOptics, SkinRanges, SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import Camera, Led
 
 PX_PER_MM = 37.85

@@ -35,10 +35,10 @@ from splitknit.separate.patterns import single_image
 from splitknit.separate.stacks import StackSettings
 from splitknit.separate.train import DataSettings, Photograph, photographs, surface_of
 from splitknit.separate.unet import Network, load_network
-from splitknit.simulate.projector import Checkerboard, pattern_states
-from splitknit.simulate.sensor import SensorSettings, record
-from splitknit.simulate.separation import checkerboard_images, separate_truth
-from splitknit.simulate.skin import SkinSettings
+from splitknit.simulator.projector import Checkerboard, pattern_states
+from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.separation import checkerboard_images, separate_truth
+from splitknit.simulator.skin import SkinSettings
 from splitknit.types import Led
 
 HERE = Path(__file__).resolve().parent

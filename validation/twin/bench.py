@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.simulate.bench import (
+from splitknit.simulator.bench import (
     BenchSettings,
     Board,
     BoardScene,
@@ -27,8 +27,8 @@ from splitknit.simulate.bench import (
     photograph_bench,
     well_exposed,
 )
-from splitknit.simulate.built_rig import built_rig, nominal_rig
-from splitknit.simulate.sensor import SensorSettings
+from splitknit.simulator.built_rig import built_rig, nominal_rig
+from splitknit.simulator.sensor import SensorSettings
 
 
 def things(seed: int, scale: float) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from splitknit.metric import MetricSettings, reconstruct_skin
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.separate import SkinSettings as AssumedSkin
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.skin import SkinSettings
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.skin import SkinSettings
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

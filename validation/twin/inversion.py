@@ -32,11 +32,11 @@ from run import HERE, OUT, source_hash
 
 from splitknit.check import BadInput
 from splitknit.separate import diffusion
-from splitknit.simulate.diffusion import load_walks
-from splitknit.simulate.reference import ReferenceSettings, reference_scene, render_glare, render_volume
-from splitknit.simulate.renderer import render_band
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.skin import Channel, SkinSettings
+from splitknit.simulator.diffusion import load_walks
+from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume
+from splitknit.simulator.renderer import render_band
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.skin import Channel, SkinSettings
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
 REGULARISED = 0.05

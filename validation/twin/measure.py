@@ -12,14 +12,14 @@ import numpy as np
 from compare import Array, Relief, binned, contrast, contrast_error, gain_of_relief, modulation, spread
 from patches import PITCH_MM, middle, ridged_patch
 
-from splitknit.simulate.diffusion import WalkTable, load_walks
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.reference import ReferenceSettings, reference_scene, render_glare, render_volume
-from splitknit.simulate.reference_scene import ReferenceScene
-from splitknit.simulate.renderer import render_band
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.skin import Channel, ChannelOptics, SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.diffusion import WalkTable, load_walks
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume
+from splitknit.simulator.reference_scene import ReferenceScene
+from splitknit.simulator.renderer import render_band
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.skin import Channel, ChannelOptics, SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import FloatArray, Led
 
 FIELD_MM = 10.0

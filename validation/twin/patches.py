@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulate.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulate.skin_map import SkinSettings, skin_map
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, master_print
+from splitknit.simulator.skin_map import SkinSettings, skin_map
+from splitknit.simulator.surface import Surface
 from splitknit.types import Camera
 
 Array = NDArray[np.float64]

@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulate.diffusion import fresnel, load_walks
-from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface
-from splitknit.simulate.lens import pixels_of_points
-from splitknit.simulate.lighting import cut_out
-from splitknit.simulate.renderer import render_band
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.skin import CHANNELS, SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.diffusion import fresnel, load_walks
+from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulator.lens import pixels_of_points
+from splitknit.simulator.lighting import cut_out
+from splitknit.simulator.renderer import render_band
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.skin import CHANNELS, SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import Led
 
 SCALE = 0.25

@@ -23,7 +23,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
 from measure import Ridges, compare_finger, compare_glare, compare_ridges
 from ranges import ranges_of
 
-import splitknit.simulate
+import splitknit.simulator
 from splitknit.check import BadInput
 
 HERE = Path(__file__).resolve().parent
@@ -122,7 +122,7 @@ def smoke() -> Iterator[tuple[str, str, Callable[[], Any]]]:
 def source_hash() -> str:
     """Hash of the twin's sources and of the scripts beside this one that measure."""
     digest = hashlib.sha256()
-    package = Path(splitknit.simulate.__file__).parent
+    package = Path(splitknit.simulator.__file__).parent
     names = ("reference", "renderer", "lighting", "diffusion", "skin", "master_print", "ridge_growth", "finger")
     files = [path for path in sorted(package.glob("*.py")) if path.stem.startswith(names)]
     for path in (*files, HERE / "compare.py", HERE / "measure.py", HERE / "patches.py"):

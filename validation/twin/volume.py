@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulate.diffusion import REFRACTIVE_INDEX, diffuse_transmittance, fresnel, load_walks
-from splitknit.simulate.renderer import RenderSettings, render_band
-from splitknit.simulate.skin import CHANNELS, SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.diffusion import REFRACTIVE_INDEX, diffuse_transmittance, fresnel, load_walks
+from splitknit.simulator.renderer import RenderSettings, render_band
+from splitknit.simulator.skin import CHANNELS, SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import Camera, Led
 
 Array = NDArray[np.float64]

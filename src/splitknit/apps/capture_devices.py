@@ -18,12 +18,12 @@ from splitknit.check import require
 from splitknit.devices import Camera, LightBank
 from splitknit.io import read_rig
 from splitknit.settings import flatten, override
-from splitknit.simulate.bench import BoardScene, CardScene, DiscScene, NailScene, SphereScene, board_poses
-from splitknit.simulate.built_rig import nominal_rig
-from splitknit.simulate.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
-from splitknit.simulate.finger_scene import FingerScene
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.twin import TwinSettings
+from splitknit.simulator.bench import BoardScene, CardScene, DiscScene, NailScene, SphereScene, board_poses
+from splitknit.simulator.built_rig import nominal_rig
+from splitknit.simulator.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.finger_scene import FingerScene
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings
 from splitknit.types import Rig
 
 TARGETS = ("card", "disc", "nail", "board", "sphere")

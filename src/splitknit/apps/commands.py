@@ -16,7 +16,7 @@ from splitknit.check import BadInput, require
 from splitknit.io import atomic_folder, read_capture, read_npz, read_rig, with_rig, write_capture
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
-from splitknit.simulate.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import TwinSettings, simulate_capture
 from splitknit.types import Capture
 
 Progress = Callable[[str, float], None]

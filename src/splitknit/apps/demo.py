@@ -14,7 +14,7 @@ from splitknit.apps.targets import check_target
 from splitknit.io import atomic_folder, read_capture, write_capture
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import surface_print
-from splitknit.simulate.twin import simulate_capture
+from splitknit.simulator.twin import simulate_capture
 
 PRESETS = ("metric", "ea")
 WRITTEN = {

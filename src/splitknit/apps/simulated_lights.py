@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from splitknit.check import require
-from splitknit.simulate.coloured import coloured_rig
-from splitknit.simulate.twin import TwinSettings
+from splitknit.simulator.coloured import coloured_rig
+from splitknit.simulator.twin import TwinSettings
 from splitknit.types import Rig
 
 EXPOSURES = {"coloured": 2, "coloured9": 3}

@@ -19,9 +19,9 @@ from splitknit.rig.photo import Shot, photograph
 from splitknit.rig.photons import intensity_w_sr
 from splitknit.rig.study import Study
 from splitknit.rig.subject import grid_places, phalange, places, printed, truth, view_of
-from splitknit.simulate.diffusion import WalkTable, load_walks
-from splitknit.simulate.skin import SkinRanges, SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.diffusion import WalkTable, load_walks
+from splitknit.simulator.skin import SkinRanges, SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import BoolArray, Camera, FloatArray, Reconstruction, Rig
 
 BAND_SIGMA_MM = 0.32

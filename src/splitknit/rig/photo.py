@@ -10,15 +10,15 @@ import numpy as np
 
 from splitknit.check import require
 from splitknit.rig.photons import Exposure, PhotonSettings, electrons_per_s, plan_exposure, tremor_blur_mm
-from splitknit.simulate.defocus import blur_sigma_px, defocus
-from splitknit.simulate.diffusion import WalkTable
-from splitknit.simulate.lighting import white_card
-from splitknit.simulate.opaque import render_opaque
-from splitknit.simulate.renderer import RenderSettings, render_band
-from splitknit.simulate.sensor import SensorSettings, record
-from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
-from splitknit.simulate.surface import Surface
-from splitknit.simulate.twin_scene import finger_depth
+from splitknit.simulator.defocus import blur_sigma_px, defocus
+from splitknit.simulator.diffusion import WalkTable
+from splitknit.simulator.lighting import white_card
+from splitknit.simulator.opaque import render_opaque
+from splitknit.simulator.renderer import RenderSettings, render_band
+from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.surface import Surface
+from splitknit.simulator.twin_scene import finger_depth
 from splitknit.types import Band, BoolArray, Capture, FloatArray, Led, Rig
 
 W_PER_UNIT = 100.0

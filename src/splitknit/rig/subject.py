@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulate.finger import Finger, Pose, draw_finger, finger_surface, place
-from splitknit.simulate.finger_shape import FingerBody
-from splitknit.simulate.master_print import MasterPrint
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger_shape import FingerBody
+from splitknit.simulator.master_print import MasterPrint
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.surface import Surface
 from splitknit.types import BoolArray, Camera
 
 Array = NDArray[np.float64]

@@ -20,15 +20,15 @@ from splitknit.separate.checkerboard import checkerboard
 from splitknit.separate.direct import exposure_level, local_level
 from splitknit.separate.stacks import StackSettings
 from splitknit.separate.train_settings import DataSettings
-from splitknit.simulate.finger import draw_finger, finger_surface
-from splitknit.simulate.palm import draw_palm, palm_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.projector import Checkerboard
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.sensor import SensorSettings, record
-from splitknit.simulate.separation import Separated, checkerboard_stack, separate_truth
-from splitknit.simulate.skin import SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.finger import draw_finger, finger_surface
+from splitknit.simulator.palm import draw_palm, palm_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.projector import Checkerboard
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.separation import Separated, checkerboard_stack, separate_truth
+from splitknit.simulator.skin import SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import BoolArray, Camera, FloatArray, Led
 
 FULL_PX_PER_MM = 75.7

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from splitknit.check import require
-from splitknit.simulate.skin import SkinRanges
+from splitknit.simulator.skin import SkinRanges
 
 MAY_CHANGE = ("threads", "device", "precision", "epochs", "decay")
 """Settings that may differ when a training is taken up again: where it runs, and how long it goes on."""

@@ -15,8 +15,8 @@ from splitknit.apps.viewer.pair import Alignment, align, matched_marks
 from splitknit.apps.viewer.surface import read_surface
 from splitknit.geometry import rotation_about
 from splitknit.preprocess.orientation import find_upright
-from splitknit.simulate.finger import Pose, draw_finger, finger_surface
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from splitknit.rig.part_reports import report_part
 from splitknit.rig.part_settings import PartSettings
 from splitknit.rig.stl import read_stl, write_stl
 from splitknit.settings import override
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Rig
 
 Progress = Callable[[str, float], None]

@@ -15,12 +15,12 @@ from splitknit.apps.targets import check_target
 from splitknit.check import require
 from splitknit.io import write_capture, write_image, write_rig
 from splitknit.io.atomic import atomic_folder
-from splitknit.simulate.bench import DarkScene, Scene, photograph_bench, well_exposed
-from splitknit.simulate.bench_flat import Board, BoardScene, CardScene, DiscScene
-from splitknit.simulate.bench_nail import NailScene
-from splitknit.simulate.bench_poses import board_poses
-from splitknit.simulate.bench_scene import BenchSettings
-from splitknit.simulate.built_rig import built_rig, nominal_rig
+from splitknit.simulator.bench import DarkScene, Scene, photograph_bench, well_exposed
+from splitknit.simulator.bench_flat import Board, BoardScene, CardScene, DiscScene
+from splitknit.simulator.bench_nail import NailScene
+from splitknit.simulator.bench_poses import board_poses
+from splitknit.simulator.bench_scene import BenchSettings
+from splitknit.simulator.built_rig import built_rig, nominal_rig
 from splitknit.types import Band, Capture, Rig
 
 Progress = Callable[[str, float], None]

@@ -18,7 +18,7 @@ from splitknit.calibrate.depth_of_field import DepthOfField, depth_of_field
 from splitknit.calibrate.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
 from splitknit.check import BadInput, require
 from splitknit.io import file_hash, read_rig, write_rig
-from splitknit.simulate.rig import default_rig
+from splitknit.simulator.rig import default_rig
 from splitknit.types import Camera, Rig
 
 Progress = Callable[[str, float], None]

@@ -20,14 +20,14 @@ from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.pipeline import preset_settings
 from splitknit.separate.train_relief import WEIGHT
-from splitknit.simulate.diffusion import WalkTable, load_walks
-from splitknit.simulate.finger import finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.renderer import BandLight, RenderSettings, render_band
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.sensor import SensorSettings, record
-from splitknit.simulate.skin import BAND_CHANNELS, SkinSettings
-from splitknit.simulate.surface import Surface
+from splitknit.simulator.diffusion import WalkTable, load_walks
+from splitknit.simulator.finger import finger_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.renderer import BandLight, RenderSettings, render_band
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.surface import Surface
 from splitknit.types import FloatArray, Rig
 
 TRIM_PX = 60

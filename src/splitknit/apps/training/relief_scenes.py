@@ -15,9 +15,9 @@ from splitknit.apps.training.scene_ranges import (
     moved_rig,
 )
 from splitknit.check import require
-from splitknit.simulate.renderer import RenderSettings
-from splitknit.simulate.rig import default_rig
-from splitknit.simulate.twin import TwinSettings
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings
 
 
 @dataclass(frozen=True, slots=True)

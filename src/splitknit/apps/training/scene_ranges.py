@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.simulate.finger import Finger, draw_finger, finger_surface
-from splitknit.simulate.pose_ranges import PoseRanges
-from splitknit.simulate.skin import SkinRanges, SkinSettings
-from splitknit.simulate.twin import TwinSettings, photograph
+from splitknit.simulator.finger import Finger, draw_finger, finger_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.skin import SkinRanges, SkinSettings
+from splitknit.simulator.twin import TwinSettings, photograph
 from splitknit.types import Capture, Rig
 
 Range = tuple[float, float]
@@ -138,7 +138,7 @@ def moved_rig(rig: Rig, rng: np.random.Generator, data: SceneRanges) -> Rig:
 
 
 def photograph_scene(scene: Scene) -> tuple[Capture, Mapping[str, NDArray[Any]]]:
-    """Capture and truth, as :func:`splitknit.simulate.twin.simulate_capture` makes them, with the scene's own rig."""
+    """Capture and truth, as :func:`splitknit.simulator.twin.simulate_capture` makes them, with the scene's own rig."""
     settings, camera = scene.settings, scene.rig.camera
     person = np.random.default_rng(np.random.SeedSequence([scene.number, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([scene.number, 0, 0x52]).spawn(2)

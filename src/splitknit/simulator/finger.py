@@ -1,0 +1,263 @@
+"""A person's finger, its pose, and the surface a camera sees of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.simulator.finger_shape import FingerBody, FingerShape
+from splitknit.simulator.landmarks import find_landmarks
+from splitknit.simulator.lens import picture_on_plane
+from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, master_print
+from splitknit.simulator.raycast import NOTHING_SEEN, Placement, above, cast_block, hits
+from splitknit.simulator.skin_map import Crease, SkinMap, SkinSettings, skin_map
+from splitknit.simulator.surface import Surface
+from splitknit.types import Camera
+
+Array = NDArray[np.float64]
+
+FREQUENCIES = {
+    "arch": 0.037,
+    "tented_arch": 0.029,
+    "left_loop": 0.338,
+    "right_loop": 0.317,
+    "whorl": 0.229,
+    "twin_loop": 0.05,
+}
+"""Natural frequencies of the classes (Wilson, Candela and Watson 1994; twin loops from the whorls)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finger:
+    """Everything of one finger that does not depend on its pose."""
+
+    seed: int
+    pattern: str
+    shape: FingerShape = field(default_factory=FingerShape)
+    skin: SkinSettings = field(default_factory=SkinSettings)
+    print_settings: MasterPrintSettings = field(default_factory=MasterPrintSettings)
+
+    def master(self) -> MasterPrint:
+        """Draw the finger's master print (the same at every call)."""
+        return master_print(self.pattern, self.seed, self.print_settings)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """How a finger lies under the camera. It enters from the lower image border, tip towards row 0.
+
+    The finger turns about its axis (roll), then about x (pitch), then about the camera's axis (yaw).
+    """
+
+    yaw_rad: float = 0.0
+    """Counter-clockwise in the image: the tip turns to the left. Up to 0.35 (20 deg)."""
+    pitch_rad: float = 0.0
+    """Positive lifts the tip towards the camera. Up to 0.14 (8 deg)."""
+    roll_rad: float = 0.0
+    """Positive turns the pad to the right. Up to 0.35 (20 deg)."""
+    x_mm: float = 0.0
+    """Where the middle of the distal phalanx lies beside the image centre."""
+    insertion_mm: float = 32.0
+    """From the lower image border to the tip, along the rows, as measured on the finger plane."""
+    height_mm: float = 0.0
+    """z of the highest point of the pad (shape without ridges): at 0 the finger plane touches the pad."""
+
+    def __post_init__(self) -> None:
+        for name in ("yaw_rad", "pitch_rad", "roll_rad"):
+            value = getattr(self, name)
+            require(
+                np.isfinite(value) and abs(value) <= 0.6, f"pose.{name} must lie in [-0.6, 0.6], but it is {value}."
+            )
+        require(
+            np.isfinite(self.insertion_mm) and self.insertion_mm > 0,
+            f"pose.insertion_mm must be positive, but it is {self.insertion_mm}.",
+        )
+        for name in ("x_mm", "height_mm"):
+            value = getattr(self, name)
+            require(np.isfinite(value), f"pose.{name} must be a finite number, but it is {value}.")
+
+    def rotation(self) -> Array:
+        """(3, 3) from the finger's frame to the camera's."""
+        cy, sy = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        cp, sp = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+        cr, sr = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+        pitch = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+        roll = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
+        return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
+
+
+def draw_finger(seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None) -> Finger:
+    """Draw one finger of the population.
+
+    Parameters
+    ----------
+    seed
+        Everything follows from it.
+    pattern
+        Class of the print, as in :func:`splitknit.simulator.master_print.master_print`; None draws it with its natural
+        frequency.
+
+    References
+    ----------
+    Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal phalanx).
+    Maeno et al. 1998; Misumi and Akiyoshi 1984 (ridge height).
+    """
+    draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)]
+    if pattern is None:
+        pattern = str(draws[0].choice(list(FREQUENCIES), p=list(FREQUENCIES.values())))
+    if pattern == "loop":
+        pattern = str(draws[0].choice(("left_loop", "right_loop")))
+    rng = draws[1]
+    size = float(np.clip(rng.standard_normal(), -2, 2))
+
+    def around(mean: float, spread: float, low: float, high: float, shared: float = 0.0) -> float:
+        own = float(rng.standard_normal())
+        return float(np.clip(mean + spread * (shared * size + np.sqrt(1 - shared**2) * own), low, high))
+
+    width = around(16.8, 1.4, 14.0, 20.0, shared=0.8)
+    shape = FingerShape(
+        length_mm=around(25.0, 1.5, 22.0, 28.0, shared=0.7),
+        width_mm=width,
+        thickness_mm=width * around(0.80, 0.05, 0.68, 0.92),
+        squareness=around(0.18, 0.09, 0.02, 0.4),
+        tip_length_mm=0.5 * width * around(1.02, 0.12, 0.78, 1.3),
+        tip_squareness=around(0.12, 0.1, 0.0, 0.38),
+        taper=around(0.06, 0.025, 0.01, 0.12),
+        pad_bulge=around(0.06, 0.025, 0.01, 0.12),
+        pad_center=around(0.5, 0.06, 0.38, 0.62),
+        neck=around(0.03, 0.012, 0.005, 0.06),
+        arching_per_mm=around(0.0015, 0.0010, -0.0005, 0.004),
+        sideways_mm=around(0.0, 0.35, -0.9, 0.9),
+        skew=around(0.0, 0.03, -0.08, 0.08),
+    )
+    rng = draws[2]
+    first = Crease(
+        depth_mm=around(0.38, 0.09, 0.2, 0.6),
+        width_mm=around(0.28, 0.05, 0.18, 0.42),
+        tilt=around(0.0, 0.04, -0.1, 0.1),
+        bow_per_mm=around(0.003, 0.006, -0.01, 0.015),
+        reach_mm=around(10.5, 1.2, 8.0, 13.0),
+        side_lines=int(rng.integers(0, 4)),
+        darkening=around(0.22, 0.06, 0.08, 0.4),
+    )
+    second = Crease(
+        v_mm=-around(23.0, 1.5, 19.5, 26.0, shared=0.7),
+        depth_mm=around(0.48, 0.08, 0.3, 0.6),
+        width_mm=around(0.34, 0.05, 0.2, 0.5),
+        tilt=around(0.0, 0.03, -0.1, 0.1),
+        bow_per_mm=around(0.0, 0.005, -0.01, 0.01),
+        reach_mm=around(11.5, 1.2, 8.0, 14.0),
+        side_lines=int(rng.integers(1, 5)),
+        darkening=around(0.25, 0.06, 0.08, 0.4),
+    )
+    skin = SkinSettings(
+        ridge_depth_um=around(65.0, 13.0, 40.0, 100.0),
+        depth_variation=around(0.12, 0.03, 0.05, 0.2),
+        pore_depth_um=around(25.0, 6.0, 10.0, 45.0),
+        pore_darkening=around(0.06, 0.02, 0.0, 0.12),
+        creases=(first, second),
+    )
+    return Finger(seed, pattern, shape, skin, print_settings or MasterPrintSettings())
+
+
+def finger_surface(
+    finger: Finger,
+    pose: Pose,
+    camera: Camera,
+    *,
+    master: MasterPrint | None = None,
+    workers: int = 2,
+    skin: SkinMap | None = None,
+    keep_chart: bool = False,
+) -> Surface:
+    """Show one posed finger to a camera.
+
+    The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
+    through the pixels, lens distortion included. Every pixel's ray is intersected with the smooth body and then with
+    the displaced skin (distance from the body equal to the displacement at that point of the chart); normals are the
+    gradient of that implicit skin, so they are those of the heights, exact at steep slants too, not differences of
+    neighbours. The finger's frame and the pose are
+    those of :class:`Pose` and :mod:`splitknit.simulator.finger_shape`; a print made of this finger is the mirror image
+    of what the camera sees.
+
+    Parameters
+    ----------
+    master
+        The finger's master print where it was drawn already, else it is drawn.
+    workers
+        Threads; the result does not depend on them.
+    skin
+        Laid over the body instead of the finger's own.
+    keep_chart
+        Whether the surface tells where on the skin's map its points lie.
+
+    Raises
+    ------
+    BadInput
+        If the camera sees nothing of the finger, or a perspective camera does not stand above it.
+    """
+    body = FingerBody(finger.shape)
+    master = master or finger.master()
+    skin = skin_map(master, finger.skin) if skin is None else skin
+    placement = place(body, pose, camera)
+    top = above(body, placement)
+    require(
+        camera.model == "orthographic" or camera.height_mm > top + 5.0,
+        f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs {top + 5.0:.1f} mm; "
+        "raise camera.height_mm.",
+    )
+    box = hits(body, placement, camera)
+    rows, columns = camera.image_size
+    empty = np.full((rows, columns), np.nan, dtype=np.float32)
+    height, shape_height = empty, empty.copy()
+    normals = np.zeros((rows, columns, 3), dtype=np.float32)
+    shape_normals = np.zeros_like(normals)
+    relief = np.zeros((rows, columns), dtype=np.float32)
+    pigment = np.ones((rows, columns), dtype=np.float32)
+    chart = np.full((rows, columns, 2), np.nan, dtype=np.float32)
+    targets = [height, shape_height, normals, shape_normals, relief, pigment, chart]
+    places = [np.full((rows, columns), np.nan, dtype=np.float32) for _ in range(2 * (camera.model == "perspective"))]
+    targets += places
+
+    tall = 4 * max(4, 6000 // (box[1].stop - box[1].start))  # about 24000 pixels fit the cache
+
+    def fill(top: int) -> None:
+        part = slice(top, min(top + tall, box[0].stop))
+        for target, values in zip(targets, cast_block(body, skin, placement, camera, (part, box[1])), strict=True):
+            target[part, box[1]] = values
+
+    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
+        list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
+    mask = np.isfinite(height)
+    require(bool(mask.any()), NOTHING_SEEN)
+    x_mm, y_mm = places or (None, None)
+    return Surface(
+        camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
+        find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
+        x_mm, y_mm, chart if keep_chart else None,
+    )  # fmt: skip
+
+
+def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
+    """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the pose's height."""
+    shape = body.shape
+    rotation = pose.rotation()
+    y, side = np.meshgrid(np.linspace(1.0, shape.length_mm, 121), np.linspace(-1.0, 1.0, 81), indexing="ij")
+    x = side * 0.55 * shape.width_mm
+    z = body.top(x, y)
+    seen = np.isfinite(z)
+    # `top` works in unskewed sections: undo the axis bend and the skew to find the true point.
+    axis, drop = body.axis_line(y)
+    points = np.stack([x + axis + shape.skew * (z - drop), y, z], -1)[seen]
+    turned = np.einsum("ij,nj->ni", rotation, points)
+    middle = np.einsum("ij,j->i", rotation, body.axis_point(0.5 * shape.length_mm))
+    tip = float(turned[:, 1].max())
+    centre, lower_border, _ = picture_on_plane(camera)
+    right, up = centre + pose.x_mm - middle[0], lower_border + pose.insertion_mm - tip
+    shift = np.array([right, up, pose.height_mm - float(turned[:, 2].max())])
+    return Placement(rotation, shift)

@@ -1,0 +1,169 @@
+"""A whole capture of a finger between mirrors, with the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.simulator.diffusion import load_walks
+from splitknit.simulator.finger import Finger, Pose, finger_surface, place
+from splitknit.simulator.finger_shape import FingerBody
+from splitknit.simulator.lens import picture_on_plane
+from splitknit.simulator.mirror_parts import mirror_rig, stop_y_mm
+from splitknit.simulator.mirror_scene import MirrorScene
+from splitknit.simulator.mirror_truth import body_truth, section_points, view_truth
+from splitknit.simulator.mirror_view import mirror_view
+from splitknit.simulator.mirrors import as_built
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.raycast import Placement
+from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.skin_map import SkinMap, skin_map
+from splitknit.simulator.truth import optics_truth, surface_truth
+from splitknit.types import Camera, Capture, Mirror, Rig
+
+if TYPE_CHECKING:
+    from splitknit.simulator.twin import TwinSettings
+
+_FADE_MM = 3.0
+"""Width over which the ridges fade."""
+_AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
+"""How much further than the master print the skin's map reaches, to either side and beyond the tip."""
+
+
+def has_mirrors(settings: TwinSettings) -> bool:
+    """Whether a capture with these settings is one between mirrors."""
+    return bool(settings.mirrors.names) or (settings.rig is not None and bool(settings.rig.mirrors))
+
+
+def rig_with_mirrors(settings: TwinSettings) -> Rig:
+    """Return the rig as drawn: the one that is given, else the thesis's with a camera that sees the mirrors too."""
+    views = settings.mirrors
+    if settings.rig is None:
+        return mirror_rig(views, settings.scale, settings.rig_seed, settings.intensity_spread)
+    rig, names = settings.rig, [mirror.name for mirror in settings.rig.mirrors]
+    unknown = [name for name in views.names if name not in names]
+    require(
+        not unknown,
+        f"the rig has no {unknown[0] if unknown else ''} mirror; it has {', '.join(names) or 'none'}: add it to the "
+        "rig file, or leave out the rig.",
+    )
+    leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
+    mirrors = tuple(mirror for mirror in rig.mirrors if not views.names or mirror.name in views.names)
+    return replace(rig, leds=leds, mirrors=mirrors)
+
+
+def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator) -> Pose:
+    """Draw a pose as without mirrors, but with the tip at its stop."""
+    if isinstance(settings.pose, Pose):
+        return settings.pose
+    ranges, views = settings.pose, settings.mirrors
+    if settings.rig is None and ranges.insertion_mm == PoseRanges().insertion_mm:
+        _, lower, _ = picture_on_plane(camera)
+        stop = stop_y_mm(views.parts, camera) - lower
+        low, high = views.insertion_mm
+        ranges = replace(ranges, insertion_mm=(min(low, stop), min(high, stop)))
+    return ranges.draw(rng, camera)
+
+
+def photograph_between_mirrors(
+    finger: Finger,
+    pose: Pose,
+    rig: Rig,
+    skin: SkinSettings,
+    *,
+    seeds: tuple[np.random.SeedSequence, int],
+    settings: TwinSettings,
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Photograph a finger between the mirrors of a rig under every LED.
+
+    Parameters
+    ----------
+    finger, pose : what lies there
+    rig : as drawn; the mirrors truly stand a little elsewhere
+    skin : optics
+    seeds : of background and noise, and of the mirrors' true poses
+    settings : of the twin
+
+    Returns
+    -------
+    capture : its rig has the mirrors as drawn
+    truth : arrays by name, see ``docs/twin.md``
+
+    Raises
+    ------
+    BadInput
+        If a mirror shows nothing of the finger, or the finger touches one.
+    """
+    camera, views = rig.camera, settings.mirrors
+    mirrors = as_built(rig.mirrors, views, seeds[1] if views.pose_seed is None else views.pose_seed)
+    body, master = FingerBody(finger.shape), finger.master()
+    worn = bare_behind(skin_map(master, finger.skin), body, views.ridges_to_deg)
+    placement = place(body, pose, camera)
+    for mirror in mirrors:
+        _check_apart(body, placement, mirror)
+    workers = settings.render.workers
+    surface = finger_surface(finger, pose, camera, master=master, workers=workers, skin=worn, keep_chart=True)
+    seen = [mirror_view(body, worn, placement, camera, mirror, workers=workers) for mirror in mirrors]
+    background_seed, noise_seed = seeds[0].spawn(2)
+    scene = MirrorScene((surface, rig, skin), seen, settings, background_seed, load_walks())
+    truth = surface_truth(surface)
+    if surface.chart is not None:
+        truth["chart_mm"] = surface.chart
+    truth |= view_truth(seen, scene.masks)
+    bands = {}
+    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
+    for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
+        bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = scene.photograph(name, band_seed)
+    truth |= optics_truth(skin)
+    truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
+    truth |= body_truth(body, worn, placement, views.truth_pitch_mm)
+    capture = Capture(
+        rig=rig, bands=bands, encoding=settings.sensor.encoding, material="skin", subject={"id": "anonymous"}
+    )
+    return capture, truth
+
+
+def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMap:
+    """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back has no ridges.
+
+    The map grows, as it would be continued, so that it reaches all around the finger.
+    """
+    if ridges_to_deg >= 180.0:
+        return skin
+    shape = body.shape
+    y = np.array([0.5 * shape.length_mm])
+    edge = section_points(body, y, np.array([np.deg2rad(ridges_to_deg)]))
+    # where the master print ends, its continuation has ridges that meet at angles: they are to be faint there
+    limit = min(float(body.distance_and_chart(*edge)[1][0]), -skin.u0_mm - 0.5)
+    reach = shape.length_mm - shape.tip_length_mm
+    around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (_AROUND_MM, _OVER_TIP_MM))
+    grown = ((over_tip, 0), (around, around))
+    coefficients = np.asarray(np.pad(skin.coefficients, grown, mode="reflect"), dtype=np.float64)
+    pigment = np.asarray(np.pad(skin.pigment, grown, mode="reflect"), dtype=np.float32)
+    u0, v0 = skin.u0_mm - around * skin.pitch_mm, skin.v0_mm + over_tip * skin.pitch_mm
+    rows, columns = coefficients.shape
+    across = u0 + skin.pitch_mm * np.arange(columns)
+    beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
+    arc = np.hypot(across[None, :], beyond[:, None])
+    share = np.clip(0.5 - (arc - limit) / _FADE_MM, 0.0, 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    shaded = np.asarray(1.0 - share * (1.0 - pigment), dtype=np.float32)
+    return replace(skin, coefficients=coefficients * share, pigment=shaded, u0_mm=u0, v0_mm=v0)
+
+
+def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None:
+    """Refuse a finger that touches a mirror."""
+    along, around = np.meshgrid(
+        np.linspace(-20.0, body.shape.length_mm - 1e-3, 60), np.linspace(-np.pi, np.pi, 72, endpoint=False)
+    )
+    points = np.stack(section_points(body, along.ravel(), around.ravel()), axis=-1)
+    points = points @ placement.rotation.T + placement.shift
+    gap = (points - mirror.point_mm) @ mirror.normal
+    require(
+        bool(gap.min() > 0.3),
+        f"the finger touches the {mirror.name} mirror; move the finger away or set the mirror further off.",
+    )

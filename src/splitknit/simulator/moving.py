@@ -1,0 +1,162 @@
+"""A moving finger's surfaces, one for each shot, and where its skin goes in the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.simulator.deformation import Deformation, deformed, draw_deformation
+from splitknit.simulator.finger import Finger, Pose, finger_surface, place
+from splitknit.simulator.finger_shape import FingerBody
+from splitknit.simulator.lens import pixels_of_points
+from splitknit.simulator.master_print import MasterPrint
+from splitknit.simulator.motion import HandMotion, MotionPath, draw_path
+from splitknit.simulator.raycast import Placement
+from splitknit.simulator.surface import Surface
+from splitknit.types import Camera
+
+Array = NDArray[np.float64]
+TRUTH_STEP_MM = 0.5
+"""Pitch of the grid on which the truth tells where the skin went."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingFinger:
+    """A finger, its pose in the reference shot, and its path."""
+
+    finger: Finger
+    pose: Pose
+    camera: Camera
+    master: MasterPrint
+    path: MotionPath
+    slips: tuple[Deformation, Deformation]
+    """Fields of slip whose shares `path.slip` tells; their largest shift is 1 mm."""
+    workers: int = 2
+
+    def pose_of(self, shot: int) -> Pose:
+        """How the finger lies in a shot."""
+        x, y = self.path.shift_mm[shot]
+        return replace(
+            self.pose,
+            x_mm=self.pose.x_mm + float(x),
+            insertion_mm=self.pose.insertion_mm + float(y),
+            yaw_rad=self.pose.yaw_rad + float(self.path.yaw_rad[shot]),
+            roll_rad=self.pose.roll_rad + float(self.path.roll_rad[shot]),
+        )
+
+    def slip_of(self, shot: int) -> Deformation:
+        """How the skin has slipped in a shot."""
+        first, second = self.slips
+        shift = self.path.slip[shot, 0] * first.shift_mm + self.path.slip[shot, 1] * second.shift_mm
+        return Deformation(first.u_mm, first.v_mm, shift)
+
+    def surfaces(self) -> Iterator[Surface]:
+        """Yield the surface of every shot, in the order in which they are taken."""
+        for shot in range(len(self.path.time_s)):
+            master = self.master
+            if self.path.slip[shot].any():
+                master = deformed(master, self.slip_of(shot))
+            yield finger_surface(self.finger, self.pose_of(shot), self.camera, master=master, workers=self.workers)
+
+    def truth(self, reference: Surface) -> dict[str, NDArray[Any]]:
+        """Arrays by name: the path, and where the skin of the reference shot lies in every other picture.
+
+        ``motion_flow_px`` (N, 2, h, w): columns and rows by which the skin that the reference shows at the pixels
+        ``motion_rows`` (h,) x ``motion_columns`` (w,) lies elsewhere in shot k; NaN beside the finger.
+        """
+        path = self.path
+        step = max(1, round(TRUTH_STEP_MM * self.camera.px_per_mm))
+        rows, columns = (np.arange(step // 2, n, step) for n in reference.mask.shape)
+        grid = np.ix_(rows, columns)
+        inside = reference.mask[grid]
+        flow = np.full((len(path.time_s), 2, *inside.shape), np.nan, dtype=np.float32)
+        at = np.meshgrid(columns.astype(np.float64), rows.astype(np.float64))
+        here = np.stack([at[0][inside], at[1][inside]])
+        points = _points(reference, grid, inside, here)
+        body = FingerBody(self.finger.shape)
+        on_finger = np.stack(place(body, self.pose, self.camera).to_finger(*points))
+        for shot in range(len(path.time_s)):
+            slipped = on_finger + _slip(body, on_finger, self.slip_of(shot))
+            there = _in_camera(place(body, self.pose_of(shot), self.camera), slipped)
+            flow[shot][:, inside] = np.stack(pixels_of_points(self.camera, *there)) - here
+        return {
+            "motion_time_s": path.time_s,
+            "motion_shift_mm": path.shift_mm,
+            "motion_yaw_deg": np.rad2deg(path.yaw_rad),
+            "motion_roll_deg": np.rad2deg(path.roll_rad),
+            "motion_reference": np.array(path.reference),
+            "motion_rows": rows,
+            "motion_columns": columns,
+            "motion_flow_px": flow,
+        }
+
+
+def moving_finger(  # noqa: PLR0917
+    finger: Finger,
+    pose: Pose,
+    camera: Camera,
+    seed: np.random.SeedSequence,
+    motion: HandMotion,
+    shots: int,
+    workers: int,
+    reference: int | None = None,
+) -> MovingFinger:
+    """Draw the motion of a finger that lies in `pose` in its reference shot.
+
+    Parameters
+    ----------
+    finger, pose, camera : as for :func:`splitknit.simulator.finger.finger_surface`
+    seed : of path and slip
+    motion : how far and how it moves
+    shots : taken one after the other
+    workers : threads; the result does not depend on them
+    reference : see :func:`splitknit.simulator.motion.draw_path`
+    """
+    master = finger.master()
+    path_seed, slip_seed = seed.spawn(2)
+    path = draw_path(np.random.default_rng(path_seed), shots, motion, reference)
+    rng = np.random.default_rng(slip_seed)
+    unit_mm = 0.1 * motion.slip_smooth_mm
+    first, second = (_scaled(draw_deformation(rng, master, unit_mm, motion.slip_smooth_mm), 1 / unit_mm) for _ in "12")
+    return MovingFinger(finger, pose, camera, master, path, (first, second), workers)
+
+
+def _scaled(deformation: Deformation, factor: float) -> Deformation:
+    return Deformation(deformation.u_mm, deformation.v_mm, deformation.shift_mm * factor)
+
+
+def _points(surface: Surface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
+    """x, y and z (N,) of the smooth skin at some pixels; of a perspective camera, of the skin itself."""
+    camera = surface.camera
+    if surface.x_mm is not None and surface.y_mm is not None:
+        x, y, z = (part[grid][inside].astype(np.float64) for part in (surface.x_mm, surface.y_mm, surface.height_mm))
+        return x, y, z
+    height, width = surface.mask.shape
+    x = (here[0] - (width - 1) / 2) * camera.pitch_mm
+    y = ((height - 1) / 2 - here[1]) * camera.pitch_mm
+    return x, y, surface.shape_mm[grid][inside].astype(np.float64)
+
+
+def _slip(body: FingerBody, points: Array, slip: Deformation) -> Array:
+    """(3, N) by which skin at `points` (3, N) of the finger's frame has slipped along the body."""
+    step = 1e-3
+
+    def chart(p: Array) -> Array:
+        return np.stack(body.distance_and_chart(p[0], p[1], p[2]))
+
+    here = chart(points)
+    turn = np.stack(
+        [(chart(points + step * axis[:, None]) - chart(points - step * axis[:, None])) for axis in np.eye(3)]
+    )
+    moved = slip.moved(here[1:].T).T - here[1:]
+    wanted = np.concatenate([np.zeros((1, points.shape[1])), moved])
+    matrices = np.moveaxis(turn / (2 * step), (0, 1), (2, 1))  # (N, chart, space)
+    return np.asarray(np.linalg.solve(matrices, wanted.T[..., None])[..., 0].T)
+
+
+def _in_camera(placement: Placement, points: Array) -> Array:
+    return np.asarray(np.einsum("ij,jn->in", placement.rotation, points) + placement.shift[:, None])

@@ -1,0 +1,200 @@
+"""Light through and off the skin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from surfaces import plane, ridged_egg
+
+from splitknit.check import BadInput
+from splitknit.simulator.defocus import blur_sigma_px, defocus
+from splitknit.simulator.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
+from splitknit.simulator.lighting import white_card
+from splitknit.simulator.renderer import RenderSettings, render_ambient, render_band
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.skin import CHANNELS, ChannelOptics, SkinSettings
+from splitknit.types import Camera, Led
+
+OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
+CONTRAST = {"red": (0.013, 0.039), "green": (0.034, 0.067), "blue": (0.052, 0.087), "nir": (0.007, 0.033)}
+"""Local standard deviation over mean, volume only and with glare (measurements.md)."""
+
+
+@pytest.fixture(scope="module")
+def walks():
+    return load_walks()
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return ridged_egg()
+
+
+def _all_channels():
+    return [SkinSettings().channel(c) for c in CHANNELS]
+
+
+def test_flat_even_skin_reflects_its_albedo(walks):
+    """Energy: under even light from above, radiance = T(0) T(0) E albedo / (pi T diffuse)."""
+    optics = _all_channels()
+    image = render_band(plane(), [OVERHEAD], optics, roughness=0.25, glare=0.0, walks=walks)
+    passed = 1.0 - float(fresnel(np.array(1.0)))
+    for c, medium in enumerate(optics):
+        albedo = diffusion_profile(walks, medium.scattering_per_mm, medium.absorption_per_mm).albedo
+        expected = passed**2 * 1.0 * albedo / (np.pi * diffuse_transmittance())
+        np.testing.assert_allclose(image.diffuse[0, c], expected, rtol=0.005)
+
+
+def test_dense_scattering_gives_lambert(walks, egg):
+    """Where light leaves where it entered, the picture is the irradiance times the Fresnel transmittances."""
+    dense = ChannelOptics(scattering_per_mm=3000.0, absorption_per_mm=60.0, relief_gain_per_um=0.0)
+    led = default_rig().leds[0]
+    image = render_band(egg, [led], [dense], roughness=0.25, glare=0.0, walks=walks)
+    rows, columns = image.window
+    n = egg.normals[rows, columns]
+    x = ((np.arange(480) - 239.5) * egg.camera.pitch_mm)[None, columns]
+    y = ((274.5 - np.arange(550)) * egg.camera.pitch_mm)[rows, None]
+    z = np.nan_to_num(egg.height_mm[rows, columns])
+    to = np.stack(np.broadcast_arrays(led.position_mm[0] - x, led.position_mm[1] - y, led.position_mm[2] - z), -1)
+    squared = np.sum(to**2, -1)
+    cosine = np.maximum(np.sum(to * n, -1) / np.sqrt(squared), 0)
+    irradiance = 1e4 * cosine / squared * (1 - fresnel(cosine)) * (1 - fresnel(n[..., 2]))
+    albedo = diffusion_profile(walks, 3000.0, 60.0).albedo
+    expected = irradiance * albedo / (np.pi * diffuse_transmittance())
+    inner = cv2.erode(egg.mask[image.window].astype(np.uint8), np.ones((9, 9))) > 0
+    error = np.abs(image.diffuse[0, 0] - expected)[inner]
+    assert error.mean() < 0.004 * expected[inner].mean()
+
+
+def test_ridge_contrast_follows_the_measurements(walks, egg):
+    """Relative contrast of 75 um ridges over the same finger without them, within what the boundary model allows."""
+    leds = default_rig().leds[:7]
+    smooth = ridged_egg(depth_um=0.0)
+    with_ridges, without = (
+        render_band(one, leds, _all_channels(), roughness=0.25, glare=1.0, walks=walks) for one in (egg, smooth)
+    )
+    flat = egg.shape_normals[with_ridges.window][..., 2] > 0.8
+
+    def contrast(light, base):
+        ratio = np.where(base > 0.05 * base.max(), light / np.maximum(base, 1e-9), 1.0)
+        return float((ratio - cv2.GaussianBlur(ratio, (0, 0), 0.32 * egg.camera.px_per_mm))[flat].std())
+
+    inside, outside = {}, {}
+    for c, channel in enumerate(CHANNELS):
+        light, base = with_ridges.diffuse[:, c], without.diffuse[:, c]
+        volume, glossy = CONTRAST[channel]
+        inside[channel] = np.mean([contrast(light[k], base[k]) for k in range(7)])
+        outside[channel] = np.mean(
+            [contrast(light[k] + with_ridges.glare[k], base[k] + without.glare[k]) for k in range(7)]
+        )
+        assert volume / 1.6 < inside[channel] < volume * 1.6
+        assert glossy / 1.6 < outside[channel] < glossy * 1.6
+    assert inside["blue"] > inside["green"] > inside["red"] > inside["nir"]
+    assert outside["blue"] > outside["green"] > outside["red"] > outside["nir"]
+
+
+def test_glare_is_positive_white_and_moves_with_the_light(walks, egg):
+    rig = default_rig()
+    image = render_band(egg, [rig.leds[0], rig.leds[3]], _all_channels()[:1], roughness=0.2, glare=1.0, walks=walks)
+    assert image.glare.min() == 0.0
+    assert image.glare.max() > 0.1 * image.diffuse.max()
+    smooth = [cv2.GaussianBlur(g, (0, 0), 15) for g in image.glare]
+    columns = np.arange(smooth[0].shape[1])
+    centre = [float((s.sum(axis=0) * columns).sum() / s.sum()) for s in smooth]
+    assert centre[0] > centre[1] + 20  # LED 0 is on the right, LED 3 on the left
+    none = render_band(egg, [rig.leds[0]], _all_channels()[:1], roughness=0.2, glare=0.0, walks=walks)
+    assert not none.glare.any()
+    np.testing.assert_array_equal(none.diffuse[0], image.diffuse[0])
+
+
+def test_glare_of_a_mirror_like_plane_obeys_the_microfacet_equation(walks):
+    """At normal incidence and view, D G F / (4 n.v) = F / (4 pi alpha^2)."""
+    image = render_band(plane(), [OVERHEAD], _all_channels()[:1], roughness=0.3, glare=1.0, walks=walks)
+    expected = (0.42 / 2.42) ** 2 / (4 * np.pi * 0.3**2)
+    np.testing.assert_allclose(image.glare[0, 48, 64], expected, rtol=0.01)
+
+
+def test_several_leds_in_one_exposure_add(walks, egg):
+    rig = default_rig(seed=1)
+    both = replace(rig.leds[0], also=(rig.leds[2],))
+    optics = _all_channels()[:1]
+    image = render_band(egg, [rig.leds[0], rig.leds[2], both], optics, roughness=0.25, glare=1.0, walks=walks)
+    np.testing.assert_allclose(image.diffuse[2], image.diffuse[0] + image.diffuse[1], rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(image.glare[2], image.glare[0] + image.glare[1], rtol=1e-5, atol=1e-9)
+
+
+def test_near_light_falls_with_distance_and_lobe(walks):
+    near = Led("white", position_mm=(0.0, 0.0, 50.0))
+    far = Led("white", position_mm=(0.0, 0.0, 100.0))
+    camera = Camera(10.0, (64, 64))
+    assert white_card(camera, near)[32, 32] == pytest.approx(4 * white_card(camera, far)[32, 32], rel=1e-3)
+    assert white_card(camera, far)[32, 32] == pytest.approx(1 / np.pi, rel=1e-3)
+    lobed = white_card(camera, replace(near, lobe_exponent=20.0))
+    assert lobed[0, 0] < white_card(camera, near)[0, 0]
+    distant = Led("white", direction=(0.0, 0.6, 0.8))
+    np.testing.assert_allclose(white_card(camera, distant), 0.8 / np.pi, rtol=1e-6)
+
+
+def test_relief_term_brightens_ridges(walks, egg):
+    """Under even light from everywhere above, ridges are brighter than valleys by 1 + k h."""
+    medium = SkinSettings().channel("blue")
+    with_term = render_ambient(egg, 1.0, [medium], roughness=0.25, walks=walks)
+    without = render_ambient(egg, 1.0, [replace(medium, relief_gain_per_um=0.0)], roughness=0.25, walks=walks)
+    inside = with_term[0] > 0
+    ratio = (with_term[0][inside] / without[0][inside]) - 1.0
+    relief = egg.relief_um[40:-40, 40:-40]
+    assert ratio.std() == pytest.approx(medium.relief_gain_per_um * relief[relief < 0].std(), rel=0.35)
+    assert np.corrcoef(ratio, egg.relief_um[14:-14, 16:-16][inside])[0, 1] > 0.8
+    assert with_term.max() < 1.2
+
+
+def test_skin_goes_on_beyond_the_picture(walks):
+    """A finger that the picture cuts is not darker at the cut."""
+    surface = plane((96, 128))
+    mask = surface.mask.copy()
+    mask[:, :40] = mask[:, 88:] = False
+    image = render_band(
+        replace(surface, mask=mask), [OVERHEAD], [SkinSettings().channel("nir")], roughness=0.25, glare=0, walks=walks
+    )
+    column = image.diffuse[0, 0][:, image.diffuse.shape[3] // 2]
+    assert column[0] == pytest.approx(column[48], rel=0.02)
+
+
+def test_workers_do_not_change_the_bytes(walks, egg):
+    leds = default_rig().leds[:3]
+    one, three = (
+        render_band(
+            egg, leds, _all_channels(), roughness=0.25, glare=1.0, walks=walks, settings=RenderSettings(workers=w)
+        )
+        for w in (1, 3)
+    )
+    assert one.diffuse.tobytes() == three.diffuse.tobytes()
+    assert one.glare.tobytes() == three.glare.tobytes()
+
+
+def test_defocus_keeps_the_plane_in_focus_and_the_light():
+    rng = np.random.default_rng(0)
+    image = rng.random((60, 60, 3), dtype=np.float32)
+    assert defocus(image, np.zeros((60, 60), np.float32)) is image
+    depth = np.linspace(5, -5, 60, dtype=np.float32)[:, None].repeat(60, axis=1)
+    sigma = blur_sigma_px(depth, 5.0, 140.0, 5.5, 40.0)
+    assert sigma[0].max() == 0.0
+    # similar triangles: 10 mm below a plane at 135 mm, a pupil of 5.5 mm
+    assert sigma[-1, 0] == pytest.approx(40.0 * 5.5 * 10 / 145 / 4, rel=1e-4)
+    blurred = defocus(image, sigma)
+    np.testing.assert_array_equal(blurred[0], image[0])
+    spread = blurred.std(axis=(1, 2))
+    assert spread[-1] < 0.25 * spread[0]
+    even = defocus(image, np.full((60, 60), 2.0, np.float32))
+    np.testing.assert_allclose(even, cv2.GaussianBlur(image, (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE), atol=1e-5)
+
+
+def test_a_finger_outside_the_picture_is_refused(walks):
+    empty = replace(plane(), mask=np.zeros((96, 128), dtype=np.bool_))
+    with pytest.raises(BadInput, match="outside the picture"):
+        render_band(empty, [OVERHEAD], _all_channels(), roughness=0.25, glare=1.0, walks=walks)
+    with pytest.raises(BadInput, match="workers"):
+        RenderSettings(workers=0)
