@@ -12,9 +12,9 @@ import argparse
 
 import numpy as np
 
-from splitknit.calibrate.light_table import Tip
-from splitknit.calibrate.lights import Circle, by_circle
-from splitknit.calibrate.nail import by_joint_fit
+from splitknit.calibration.light_table import Tip
+from splitknit.calibration.lights import Circle, by_circle
+from splitknit.calibration.nail import by_joint_fit
 from splitknit.rig.netlist import design_circuit
 from splitknit.simulator.bench_nail import NailScene
 from splitknit.simulator.built_rig import built_rig

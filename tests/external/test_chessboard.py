@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.calibrate import Board, find_board, size_in_view
+from splitknit.calibration import Board, find_board, size_in_view
 from splitknit.io import read_image, read_rig
 
 pytestmark = pytest.mark.external

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.calibrate.sphere import ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit.calibration.sphere import ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.check import BadInput
 
 pytestmark = pytest.mark.external

@@ -63,7 +63,7 @@ from splitknit.batch.features import BANDS, QUALITY, feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.store import open_store
 from splitknit.batch.surfaces import pack_surface, unpack_surface
-from splitknit.calibrate.light_table import COLUMNS, check_tips, read_tips
+from splitknit.calibration.light_table import COLUMNS, check_tips, read_tips
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.check import BadInput
 from splitknit.io import (

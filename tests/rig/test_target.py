@@ -9,9 +9,9 @@ import pytest
 from page_raster import draw, objects_of
 
 from splitknit.apps.cli import main
-from splitknit.calibrate import Board, find_board
-from splitknit.calibrate.disc import find_disc
-from splitknit.calibrate.plane import plane_scale
+from splitknit.calibration import Board, find_board
+from splitknit.calibration.disc import find_disc
+from splitknit.calibration.plane import plane_scale
 from splitknit.check import BadInput
 from splitknit.rig.pdf import POINTS_PER_MM, Page
 from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf

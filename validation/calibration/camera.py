@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibrate import Board, find_board
-from splitknit.calibrate.camera import CameraCalibration, calibrate_camera
-from splitknit.calibrate.disc import find_disc
-from splitknit.calibrate.lens_model import fit_lens
-from splitknit.calibrate.plane import PlanePose, mean_pose, plane_pose
+from splitknit.calibration import Board, find_board
+from splitknit.calibration.camera import CameraCalibration, calibrate_camera
+from splitknit.calibration.disc import find_disc
+from splitknit.calibration.lens_model import fit_lens
+from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit.simulator import bench
 from splitknit.simulator.built_rig import built_rig
 from splitknit.types import Rig

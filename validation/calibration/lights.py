@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibrate.light_table import BANDS, Tip
-from splitknit.calibrate.lights import Circle, by_circle
-from splitknit.calibrate.nail import by_joint_fit
-from splitknit.calibrate.nail_model import NailSettings
-from splitknit.calibrate.shadow import find_nail
+from splitknit.calibration.light_table import BANDS, Tip
+from splitknit.calibration.lights import Circle, by_circle
+from splitknit.calibration.nail import by_joint_fit
+from splitknit.calibration.nail_model import NailSettings
+from splitknit.calibration.shadow import find_nail
 from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.rig import default_rig

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibrate.drift import drift_words, led_drift
+from splitknit.calibration.drift import drift_words, led_drift
 from splitknit.check import BadInput, require
 from splitknit.preprocess import (
     Upright,

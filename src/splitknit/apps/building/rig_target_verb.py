@@ -23,7 +23,7 @@ def add_target(kinds: Any) -> None:
 def run(options: argparse.Namespace) -> Outcome:
     """Write the sheet."""
     from splitknit.apps.targets import check_file  # noqa: PLC0415
-    from splitknit.calibrate import Board  # noqa: PLC0415 - only this verb pays
+    from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
     from splitknit.io import atomic_file  # noqa: PLC0415
     from splitknit.rig.pdf import PRODUCER  # noqa: PLC0415
     from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf  # noqa: PLC0415

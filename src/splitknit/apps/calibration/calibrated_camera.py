@@ -12,10 +12,10 @@ import numpy as np
 from splitknit.apps.calibration.camera_facts import facts_of, rig_provenance
 from splitknit.apps.calibration.camera_photos import board_photos, disc_marks, image_files, plane_marks
 from splitknit.apps.targets import check_rig_file
-from splitknit.calibrate import Board
-from splitknit.calibrate.camera import CameraCalibration, CameraSettings, calibrate_camera
-from splitknit.calibrate.depth_of_field import DepthOfField, depth_of_field
-from splitknit.calibrate.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
+from splitknit.calibration import Board
+from splitknit.calibration.camera import CameraCalibration, CameraSettings, calibrate_camera
+from splitknit.calibration.depth_of_field import DepthOfField, depth_of_field
+from splitknit.calibration.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
 from splitknit.check import BadInput, require
 from splitknit.io import file_hash, read_rig, write_rig
 from splitknit.simulator.rig import default_rig

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND, Tip, check_tips
-from splitknit.calibrate.light_verdicts import Judged, LightLimits, check_nails, copied_leds, judge, refusal
-from splitknit.calibrate.lights import Circle, LedEstimate, by_circle
-from splitknit.calibrate.nail import JointFit, by_joint_fit
-from splitknit.calibrate.nail_model import NailSettings
+from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, check_tips
+from splitknit.calibration.light_verdicts import Judged, LightLimits, check_nails, copied_leds, judge, refusal
+from splitknit.calibration.lights import Circle, LedEstimate, by_circle
+from splitknit.calibration.nail import JointFit, by_joint_fit
+from splitknit.calibration.nail_model import NailSettings
 from splitknit.check import BadInput, require
 from splitknit.types import Camera, Led, Rig
 

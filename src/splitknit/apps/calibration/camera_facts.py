@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splitknit.calibrate.plane import PlanePose
+from splitknit.calibration.plane import PlanePose
 from splitknit.io import provenance
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibrate import Board, find_board, size_in_view
-from splitknit.calibrate.disc import find_disc
+from splitknit.calibration import Board, find_board, size_in_view
+from splitknit.calibration.disc import find_disc
 from splitknit.check import BadInput, read_bytes, require
 from splitknit.io.images import DEFAULTS, decode_image
 from splitknit.types import PixelArray

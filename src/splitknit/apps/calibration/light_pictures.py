@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.pictures import ORANGE, PAPER, SKY, ColourArray
-from splitknit.calibrate.shadow import NailView
+from splitknit.calibration.shadow import NailView
 from splitknit.types import FloatArray
 
 Points = NDArray[np.float64]

@@ -14,8 +14,8 @@ from splitknit.apps.calibration.calibrated_lights import LightSettings, rig_of
 from splitknit.apps.options import read_changes
 from splitknit.apps.targets import check_rig_file
 from splitknit.apps.verb import Outcome
-from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND
-from splitknit.calibrate.lights import Circle, combine
+from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND
+from splitknit.calibration.lights import Circle, combine
 from splitknit.check import require
 from splitknit.io import plain_json, provenance, read_rig, write_rig
 from splitknit.settings import override

@@ -15,8 +15,8 @@ from splitknit.apps.calibration.light_pictures import nail_overview
 from splitknit.apps.calibration.lights_of_nail import Task, finish
 from splitknit.apps.targets import check_file, check_picture
 from splitknit.apps.verb import Outcome, Refused
-from splitknit.calibrate.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
-from splitknit.calibrate.shadow import NailView, find_nail
+from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
+from splitknit.calibration.shadow import NailView, find_nail
 from splitknit.check import BadInput, read_bytes, require
 from splitknit.io import atomic_file, write_image
 from splitknit.io.fields import Fields, read_json

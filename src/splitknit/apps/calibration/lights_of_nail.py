@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from splitknit.apps.calibration.calibrated_lights import LightSettings, calibrate_lights, lines_of, rig_of
 from splitknit.apps.calibration.lights_inputs import RigInputs, write_lights
 from splitknit.apps.verb import Outcome, Refused
-from splitknit.calibrate.light_table import Tip, read_tips
-from splitknit.calibrate.lights import Circle
+from splitknit.calibration.light_table import Tip, read_tips
+from splitknit.calibration.lights import Circle
 from splitknit.check import BadInput, read_bytes
 from splitknit.io import plain_json, provenance
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from splitknit.apps.calibration.lights_inputs import RigInputs, rig_inputs, write_lights
 from splitknit.apps.calibration.lights_of_images import SUFFIXES, read_stack
 from splitknit.apps.verb import Outcome
-from splitknit.calibrate.light_table import BANDS
-from splitknit.calibrate.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit.calibration.light_table import BANDS
+from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.check import require
 from splitknit.io import file_hash, image_size, plain_json, provenance, read_image
 from splitknit.types import Camera, Led, Rig

@@ -22,9 +22,9 @@ from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.pictures import ColourArray, colour
 from splitknit.apps.targets import check_picture, check_rig_file
 from splitknit.apps.verb import Outcome
-from splitknit.calibrate.card_check import check_card, check_facts
-from splitknit.calibrate.card_light import CardPlane
-from splitknit.calibrate.radiometry import (
+from splitknit.calibration.card_check import check_card, check_facts
+from splitknit.calibration.card_light import CardPlane
+from splitknit.calibration.radiometry import (
     PROVENANCE,
     RadiometricCalibration,
     RadiometrySettings,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.calibration.radiometry_folder import DOCUMENT, RadiometryPlan
-from splitknit.calibrate.response import Response, ResponseSettings, fit_response
-from splitknit.calibrate.sensor_noise import Dark, NoiseModel, dark_frames, noise_model, noise_samples
+from splitknit.calibration.response import Response, ResponseSettings, fit_response
+from splitknit.calibration.sensor_noise import Dark, NoiseModel, dark_frames, noise_model, noise_samples
 from splitknit.check import require
 from splitknit.io import file_hash, read_image
 from splitknit.types import Capture, PixelArray

@@ -1,0 +1,178 @@
+"""A capture of a white card as numbers: one image for every LED of the rig, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.calibration.cells import CellSettings, cells_of
+from splitknit.check import require
+from splitknit.radiance import linear_image, pick_channel
+from splitknit.types import Band, Capture, Led, Rig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CardSettings:
+    """What the images of a card must show."""
+
+    cells: CellSettings = field(default_factory=CellSettings)
+    """How images are condensed."""
+    clipped_percent: float = 0.5
+    """An image is refused if more than this share of its pixels is at full scale."""
+    full_scale: float = 0.985
+    """A value from here on is at full scale."""
+    least_light: float = 0.02
+    """An image whose median is below this share of full scale is black."""
+
+    def __post_init__(self) -> None:
+        for name in ("full_scale", "least_light"):
+            require(0 < getattr(self, name) <= 1, f"card.{name} must lie between 0 and 1.")
+        require(0 <= self.clipped_percent <= 100, "card.clipped_percent must lie between 0 and 100.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CardImages:
+    """A white card under every LED of a rig, in the order of its LEDs."""
+
+    pixels: Array
+    """(N, 2) column and row of the cells' middles."""
+    light: Array
+    """(L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure."""
+    shape: tuple[int, int]
+    """Rows and columns of cells."""
+    ambient_percent: dict[str, float | None]
+    """Of each band: light with all LEDs off, relative to the mean image; None where there is no such image."""
+    exposures_given: bool
+    """Whether the capture says how long it exposed, so that brightness can be compared with another day's."""
+    brightest: Array
+    """(L,) 99th percentile of each image's values, as a part of full scale."""
+
+
+def led_name(leds: Sequence[Led], index: int) -> str:
+    """Such as ``white 3``: an LED by its band and its number in it."""
+    band = leds[index].band
+    return f"{band} {sum(led.band == band for led in leds[:index])}"
+
+
+def card_images(
+    capture: Capture, rig: Rig, black_level: float | None = None, settings: CardSettings | None = None
+) -> CardImages:
+    """Condense a capture of a white card.
+
+    Parameters
+    ----------
+    capture : of the card, each LED of the rig alone in one image
+    rig : whose LEDs the capture names
+    black_level : stored value of no light, for images of which the capture does not say it
+    settings : CardSettings, optional
+
+    Returns
+    -------
+    CardImages
+
+    Raises
+    ------
+    BadInput
+        If capture and rig do not fit, an LED has no image or several, or an image is black or clipped.
+    """
+    chosen = settings or CardSettings()
+    _check_fit(capture, rig)
+    bands = [_with_black(band, black_level) for band in capture.bands.values()]
+    order = _images_of_leds(bands, rig)
+    for band in bands:
+        for k in range(len(band.pixels)):
+            _check_image(band, k, rig, chosen)
+    cells = [cells_of(replace(band, shading=()), capture.encoding, chosen.cells) for band in bands]
+    stored = [
+        [float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max for image in band.pixels]
+        for band in bands
+    ]
+    return CardImages(
+        pixels=cells[0].pixels,
+        light=np.stack([cells[b].light[k] for b, k in order]),
+        shape=cells[0].shape,
+        ambient_percent={
+            band.name: _ambient_percent(band, capture.encoding, cell.light)
+            for band, cell in zip(bands, cells, strict=True)
+        },
+        exposures_given=any(bool((band.exposure != 1.0).any()) for band in bands),
+        brightest=np.array([stored[b][k] for b, k in order]),
+    )
+
+
+def _check_fit(capture: Capture, rig: Rig) -> None:
+    own = capture.rig
+    require(
+        own.camera.image_size == rig.camera.image_size,
+        f"the card's images have {own.camera.image_size[0]} x {own.camera.image_size[1]} pixels, but the rig's camera "
+        f"has {rig.camera.image_size[0]} x {rig.camera.image_size[1]}; give the rig that took them.",
+    )
+    require(
+        [led.band for led in own.leds] == [led.band for led in rig.leds],
+        f"the card was taken with a rig of {len(own.leds)} LEDs, but the rig to calibrate has {len(rig.leds)} (or "
+        f"orders its bands otherwise); give the rig that took them.",
+    )
+    for k, led in enumerate(rig.leds):
+        require(
+            led.position_mm is not None,
+            f"LED {k} of the rig has a direction, but no position_mm; calibrate the lights first.",
+        )
+
+
+def _with_black(band: Band, black_level: float | None) -> Band:
+    if black_level is None or (band.black_level != 0).any():
+        return band
+    return replace(band, black_level=np.full(len(band.black_level), black_level), ambient_black_level=black_level)
+
+
+def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
+    """Band and image of every LED."""
+    found: dict[int, tuple[int, int]] = {}
+    for b, band in enumerate(bands):
+        for k, group in enumerate(band.leds):
+            require(
+                len(group) == 1,
+                f"image {k} of the band '{band.name}' is lit by {len(group)} LEDs; each LED must light the card alone.",
+            )
+            require(
+                group[0] not in found,
+                f"LED {group[0]} ({led_name(rig.leds, group[0])}) lights two images of the card; keep one.",
+            )
+            found[group[0]] = (b, k)
+    missing = [f"{k} ({led_name(rig.leds, k)})" for k in range(len(rig.leds)) if k not in found]
+    require(
+        not missing,
+        f"the card has {len(found)} images for the rig's {len(rig.leds)} LEDs: LED {', '.join(missing)} "
+        f"{'is' if len(missing) == 1 else 'are'} missing; take the card under every LED.",
+    )
+    return [found[k] for k in range(len(rig.leds))]
+
+
+def _check_image(band: Band, k: int, rig: Rig, settings: CardSettings) -> None:
+    name = band.files[k] if band.files else f"image {k} of the band '{band.name}'"
+    pixels, full = band.pixels[k], float(np.iinfo(band.pixels.dtype).max)
+    clipped = 100 * float((pixels.max(axis=2) >= settings.full_scale * full).mean())
+    require(
+        clipped <= settings.clipped_percent,
+        f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most {settings.clipped_percent:g} % "
+        f"may be); take the card with a shorter exposure.",
+    )
+    middle = (float(np.median(pixels[::4, ::4])) - float(band.black_level[k])) / full
+    led = band.leds[k][0]
+    require(
+        middle > settings.least_light,
+        f"{name} is black ({100 * middle:.1f} % of full scale): LED {led} ({led_name(rig.leds, led)}) did not light, "
+        f"or the exposure is far too short.",
+    )
+
+
+def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
+    if band.ambient is None:
+        return None
+    image = linear_image(band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning=2)
+    return 100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light))

@@ -1,0 +1,207 @@
+"""Radiometric calibration: a rig's lens, the brightness and beams of its LEDs, and how they are doing later.
+
+Flat field: :mod:`splitknit.calibration.flat_field`. The camera's response: :mod:`splitknit.calibration.response`. Its
+noise: :mod:`splitknit.calibration.sensor_noise`. Drift in photographs of anything matt:
+:mod:`splitknit.calibration.drift`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.calibration.card_images import CardImages, CardSettings, card_images, led_name
+from splitknit.calibration.card_light import CardPlane, card_light
+from splitknit.calibration.flat_field import FlatField, FlatFieldSettings, fit_flat_field
+from splitknit.check import require
+from splitknit.types import Capture, Rig
+
+Array = NDArray[np.float64]
+PROVENANCE = "radiometry"
+"""Where a rig's provenance holds what is found here."""
+
+
+@dataclass(frozen=True, slots=True)
+class RadiometrySettings:
+    """Limits of a radiometric calibration."""
+
+    images: CardSettings = field(default_factory=CardSettings)
+    """What the images of the card must show."""
+    flat_field: FlatFieldSettings = field(default_factory=FlatFieldSettings)
+    """How the model is fitted."""
+    limit_percent: float = 1.0
+    """Largest rms of an LED's residuals."""
+    gloss_percent: float = 2.0
+    """A card whose mirror spot is brighter than this (and five of its errors) shines."""
+    ambient_percent: float = 5.0
+    """Light from elsewhere above which there is a warning, relative to the LEDs'."""
+    drift_percent: float = 3.0
+    """Departure of an LED from the calibration above which there is a warning."""
+    pattern_percent: float = 1.0
+    """Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
+
+    def __post_init__(self) -> None:
+        for name in ("limit_percent", "gloss_percent", "ambient_percent", "drift_percent", "pattern_percent"):
+            value = getattr(self, name)
+            require(bool(np.isfinite(value)) and value > 0, f"radiometry.{name} must be positive, but it is {value}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadiometricCalibration:
+    """What a white card says about a rig."""
+
+    rig: Rig
+    """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under `PROVENANCE`."""
+    flat_field: FlatField
+    images: CardImages
+    facts: Mapping[str, Any]
+    """What is stored in the rig's provenance: plain JSON."""
+    warnings: tuple[str, ...]
+
+
+def calibrate_radiometry(
+    capture: Capture,
+    rig: Rig,
+    card: CardPlane | None = None,
+    black_level: float | None = None,
+    settings: RadiometrySettings | None = None,
+) -> RadiometricCalibration:
+    """Calibrate a rig's light from a white card under each of its LEDs.
+
+    Parameters
+    ----------
+    capture : of the card; an ambient image a band takes room light and black level off
+    rig : camera and LEDs' places, calibrated
+    card : where the card lies; on the finger plane by default
+    black_level : stored value of no light, for images of which the capture does not say it
+    settings : RadiometrySettings, optional
+
+    Returns
+    -------
+    RadiometricCalibration
+
+    Raises
+    ------
+    BadInput
+        If the images do not show an even, matt card under each LED alone; naming what and where.
+    """
+    chosen, plane = settings or RadiometrySettings(), card or CardPlane()
+    images = card_images(capture, rig, black_level, chosen.images)
+    flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane, chosen.flat_field)
+    _check(flat, rig, chosen)
+    leds = [_led_facts(rig, flat, images, k, chosen) for k in range(len(rig.leds))]
+    facts: dict[str, Any] = {
+        "captured_at": capture.captured_at,
+        "card": {
+            "height_mm": plane.height_mm,
+            "tilt_deg": list(plane.tilt_deg),
+            "level": _round(flat.card_level),
+            "exposures_given": images.exposures_given,
+            "unevenness_percent": _round(flat.common_percent),
+            "gloss_percent": _round(flat.gloss_percent),
+            "dust_percent": _round(100 * float(flat.dust.mean())),
+        },
+        "leds": leds,
+        "lens": {"shading": list(flat.camera.shading), "corner": _round(1.0 + sum(flat.camera.shading))},
+        "model": {
+            "chosen": flat.order.name,
+            "tried": [{"name": n, "parameters": p, "rms_percent": _round(rms)} for n, p, rms in flat.orders],
+        },
+        "ambient_percent": {band: None if v is None else _round(v) for band, v in images.ambient_percent.items()},
+    }
+    provenance = {**rig.provenance, PROVENANCE: facts}
+    return RadiometricCalibration(
+        rig=replace(rig, camera=flat.camera, leds=flat.leds, provenance=provenance),
+        flat_field=flat,
+        images=images,
+        facts=facts,
+        warnings=_warnings(rig, images, flat, black_level, chosen),
+    )
+
+
+def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
+    dust = float(flat.dust.mean())
+    most = flat.settings.worst_dust_share
+    require(
+        dust <= most,
+        f"the card is not uniform: {100 * dust:.0f} % of the picture departs by more than "
+        f"{flat.settings.dust_percent:g} % from an even card; clean or change it, and see that it reaches over all "
+        f"borders.",
+    )
+    worst = int(np.argmax(flat.rms_percent))
+    require(
+        flat.rms_percent[worst] <= settings.limit_percent or flat.common_percent < 0.7 * flat.rms_percent[worst],
+        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs alike; "
+        f"use a clean matt white card.",
+    )
+    rms = float(flat.rms_percent[worst])
+    require(
+        rms <= settings.limit_percent,
+        f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
+        f"rms is {rms:.1f} % (at most {settings.limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
+        f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
+        f"is).",
+    )
+    shines = flat.gloss_percent > settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error
+    require(
+        not shines,
+        f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the LEDs (at most "
+        f"{settings.gloss_percent:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
+    )
+
+
+def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: RadiometrySettings) -> dict[str, Any]:
+    led = flat.leds[k]
+    origin = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
+    rms = float(flat.rms_percent[k])
+    error = float(flat.exponent_error[k])
+    level = np.median(images.light[k] / card_light(flat.camera, led, images.pixels, flat.card))
+    return {
+        "led": k,
+        "name": led_name(rig.leds, k),
+        "intensity": led.intensity,
+        "lobe_exponent": led.lobe_exponent,
+        "lobe_exponent_error": _round(error) if np.isfinite(error) else None,
+        "aim_off_deg": _round(float(np.rad2deg(np.arccos(np.clip(led.axis @ origin, -1, 1))))),
+        "level": _round(float(level)),
+        "rms_percent": _round(rms),
+        "largest_percent": _round(float(flat.largest_percent[k])),
+        "verdict": "good" if rms <= 0.5 * settings.limit_percent else "fair",
+    }
+
+
+def _warnings(
+    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
+) -> tuple[str, ...]:
+    words = []
+    for band, share in images.ambient_percent.items():
+        if share is None:
+            words.append(
+                f"there is no ambient image of the band {band}: room light"
+                f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
+            )
+        elif share > settings.ambient_percent:
+            words.append(
+                f"light from elsewhere is {share:.1f} % of the {band} LEDs' (limit {settings.ambient_percent:g} %); "
+                f"close the lid, for it changes from image to image."
+            )
+    for k, largest in enumerate(flat.largest_percent):
+        if largest > 3 * settings.limit_percent:
+            words.append(
+                f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its beam is not smooth, "
+                f"or something shadows it."
+            )
+    dim = float(images.brightest.min())
+    if dim < 0.25:
+        words.append(f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for less noise.")
+    if flat.gloss_percent > 0.5 * settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error:
+        words.append(f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the LEDs.")
+    return tuple(words)
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.6g}")
