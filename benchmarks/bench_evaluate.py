@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.evaluate import (
+from splitknit.evaluation import (
     BootstrapSettings,
     Scores,
     auc,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.evaluate import comparisons, equal_error, gar_at_far
+from splitknit.evaluation import comparisons, equal_error, gar_at_far
 
 Captured = pytest.CaptureFixture[str]
 QUICK = ["--replicates", "50"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.evaluate import comparisons
+from splitknit.evaluation import comparisons
 
 
 def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> Path:

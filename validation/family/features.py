@@ -27,10 +27,10 @@ import numpy as np
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.check import BadInput
-from splitknit.evaluate import comparisons, scores_of_comparisons
-from splitknit.evaluate.fusion import FusionSettings, fuse
-from splitknit.evaluate.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluate.scores import Scores
+from splitknit.evaluation import comparisons, scores_of_comparisons
+from splitknit.evaluation.fusion import FusionSettings, fuse
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.scores import Scores
 from splitknit.io import read_capture
 from splitknit.match.minutiae import extract, minutiae_match
 from splitknit.match.minutiae3d import PreparedMinutiae3D, minutiae3d_match

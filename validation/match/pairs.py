@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_images, surface_template
-from splitknit.evaluate import Scores, bootstrap, ids_of
+from splitknit.evaluation import Scores, bootstrap, ids_of
 from splitknit.match import Prepared, ThesisSettings, ridge_match, thesis_match
 from splitknit.pipeline import reconstruct
 from splitknit.preprocess.orientation import find_upright

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
-from splitknit.evaluate import BootstrapSettings, Scores, bootstrap, differences, ids_of
-from splitknit.evaluate.fusion_models import fit_linear, fit_logistic
+from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, differences, ids_of
+from splitknit.evaluation.fusion_models import fit_linear, fit_logistic
 from splitknit.io import read_print_png
 from splitknit.match import Prepared, make_template, print_band, ridge_match
 from splitknit.match.minutiae import extract, minutiae_match

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate.rates import d_prime, equal_error
+from splitknit.evaluation.rates import d_prime, equal_error
 from splitknit.simulator.finger import Finger, finger_surface
 from splitknit.simulator.master_print import MasterPrint, ink_print
 from splitknit.simulator.pattern_classes import DIGITS, class_shares

@@ -15,8 +15,8 @@ from tables import Row
 from trials import Table, Trial
 from variants import VARIANTS, Known, Variant, judged
 
-from splitknit.evaluate import BootstrapSettings, Interval, Scores, bootstrap, differences
-from splitknit.evaluate.intervals import TARGETS
+from splitknit.evaluation import BootstrapSettings, Interval, Scores, bootstrap, differences
+from splitknit.evaluation.intervals import TARGETS
 
 METHODS = ("finger", "subject")
 

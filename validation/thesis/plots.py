@@ -9,7 +9,7 @@ import numpy as np
 from tables import Row
 
 from splitknit.apps.evaluation_charts import Axis, Curve, percent, plot, roc_chart
-from splitknit.evaluate import BootstrapSettings, Scores, bootstrap, roc
+from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, roc
 
 
 def save(chart: str, file: Path) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Table, Trial
 
-from splitknit.evaluate import comparisons
+from splitknit.evaluation import comparisons
 from splitknit.io import read_capture
 from splitknit.io.provenance import settings_hash
 from splitknit.match import ThesisSettings, finger_images

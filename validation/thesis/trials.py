@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate import Ids, Scores
+from splitknit.evaluation import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
 KEPT_SHARE = 0.2
@@ -186,7 +186,7 @@ def _read_scores(store: StoreLike, case: str) -> Any:
 
 
 def scores_of(pairs: Pairs, similarity: Values, name: str) -> Scores:
-    """What :mod:`splitknit.evaluate` takes."""
+    """What :mod:`splitknit.evaluation` takes."""
     captures = pairs.captures
     ids = {key: pairs.ids(getattr(captures, key)) for key in ("finger", "subject", "session")}
     return Scores(pairs.genuine, similarity, name=name, **ids)

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> Outcome:
     """Evaluate, write, and say what came out."""
     from splitknit.apps.evaluation import EvaluationSettings, evaluate_to_folder  # noqa: PLC0415
     from splitknit.apps.evaluation_page import interval  # noqa: PLC0415
-    from splitknit.evaluate.intervals import BootstrapSettings  # noqa: PLC0415
+    from splitknit.evaluation.intervals import BootstrapSettings  # noqa: PLC0415
 
     settings = EvaluationSettings(
         dissimilarity=options.dissimilarity,

@@ -16,10 +16,10 @@ from splitknit.apps.evaluation_fusion import fused_system
 from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
 from splitknit.apps.targets import check_target
 from splitknit.check import require
-from splitknit.evaluate.intervals import BootstrapSettings, Interval, bootstrap, differences
-from splitknit.evaluate.pairing import pair_up
-from splitknit.evaluate.protocol import Exclusion, average_sessions, exclude
-from splitknit.evaluate.scores import Scores
+from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
+from splitknit.evaluation.pairing import pair_up
+from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude
+from splitknit.evaluation.scores import Scores
 from splitknit.io import atomic_folder, plain_json
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from splitknit.apps.charts import INK, SERIES_COLOURS
-from splitknit.evaluate.histograms import Histograms
-from splitknit.evaluate.rates import Roc
+from splitknit.evaluation.histograms import Histograms
+from splitknit.evaluation.rates import Roc
 
 Values = NDArray[np.float64]
 COLOURS = (*SERIES_COLOURS, "#AA3377", "#B8860B")

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.evaluate import rates
-from splitknit.evaluate.error_bounds import rule_of_three
-from splitknit.evaluate.identification import Cmc, cmc, rank_one_interval
-from splitknit.evaluate.intervals import BootstrapSettings, Interval, Intervals
-from splitknit.evaluate.protocol import by_session_pair
-from splitknit.evaluate.scores import Scores
+from splitknit.evaluation import rates
+from splitknit.evaluation.error_bounds import rule_of_three
+from splitknit.evaluation.identification import Cmc, cmc, rank_one_interval
+from splitknit.evaluation.intervals import BootstrapSettings, Interval, Intervals
+from splitknit.evaluation.protocol import by_session_pair
+from splitknit.evaluation.scores import Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from splitknit.check import require
-from splitknit.evaluate.fusion import Fused, FusionSettings, fuse
-from splitknit.evaluate.scores import Scores
+from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
+from splitknit.evaluation.scores import Scores
 
 _MISSING = {
     "linear": "its weight goes to the others",
@@ -21,7 +21,7 @@ def fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Sco
     Raises
     ------
     BadInput
-        If there is one system only, or as :func:`splitknit.evaluate.fusion.fuse`.
+        If there is one system only, or as :func:`splitknit.evaluation.fusion.fuse`.
     """
     require(
         len(systems) >= 2, "--fuse needs two systems at least; give several score files, or one with a column system."

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.check import BadInput
-from splitknit.evaluate.protocol import Comparisons, comparisons, scores_of_comparisons
-from splitknit.evaluate.scores import Scores
+from splitknit.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
+from splitknit.evaluation.scores import Scores
 from splitknit.io import file_hash
 from splitknit.match import Prepared, ridge_match, unpack
 from splitknit.match.gallery import Gallery

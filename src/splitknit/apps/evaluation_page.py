@@ -11,8 +11,8 @@ from markupsafe import Markup
 from splitknit.apps.evaluation_charts import cmc_chart, det_chart, histogram_chart, roc_chart
 from splitknit.apps.evaluation_facts import Result
 from splitknit.apps.pages import render
-from splitknit.evaluate.histograms import histograms
-from splitknit.evaluate.rates import roc
+from splitknit.evaluation.histograms import histograms
+from splitknit.evaluation.rates import roc
 
 DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 

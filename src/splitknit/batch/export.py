@@ -1,4 +1,4 @@
-"""Scores of the store for everyone: as :class:`splitknit.evaluate.Scores`, and as CSV files."""
+"""Scores of the store for everyone: as :class:`splitknit.evaluation.Scores`, and as CSV files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.evaluate.scores import Ids, Scores, ids_of
+from splitknit.evaluation.scores import Ids, Scores, ids_of
 from splitknit.io import atomic_file
 
 _KINDS = ("finger", "subject", "session")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.batch.population import CaptureRef
-from splitknit.evaluate.protocol import comparisons
+from splitknit.evaluation.protocol import comparisons
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from splitknit.evaluate.cells import Cells
-from splitknit.evaluate.scores import Ids
+from splitknit.evaluation.cells import Cells
+from splitknit.evaluation.scores import Ids
 
 Weights = NDArray[np.float64]
 BATCH = 1_000_000

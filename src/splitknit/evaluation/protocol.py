@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.evaluate.scores import Ids, Scores
+from splitknit.evaluation.scores import Ids, Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
 from splitknit.check import BadInput
-from splitknit.evaluate import auc, d_prime, equal_error, gar_at_far, roc
-from splitknit.evaluate.error_bounds import rule_of_three
-from splitknit.evaluate.sides import sort_scores
+from splitknit.evaluation import auc, d_prime, equal_error, gar_at_far, roc
+from splitknit.evaluation.error_bounds import rule_of_three
+from splitknit.evaluation.sides import sort_scores
 
 GENUINE = [3.0, 5.0, 5.0, 6.0]
 IMPOSTOR = [0.0, 1.0, 2.0, 5.0]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.evaluate.fusion_models import (
+from splitknit.evaluation.fusion_models import (
     NORMALISATIONS,
     LinearModel,
     LogisticModel,
@@ -23,8 +23,8 @@ from splitknit.evaluate.fusion_models import (
     fit_linear,
     fit_logistic,
 )
-from splitknit.evaluate.pairing import pair_up
-from splitknit.evaluate.scores import Ids, Scores
+from splitknit.evaluation.pairing import pair_up
+from splitknit.evaluation.scores import Ids, Scores
 
 METHODS = ("linear", "trained")
 
@@ -109,7 +109,7 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.evaluate import comparisons, scores_of_comparisons
+    >>> from splitknit.evaluation import comparisons, scores_of_comparisons
     >>> finger, session = np.tile(np.arange(12), 2), np.repeat([1, 2], 12)
     >>> pairs, rng = comparisons(finger, session), np.random.default_rng(0)
     >>> noisy = [pairs.genuine + rng.normal(0, 0.4, pairs.a.size) for _ in range(2)]

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import betainc, ndtr
 
 from splitknit.check import BadInput
-from splitknit.evaluate import (
+from splitknit.evaluation import (
     BootstrapSettings,
     Ids,
     Scores,
@@ -26,10 +26,10 @@ from splitknit.evaluate import (
     ids_of,
     scores_of_comparisons,
 )
-from splitknit.evaluate.cells import make_cells
-from splitknit.evaluate.error_bounds import error_bound
-from splitknit.evaluate.replicate_figures import Layout, figures_of
-from splitknit.evaluate.replicates import cell_weights, cluster_units, pair_units, plain_units
+from splitknit.evaluation.cells import make_cells
+from splitknit.evaluation.error_bounds import error_bound
+from splitknit.evaluation.replicate_figures import Layout, figures_of
+from splitknit.evaluation.replicates import cell_weights, cluster_units, pair_units, plain_units
 
 LAYOUT = Layout((0.5, 0.1, 0.01), (0.03, 0.3))
 FEW = BootstrapSettings(replicates=100, curve_points=5)

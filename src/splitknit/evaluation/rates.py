@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.evaluate.error_bounds import rule_of_three
-from splitknit.evaluate.sides import Counting, Scores1D, sort_scores
+from splitknit.evaluation.error_bounds import rule_of_three
+from splitknit.evaluation.sides import Counting, Scores1D, sort_scores
 
 SLACK = 1e-12
 """Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 says."""

@@ -1,4 +1,4 @@
-"""Figures of one replicate from the weights of its cells: what :mod:`splitknit.evaluate.rates` does with scores."""
+"""Figures of one replicate from the weights of its cells: what :mod:`splitknit.evaluation.rates` does with scores."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate.cells import Cells
-from splitknit.evaluate.rates import SLACK
+from splitknit.evaluation.cells import Cells
+from splitknit.evaluation.rates import SLACK
 
 Row = NDArray[np.float64]
 

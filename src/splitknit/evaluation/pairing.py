@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate.scores import Ids, Scores
+from splitknit.evaluation.scores import Ids, Scores
 
 
 def pair_up(first: Scores, second: Scores) -> Scores | None:

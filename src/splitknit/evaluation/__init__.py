@@ -1,9 +1,9 @@
 """How well scores tell fingers apart: rates, confidence intervals, identification, protocols."""
 
-from splitknit.evaluate.histograms import Histograms, histograms
-from splitknit.evaluate.identification import Cmc, cmc
-from splitknit.evaluate.intervals import BootstrapSettings, Interval, Intervals, bootstrap, differences
-from splitknit.evaluate.protocol import (
+from splitknit.evaluation.histograms import Histograms, histograms
+from splitknit.evaluation.identification import Cmc, cmc
+from splitknit.evaluation.intervals import BootstrapSettings, Interval, Intervals, bootstrap, differences
+from splitknit.evaluation.protocol import (
     Comparisons,
     Exclusion,
     average_sessions,
@@ -13,8 +13,8 @@ from splitknit.evaluate.protocol import (
     scores_of_comparisons,
     session_pairs,
 )
-from splitknit.evaluate.rates import EqualError, OperatingPoint, Roc, auc, d_prime, equal_error, gar_at_far, roc
-from splitknit.evaluate.scores import Ids, Scores, ids_of
+from splitknit.evaluation.rates import EqualError, OperatingPoint, Roc, auc, d_prime, equal_error, gar_at_far, roc
+from splitknit.evaluation.scores import Ids, Scores, ids_of
 
 __all__ = [
     "BootstrapSettings",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate.error_bounds import error_bound
-from splitknit.evaluate.few_errors import FEW
-from splitknit.evaluate.scores import Scores
+from splitknit.evaluation.error_bounds import error_bound
+from splitknit.evaluation.few_errors import FEW
+from splitknit.evaluation.scores import Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.check import BadInput
-from splitknit.evaluate import Scores, comparisons, d_prime, ids_of, scores_of_comparisons
-from splitknit.evaluate.fusion import FusionSettings, cross_fit, deal, fuse
-from splitknit.evaluate.fusion_models import fit_linear, fit_logistic
+from splitknit.evaluation import Scores, comparisons, d_prime, ids_of, scores_of_comparisons
+from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fuse
+from splitknit.evaluation.fusion_models import fit_linear, fit_logistic
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:

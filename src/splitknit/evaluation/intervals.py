@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.evaluate import rates
-from splitknit.evaluate.cells import Cells, make_cells
-from splitknit.evaluate.few_errors import bounds
-from splitknit.evaluate.replicate_figures import Layout, figures_of
-from splitknit.evaluate.replicates import Units, cell_weights, cluster_units, pair_units, plain_units
-from splitknit.evaluate.scores import Ids, Scores
+from splitknit.evaluation import rates
+from splitknit.evaluation.cells import Cells, make_cells
+from splitknit.evaluation.few_errors import bounds
+from splitknit.evaluation.replicate_figures import Layout, figures_of
+from splitknit.evaluation.replicates import Units, cell_weights, cluster_units, pair_units, plain_units
+from splitknit.evaluation.scores import Ids, Scores
 
 TARGETS = (0.01, 0.001, 0.0001)
 METHODS = ("plain", "finger", "subject")
@@ -62,7 +62,7 @@ class Intervals:
     drawn: int
     """Comparisons of the smaller class, fingers or subjects."""
     figures: Mapping[str, Interval]
-    """By the names of :class:`splitknit.evaluate.replicate_figures.Layout`."""
+    """By the names of :class:`splitknit.evaluation.replicate_figures.Layout`."""
     curve_far: NDArray[np.float64]
     """(P,) and the band of the GAR there:"""
     curve_low: NDArray[np.float64]
@@ -81,7 +81,7 @@ def bootstrap(
     ----------
     scores : Scores
     method : ``plain``, ``finger`` or ``subject``
-        What is drawn with replacement; see :mod:`splitknit.evaluate.replicates`.
+        What is drawn with replacement; see :mod:`splitknit.evaluation.replicates`.
     settings : BootstrapSettings
     progress : called with the share done
 
@@ -89,7 +89,7 @@ def bootstrap(
     -------
     Intervals
         Percentile intervals, widened so as to hold the value itself, and where it rests on less than five fingers
-        (subjects, comparisons): see :mod:`splitknit.evaluate.few_errors`.
+        (subjects, comparisons): see :mod:`splitknit.evaluation.few_errors`.
 
     Raises
     ------

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.evaluate import Scores, cmc, comparisons, ids_of, scores_of_comparisons
-from splitknit.evaluate.identification import rank_one_interval
+from splitknit.evaluation import Scores, cmc, comparisons, ids_of, scores_of_comparisons
+from splitknit.evaluation.identification import rank_one_interval
 
 
 def matrix(values: list[list[float]]) -> Scores:

@@ -13,17 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluate import rates
-from splitknit.evaluate.error_bounds import error_bound
-from splitknit.evaluate.scores import Scores
-from splitknit.evaluate.sides import Counting
+from splitknit.evaluation import rates
+from splitknit.evaluation.error_bounds import error_bound
+from splitknit.evaluation.scores import Scores
+from splitknit.evaluation.sides import Counting
 
 FEW = 5
 """Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
 
 
 def bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
-    """How low and how high each rate of :class:`splitknit.evaluate.replicate_figures.Layout` may lie for that reason.
+    """How low and how high each rate of :class:`splitknit.evaluation.replicate_figures.Layout` may lie for that reason.
 
     Both are the rate itself where enough fingers (``method``) were rejected and enough accepted.
     """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.evaluate import (
+from splitknit.evaluation import (
     Exclusion,
     Ids,
     Scores,
@@ -21,8 +21,8 @@ from splitknit.evaluate import (
     scores_of_comparisons,
     session_pairs,
 )
-from splitknit.evaluate.pairing import pair_up
-from splitknit.evaluate.scores import fingers_of_subjects
+from splitknit.evaluation.pairing import pair_up
+from splitknit.evaluation.scores import fingers_of_subjects
 
 
 def small(score: list[float] | None = None) -> Scores:

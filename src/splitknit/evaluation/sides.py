@@ -12,7 +12,7 @@ from splitknit.check import require
 
 Scores1D = NDArray[np.float64]
 Counting = Literal["all", "made"]
-"""Whether failures count as rejections or are left out; see :mod:`splitknit.evaluate.rates`."""
+"""Whether failures count as rejections or are left out; see :mod:`splitknit.evaluation.rates`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
