@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.flatten.ridges import relief_print
 from splitknit.match import (
     FingerImages,
     Prepared,
@@ -34,6 +33,7 @@ from splitknit.match.minutiae import extract, minutiae_match, nfiq2
 from splitknit.match.minutiae_enhance import enhance_print
 from splitknit.match.minutiae_record import pack_minutiae
 from splitknit.preprocess.orientation import find_upright
+from splitknit.prints.ridges import relief_print
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.surface import Surface

@@ -143,7 +143,7 @@ def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     """Ridges are dark in it where they are high in the truth."""
     from splitknit.apps.printing import make_print
     from splitknit.apps.printing_sources import read_source
-    from splitknit.flatten import ink, resample
+    from splitknit.prints import ink, resample
 
     source = read_source(twin_folder, photo=True, surface=False)
     made = make_print(source, "photo")
@@ -239,7 +239,7 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
     from dataclasses import replace
 
     from splitknit.apps.printing_quality import advice
-    from splitknit.flatten import PrintQuality, QualityFigures, score_of
+    from splitknit.prints import PrintQuality, QualityFigures, score_of
 
     good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
 

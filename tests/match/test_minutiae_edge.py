@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.flatten import relief_print
 from splitknit.match.minutiae import extract
 from splitknit.match.minutiae_edge import EDGE_MM, edge_distance, inside_by
 from splitknit.match.minutiae_record import Minutiae
+from splitknit.prints import relief_print
 
 STEP_MM = 25.4 / 500
 

@@ -119,7 +119,7 @@ def test_pressed_print_and_summary(script: Script, tmp_path: Path) -> None:
 
 def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
     """A wave with one dislocation has one minutia, there, towards the side with one more ridge."""
-    from splitknit.flatten import gabor_enhance
+    from splitknit.prints import gabor_enhance
 
     y, x = np.mgrid[0:180, 0:180].astype(float)
     phase = 2 * np.pi * y / 9 + np.arctan2(-(y - 90), x - 90)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.apps.printing_quality import advice
-from splitknit.flatten import PrintQuality, QualityFigures, score_of
+from splitknit.prints import PrintQuality, QualityFigures, score_of
 
 HERE = Path(__file__).parent
 WORSE_WHEN_LOWER = ("ridge_correlation", "ridge_good_area", "print_quality", "similarity", "mask_overlap")

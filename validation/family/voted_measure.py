@@ -17,12 +17,12 @@ from agreement_truth import Truth, read_truth
 from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
-from splitknit.flatten import plane_map, resample
 from splitknit.io import read_capture
 from splitknit.io.png import decode_png
 from splitknit.match.minutiae import extract
 from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.pipeline import preset_settings
+from splitknit.prints import plane_map, resample
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.leave_one_out import left_out_pictures
 from splitknit.recipe.stopwatch import Stopwatch

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.flatten import Enhanced
 from splitknit.match.minutiae_record import Minutiae
+from splitknit.prints import Enhanced
 from splitknit.simulator.ridge_growth import phase_singularities
 
 

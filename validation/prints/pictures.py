@@ -19,8 +19,8 @@ import numpy as np
 from splitknit.apps.printing import enhance, make_print
 from splitknit.apps.printing_files import distortion_picture
 from splitknit.apps.printing_sources import read_source
-from splitknit.flatten import CurvatureSettings, as_print, curvature, plane_map, resample, ridge_mask, thin
 from splitknit.io import read_npz
+from splitknit.prints import CurvatureSettings, as_print, curvature, plane_map, resample, ridge_mask, thin
 
 
 def beside(panels: list[np.ndarray], gap: int = 10) -> np.ndarray:

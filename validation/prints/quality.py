@@ -25,8 +25,8 @@ from splitknit.apps.printing_quality import advice
 from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.reading import places_of
-from splitknit.flatten import PrintQuality, QualityFigures, score_of
 from splitknit.io import read_npz
+from splitknit.prints import PrintQuality, QualityFigures, score_of
 
 CHOSEN_ON = {"S01", "S09"}
 LOOKED_AT = {

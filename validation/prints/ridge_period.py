@@ -17,10 +17,10 @@ import numpy as np
 
 from splitknit.apps.printing import make_print
 from splitknit.apps.printing_sources import Source, read_source
-from splitknit.flatten import GridSettings, ink, resample, ridge_field, surface_grid, unroll, unrolled_map
-from splitknit.flatten.unroll import KINDS
-from splitknit.flatten.unroll_grid import slant_cos
 from splitknit.io import read_npz
+from splitknit.prints import GridSettings, ink, resample, ridge_field, surface_grid, unroll, unrolled_map
+from splitknit.prints.unroll import KINDS
+from splitknit.prints.unroll_grid import slant_cos
 
 ZONES = {"centre (< 20 deg)": (0, 20), "20-40 deg": (20, 40), "40-55 deg": (40, 55), "55-65 deg": (55, 65)}
 PATCH_MM = 3.2

@@ -12,7 +12,7 @@ from splitknit.apps.printing_rolled import KINDS as ROLLED_KINDS
 from splitknit.apps.printing_rolled import laid_flat
 from splitknit.apps.printing_sources import Source
 from splitknit.check import BadInput, require
-from splitknit.flatten import (
+from splitknit.prints import (
     CurvatureSettings,
     Enhanced,
     GaborSettings,
@@ -34,7 +34,7 @@ from splitknit.flatten import (
     unroll,
     unrolled_map,
 )
-from splitknit.flatten.unroll import KINDS
+from splitknit.prints.unroll import KINDS
 from splitknit.recipe.rolled import Rolled
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.settings import override

@@ -26,8 +26,8 @@ from splitknit.apps.printing_rolled import read_rolled, write_rolled
 from splitknit.apps.printing_sources import Source, read_source
 from splitknit.apps.targets import check_target
 from splitknit.check import BadInput, require
-from splitknit.flatten import Enhanced, as_print, ridge_mask, thin
 from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
+from splitknit.prints import Enhanced, as_print, ridge_mask, thin
 from splitknit.recipe.rolled import Rolled
 from splitknit.settings import override
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput
-from splitknit.flatten import PrintQuality
+from splitknit.prints import PrintQuality
 
 MOST_SENTENCES = 3
 LEAST_WORTH = 0.7

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.flatten import PrintSettings, ink, plane_map, resample
 from splitknit.match.minutiae import extract
 from splitknit.match.minutiae_record import Minutiae, no_minutiae
 from splitknit.match.voted_minutiae import VoteSettings, vote
 from splitknit.normals.left_out import left_out
+from splitknit.prints import PrintSettings, ink, plane_map, resample
 from splitknit.radiance import linear_stack
 from splitknit.recipe.coloured import as_lit, balanced
 from splitknit.recipe.finger import Finger

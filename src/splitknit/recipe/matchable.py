@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.flatten import relief_print
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.match import (
     FingerImages,
@@ -25,6 +24,7 @@ from splitknit.match.surface_code import SurfaceCodeSettings
 from splitknit.match.surface_code_match import SurfaceMatchSettings
 from splitknit.match.tetrahedra import TetrahedraSettings
 from splitknit.match.voted_minutiae import VoteSettings
+from splitknit.prints import relief_print
 from splitknit.recipe.leave_one_out import LeaveOneOutSettings
 from splitknit.types import Reconstruction
 

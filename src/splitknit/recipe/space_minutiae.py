@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.flatten.print_map import PrintMap, plane_map
 from splitknit.geometry import height_gradients
 from splitknit.io.minutiae3d import angles_of
 from splitknit.match.minutiae3d_record import SpaceMinutiae, no_space_minutiae
+from splitknit.prints.print_map import PrintMap, plane_map
 from splitknit.recipe.matchable import Surface, surface_print
 from splitknit.recipe.smooth import smoothed
 from splitknit.types import FloatArray

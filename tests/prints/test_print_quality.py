@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.flatten import (
+from splitknit.prints import (
     Part,
     PrintQualitySettings,
     QualityFigures,
@@ -161,7 +161,7 @@ def test_resolution_does_not_matter() -> None:
     values = waves(40.0, 0.15)
     large = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
     weight = np.ones(large.shape, np.float32)
-    from splitknit.flatten import PrintSettings
+    from splitknit.prints import PrintSettings
 
     image = ink(large, weight, PrintSettings(ppi=1000.0))
     fine = quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, least_height_um=10.0)

@@ -7,9 +7,9 @@ import pytest
 from bodies import PX_PER_MM, Twin, body_grid, plane_points
 
 from splitknit.check import BadInput
-from splitknit.flatten import GridSettings, SurfaceGrid, UnrollSettings, distortion, surface_grid, unroll
-from splitknit.flatten.unroll import KINDS
 from splitknit.geometry import rotation_about
+from splitknit.prints import GridSettings, SurfaceGrid, UnrollSettings, distortion, surface_grid, unroll
+from splitknit.prints.unroll import KINDS
 
 RADIUS = 8.0
 

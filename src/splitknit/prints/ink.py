@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.flatten.ridges import MM_PER_INCH, PrintSettings
+from splitknit.prints.ridges import MM_PER_INCH, PrintSettings
 from splitknit.types import FloatArray
 
 _EMPTY, _FULL = 0.1, 0.3

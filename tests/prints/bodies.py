@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.flatten import GridSettings, SurfaceGrid, surface_grid
+from splitknit.prints import GridSettings, SurfaceGrid, surface_grid
 from splitknit.simulator.master_print import MasterPrint
 from splitknit.simulator.surface import Surface
 

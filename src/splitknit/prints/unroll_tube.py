@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from splitknit.check import require
-from splitknit.flatten.unroll_grid import SurfaceGrid, slant_cos
+from splitknit.prints.unroll_grid import SurfaceGrid, slant_cos
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.check import require
-from splitknit.flatten.lattice import cubic, inverted, linear, weights
-from splitknit.flatten.ridges import MM_PER_INCH
-from splitknit.flatten.unroll import Unrolled
-from splitknit.flatten.unroll_grid import SurfaceGrid, extrapolated, slant_cos
+from splitknit.prints.lattice import cubic, inverted, linear, weights
+from splitknit.prints.ridges import MM_PER_INCH
+from splitknit.prints.unroll import Unrolled
+from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]

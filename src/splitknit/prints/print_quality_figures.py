@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.flatten.enhance import node_amplitudes
-from splitknit.flatten.ridge_field import RidgeField
-from splitknit.flatten.ridges import MM_PER_INCH
+from splitknit.prints.enhance import node_amplitudes
+from splitknit.prints.ridge_field import RidgeField
+from splitknit.prints.ridges import MM_PER_INCH
 from splitknit.types import BoolArray, FloatArray
 
 _SIGMA_PERIODS = 0.75
@@ -69,7 +69,7 @@ def quality_figures(
 
     Parameters
     ----------
-    values, weight, found, ppi : as in :func:`splitknit.flatten.print_quality.print_quality`
+    values, weight, found, ppi : as in :func:`splitknit.prints.print_quality.print_quality`
     least_purity : float
         Share of what varies around a place that one wave must explain.
     least_height_um : float, optional

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.flatten import PhaseMinutiaeSettings, gabor_enhance, phase_minutiae
+from splitknit.prints import PhaseMinutiaeSettings, gabor_enhance, phase_minutiae
 from splitknit.simulator.master_print import MasterPrintSettings, ink_print, master_print
 
 PERIOD_PX = 9.0

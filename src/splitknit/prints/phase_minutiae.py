@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.flatten.enhance import Enhanced
+from splitknit.prints.enhance import Enhanced
 from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.flatten.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
+from splitknit.prints.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
 from splitknit.types import BoolArray, FloatArray
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.flatten import as_print, gabor_enhance, ridge_field, ridge_mask, stft_enhance, thin
+from splitknit.prints import as_print, gabor_enhance, ridge_field, ridge_mask, stft_enhance, thin
 
 ENHANCERS = (gabor_enhance, stft_enhance)
 

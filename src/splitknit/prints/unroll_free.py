@@ -18,7 +18,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.flatten.unroll_grid import SurfaceGrid
+from splitknit.prints.unroll_grid import SurfaceGrid
 
 Array = NDArray[np.float64]
 _ENDS = ((1, 2), (2, 0), (0, 1))

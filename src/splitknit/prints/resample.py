@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from splitknit.check import check_mask
-from splitknit.flatten.print_map import PrintMap
-from splitknit.flatten.ridges import MM_PER_INCH
+from splitknit.prints.print_map import PrintMap
+from splitknit.prints.ridges import MM_PER_INCH
 from splitknit.types import BoolArray, FloatArray
 
 

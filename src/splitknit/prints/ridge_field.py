@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.flatten.ridges import MM_PER_INCH
+from splitknit.prints.ridges import MM_PER_INCH
 from splitknit.types import BoolArray, FloatArray
 
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, fields
 import numpy as np
 
 from splitknit.check import require
-from splitknit.flatten.print_quality_figures import QualityFigures, quality_figures
-from splitknit.flatten.ridge_field import RidgeField
+from splitknit.prints.print_quality_figures import QualityFigures, quality_figures
+from splitknit.prints.ridge_field import RidgeField
 from splitknit.types import FloatArray
 
 _LEAST_PART = 0.01

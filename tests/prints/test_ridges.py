@@ -6,8 +6,8 @@ import pytest
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput
-from splitknit.flatten import PrintSettings, relief_print
 from splitknit.geometry import rotation_about
+from splitknit.prints import PrintSettings, relief_print
 
 PX_PER_MM = 1000 / 25.4  # twice the print's resolution
 

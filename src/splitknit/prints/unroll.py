@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.flatten.unroll_distortion import Distortion, distortion
-from splitknit.flatten.unroll_free import arc_lengths, relaxed
-from splitknit.flatten.unroll_grid import GridSettings, SurfaceGrid
-from splitknit.flatten.unroll_tube import on_cylinder, on_tube
+from splitknit.prints.unroll_distortion import Distortion, distortion
+from splitknit.prints.unroll_free import arc_lengths, relaxed
+from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid
+from splitknit.prints.unroll_tube import on_cylinder, on_tube
 
 Array = NDArray[np.float64]
 KINDS = ("free", "arc", "tube", "cylinder")
@@ -64,7 +64,7 @@ def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolle
     Parameters
     ----------
     grid : SurfaceGrid
-        From :func:`splitknit.flatten.unroll_grid.surface_grid`.
+        From :func:`splitknit.prints.unroll_grid.surface_grid`.
     settings : UnrollSettings, optional
 
     Raises

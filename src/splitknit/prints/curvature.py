@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, require
-from splitknit.flatten.resample import mask_box
+from splitknit.prints.resample import mask_box
 from splitknit.types import BoolArray, FloatArray
 
 AnyArray = np.ndarray[Any, Any]

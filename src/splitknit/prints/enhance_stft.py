@@ -20,9 +20,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.flatten.enhance import Enhanced, finished
-from splitknit.flatten.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
-from splitknit.flatten.ridges import MM_PER_INCH
+from splitknit.prints.enhance import Enhanced, finished
+from splitknit.prints.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
+from splitknit.prints.ridges import MM_PER_INCH
 from splitknit.types import BoolArray, FloatArray
 
 

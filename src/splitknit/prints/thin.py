@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput
-from splitknit.flatten.enhance import Enhanced
+from splitknit.prints.enhance import Enhanced
 from splitknit.types import BoolArray
 
 
