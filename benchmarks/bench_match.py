@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.match import (
+from splitknit.matching import (
     FingerImages,
     Prepared,
     Template,
@@ -29,9 +29,9 @@ from splitknit.match import (
     thesis_match,
     unpack,
 )
-from splitknit.match.minutiae import extract, minutiae_match, nfiq2
-from splitknit.match.minutiae_enhance import enhance_print
-from splitknit.match.minutiae_record import pack_minutiae
+from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
+from splitknit.matching.minutiae_enhance import enhance_print
+from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.preprocess.orientation import find_upright
 from splitknit.prints.ridges import relief_print
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface

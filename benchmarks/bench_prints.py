@@ -25,7 +25,7 @@ import numpy as np
 
 from splitknit.apps.printing import Print, enhance, make_print
 from splitknit.apps.printing_sources import Source
-from splitknit.match.minutiae import nfiq2
+from splitknit.matching.minutiae import nfiq2
 from splitknit.preprocess.orientation import find_upright
 from splitknit.prints import CurvatureSettings, curvature, gabor_enhance, ridge_mask, stft_enhance, thin
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface

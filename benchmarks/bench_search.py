@@ -18,10 +18,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from splitknit.match import Prepared, make_template, pack, ridge_band, unpack
-from splitknit.match.code import code_model, code_of, code_size, probe_codes
-from splitknit.match.code_field import ridge_field
-from splitknit.match.search import CodeIndex, SearchSettings, identify
+from splitknit.matching import Prepared, make_template, pack, ridge_band, unpack
+from splitknit.matching.code import code_model, code_of, code_size, probe_codes
+from splitknit.matching.code_field import ridge_field
+from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig
 from timing import machine, print_table, race

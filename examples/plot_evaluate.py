@@ -16,7 +16,7 @@ import numpy as np
 
 from splitknit.apps.evaluation_charts import roc_chart
 from splitknit.evaluation import BootstrapSettings, bootstrap, comparisons, roc, scores_of_comparisons
-from splitknit.match import Prepared, Template, make_template, ridge_band, ridge_match
+from splitknit.matching import Prepared, Template, make_template, ridge_band, ridge_match
 from splitknit.preprocess.orientation import find_upright
 from splitknit.simulator.finger import draw_finger, finger_surface
 from splitknit.simulator.pose_ranges import PoseRanges

@@ -17,7 +17,7 @@ import numpy as np
 from splitknit.apps.printing import enhance, make_print
 from splitknit.apps.printing_sources import read_source
 from splitknit.io import write_capture, write_image
-from splitknit.match.minutiae import extract, nfiq2
+from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.prints import as_print, ridge_mask, thin
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

@@ -24,7 +24,7 @@ from splitknit.apps.calibration.calibrated_lights import LightSettings
 from splitknit.apps.printing import PrintingSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
-from splitknit.match.search import SearchSettings
+from splitknit.matching.search import SearchSettings
 from splitknit.pipeline import PRESETS
 from splitknit.recipe.matchable import MatchingSettings
 from splitknit.rig.circuit import CircuitSettings

@@ -11,7 +11,7 @@ import pytest
 from perfect_results import write_perfect
 from splitknit.apps.cli import main
 from splitknit.io import read_print_png, write_print_png
-from splitknit.match.minutiae import extract, minutiae_match
+from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig
 

@@ -157,7 +157,7 @@ def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
 
 def test_without_the_finder_of_minutiae(result: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "nbis", None)
-    from splitknit.match import minutiae
+    from splitknit.matching import minutiae
 
     minutiae._extractor.cache_clear()
     words = ("--method", "relief", "--set", "minutiae=print")

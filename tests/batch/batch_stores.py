@@ -8,8 +8,8 @@ import numpy as np
 
 from splitknit.batch import BatchSettings, Store, preset_cases
 from splitknit.batch.chunks import SUFFIX
-from splitknit.match import make_template, pack
-from splitknit.match.ridge_band import ridge_band
+from splitknit.matching import make_template, pack
+from splitknit.matching.ridge_band import ridge_band
 
 EA = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=2)
 

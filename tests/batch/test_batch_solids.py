@@ -10,10 +10,10 @@ from batch_stores import EA, chunks, pairs_of
 
 from splitknit.batch import Store, run_batch
 from splitknit.check import BadInput
-from splitknit.match.minutiae3d import minutiae3d_match
-from splitknit.match.minutiae3d_record import unpack_space_minutiae
-from splitknit.match.surface_code import unpack_surface_code
-from splitknit.match.surface_code_match import surface_code_match
+from splitknit.matching.minutiae3d import minutiae3d_match
+from splitknit.matching.minutiae3d_record import unpack_space_minutiae
+from splitknit.matching.surface_code import unpack_surface_code
+from splitknit.matching.surface_code_match import surface_code_match
 
 CODES = replace(EA, matchers=("surface-code",))
 SPACE = replace(EA, matchers=("minutiae3d", "tetrahedra"))

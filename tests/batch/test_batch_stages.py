@@ -17,7 +17,7 @@ from splitknit.batch.chunks import read_chunk, read_origin
 from splitknit.check import BadInput
 from splitknit.io import read_capture, read_print_png
 from splitknit.io.scores import read_scores
-from splitknit.match import TemplateSettings, ThesisSettings, pack, ridge_match, thesis_match, unpack
+from splitknit.matching import TemplateSettings, ThesisSettings, pack, ridge_match, thesis_match, unpack
 from splitknit.pipeline import reconstruct
 from splitknit.prints import relief_print
 from splitknit.recipe.matchable import MatchingSettings, surface_images, surface_of, surface_template

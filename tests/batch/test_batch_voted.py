@@ -13,8 +13,8 @@ from splitknit.batch.population import read_population
 from splitknit.batch.store import open_store
 from splitknit.check import BadInput
 from splitknit.io import read_capture
-from splitknit.match.minutiae_record import pack_minutiae
-from splitknit.match.voted_minutiae import VoteSettings
+from splitknit.matching.minutiae_record import pack_minutiae
+from splitknit.matching.voted_minutiae import VoteSettings
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.leave_one_out import LeaveOneOutSettings, voted_minutiae
 from splitknit.recipe.matchable import MatchingSettings

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from splitknit.io import read_print_png
-from splitknit.match import Prepared, make_template, print_band, ridge_match
-from splitknit.match.minutiae import extract, minutiae_match
-from splitknit.match.minutiae_enhance import EnhanceSettings
-from splitknit.match.minutiae_joined import joined_similarity
-from splitknit.match.minutiae_record import pack_minutiae, unpack_minutiae
+from splitknit.matching import Prepared, make_template, print_band, ridge_match
+from splitknit.matching.minutiae import extract, minutiae_match
+from splitknit.matching.minutiae_enhance import EnhanceSettings
+from splitknit.matching.minutiae_joined import joined_similarity
+from splitknit.matching.minutiae_record import pack_minutiae, unpack_minutiae
 
 pytestmark = pytest.mark.external
 KEPT = (1, 2, 3, 5, 7)

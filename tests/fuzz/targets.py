@@ -99,15 +99,15 @@ from splitknit.io.print_tiff import read_print_tiff, write_print_tiff
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq, read_print_wsq
-from splitknit.match import VERSION, Template, make_template, pack, unpack
-from splitknit.match.code import CODE_VERSION, code_of
-from splitknit.match.gallery import Gallery, NewCapture
-from splitknit.match.gallery_entry import Entry, decode_entry, encode_entry
-from splitknit.match.gallery_key import Key, ScryptSettings
-from splitknit.match.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
-from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
-from splitknit.match.ridge_band import ridge_band
-from splitknit.match.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
+from splitknit.matching import VERSION, Template, make_template, pack, unpack
+from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.gallery import Gallery, NewCapture
+from splitknit.matching.gallery_entry import Entry, decode_entry, encode_entry
+from splitknit.matching.gallery_key import Key, ScryptSettings
+from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
+from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.matchable import MatchingSettings, Surface
 from splitknit.rig.candidates import Candidate

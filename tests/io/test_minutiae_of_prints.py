@@ -8,8 +8,8 @@ import pytest
 from splitknit.io.ansi378 import encode_ansi378
 from splitknit.io.iso19794 import decode_iso19794, encode_iso19794
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
-from splitknit.match.minutiae import extract
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.matching.minutiae import extract
+from splitknit.matching.minutiae_record import Minutiae
 
 pytest.importorskip("nbis")
 

@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.check import BadInput
 from splitknit.io import read_capture
-from splitknit.match.surface_code import GRAY, SurfaceCodeSettings
+from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
 from splitknit.pipeline import PRESETS, preset_settings, reconstruct
 from splitknit.recipe.matchable import Surface
 from splitknit.recipe.smooth import smoothed

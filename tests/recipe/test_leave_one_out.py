@@ -13,7 +13,7 @@ import pytest
 from splitknit.apps.cli import main
 from splitknit.check import BadInput
 from splitknit.io import write_capture
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.matching.minutiae_record import Minutiae
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.recipe.leave_one_out import (
     PICTURES,

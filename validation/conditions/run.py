@@ -28,8 +28,8 @@ from splitknit.apps.printing import enhance, make_print, measured
 from splitknit.apps.printing_quality import advice
 from splitknit.apps.printing_sources import source_of
 from splitknit.check import BadInput
-from splitknit.match import Template, pack, ridge_match, unpack
-from splitknit.match.minutiae import nfiq2
+from splitknit.matching import Template, pack, ridge_match, unpack
+from splitknit.matching.minutiae import nfiq2
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
 from splitknit.recipe.memory import Memory

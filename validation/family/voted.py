@@ -23,9 +23,9 @@ from agreement_compare import agreed, counts
 from voted_measure import Judge, lists_of, name_of, plain_of, unpacked
 
 from splitknit.io import atomic_file
-from splitknit.match.minutiae import minutiae_match
-from splitknit.match.minutiae_record import Minutiae
-from splitknit.match.voted_minutiae import VoteSettings, vote
+from splitknit.matching.minutiae import minutiae_match
+from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.voted_minutiae import VoteSettings, vote
 from splitknit.recipe.leave_one_out import PICTURES
 
 TUNED = [(subject, 1, finger) for subject in ("S15", "S16", "S17") for finger in ("right_index", "left_thumb")]

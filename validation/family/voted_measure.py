@@ -19,8 +19,8 @@ from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
 from splitknit.io import read_capture
 from splitknit.io.png import decode_png
-from splitknit.match.minutiae import extract
-from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.minutiae import extract
+from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.pipeline import preset_settings
 from splitknit.prints import plane_map, resample
 from splitknit.recipe.finger import Finger, find_finger

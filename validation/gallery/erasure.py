@@ -24,9 +24,9 @@ import time
 from pathlib import Path
 
 from splitknit.io.atomic import atomic_file
-from splitknit.match.gallery import Gallery, NewCapture
-from splitknit.match.gallery_entry import Entry
-from splitknit.match.gallery_key import Key
+from splitknit.matching.gallery import Gallery, NewCapture
+from splitknit.matching.gallery_entry import Entry
+from splitknit.matching.gallery_key import Key
 
 IMAGE_BYTES = 48 * 2**20
 PIECE = 16
@@ -148,7 +148,7 @@ def cells(path: Path) -> dict[bytes, str]:
 def step(path: str, what: str, number: str, how: str) -> None:
     """One change, in a program of its own."""
     if how.endswith("unlinked"):
-        from splitknit.match import gallery_rows  # noqa: PLC0415
+        from splitknit.matching import gallery_rows  # noqa: PLC0415
 
         def unlinked(database: sqlite3.Connection, path: Path) -> None:
             Path(f"{path}-journal").unlink(missing_ok=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
 from splitknit.io.atomic import atomic_file
-from splitknit.match import Template, pack, unpack
+from splitknit.matching import Template, pack, unpack
 from splitknit.preprocess.orientation import find_upright
 from splitknit.simulator.deformation import deformed, draw_deformation
 from splitknit.simulator.finger import finger_surface

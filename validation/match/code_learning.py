@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from flat_fingers import Laid
 
-from splitknit.match import Template
-from splitknit.match.code_field import CELLS, COLUMNS, ROWS, origin_of, ridge_field, sampled
-from splitknit.match.code_model import FactorModel
+from splitknit.matching import Template
+from splitknit.matching.code_field import CELLS, COLUMNS, ROWS, origin_of, ridge_field, sampled
+from splitknit.matching.code_model import FactorModel
 from splitknit.types import FloatArray
 
 JITTER_MM, JITTER_DEG = 0.5, 2.5

@@ -4,7 +4,7 @@
     python validation/match/codes.py test --work FOLDER --population POPULATION
     python validation/match/codes.py stages --work FOLDER --population POPULATION
 
-`learn` writes ``src/splitknit/match/code_model.npz`` and its card ``code_model.json``; `test` (codes alone, and what
+`learn` writes ``src/splitknit/matching/code_model.npz`` and its card ``code_model.json``; `test` (codes alone, and what
 follows for larger galleries) and `stages` (the whole search) write their parts of ``codes.json`` here. FOLDER keeps
 simulated fingers, made where they are not there yet (half an hour of one core). Seeds: 7001 for outlines and for
 choices, 7100 and 7300 to learn, 7400 for strangers, the population's own (680) to test: its true surfaces, the first
@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
 from splitknit.io import read_npz
 from splitknit.io.atomic import atomic_file
-from splitknit.match import Template, pack, unpack
-from splitknit.match.code import CODE_VERSION, SCALE, code_model, code_of, probe_codes
-from splitknit.match.code_field import ridge_field, sampled
-from splitknit.match.code_model import FactorModel
-from splitknit.match.search import CodeIndex, SearchSettings, identify
+from splitknit.matching import Template, pack, unpack
+from splitknit.matching.code import CODE_VERSION, SCALE, code_model, code_of, probe_codes
+from splitknit.matching.code_field import ridge_field, sampled
+from splitknit.matching.code_model import FactorModel
+from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.preprocess.orientation import find_upright
 from splitknit.types import FloatArray
 
@@ -63,7 +63,7 @@ def learn(work: Path) -> None:
         noise=model.noise,
     )
     card = {
-        "what": "factor model of ridge fields behind the codes of 1:N search (splitknit.match.code)",
+        "what": "factor model of ridge fields behind the codes of 1:N search (splitknit.matching.code)",
         "command": "python validation/match/codes.py learn --work FOLDER",
         "code_version": CODE_VERSION,
         "latent_numbers": SIZE,

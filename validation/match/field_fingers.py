@@ -14,8 +14,8 @@ import numpy as np
 from flat_fingers import BELOW_TIP_MM, log_periods
 
 from splitknit.io.atomic import atomic_file
-from splitknit.match import Template
-from splitknit.match.code_field import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
+from splitknit.matching import Template
+from splitknit.matching.code_field import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
 from splitknit.simulator.orientation_field import orientation_field
 from splitknit.simulator.people import FINGERS, OwnFinger, draw_person
 from splitknit.types import FloatArray

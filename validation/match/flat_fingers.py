@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.atomic import atomic_file
-from splitknit.match import Template, make_template, pack, unpack
-from splitknit.match.ridge_band import RidgeBandSettings, even
+from splitknit.matching import Template, make_template, pack, unpack
+from splitknit.matching.ridge_band import RidgeBandSettings, even
 from splitknit.simulator.master_print import MasterPrintSettings
 from splitknit.simulator.orientation_field import OrientationField, fan_log_period, orientation_field, smooth_noise
 from splitknit.simulator.people import FINGERS, draw_person

@@ -21,7 +21,7 @@ from drawn import drawn_surface
 
 from splitknit.apps.matching_inputs import MatchingSettings, surface_template
 from splitknit.io import read_print_png
-from splitknit.match import Prepared, calibrate_scores, make_template, print_band, ridge_match
+from splitknit.matching import Prepared, calibrate_scores, make_template, print_band, ridge_match
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr.json"
 SCALE = 0.15

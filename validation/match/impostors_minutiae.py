@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from drawn import drawn_surface
 
-from splitknit.match import calibrate_scores
-from splitknit.match.minutiae import extract, minutiae_match
-from splitknit.match.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching import calibrate_scores
+from splitknit.matching.minutiae import extract, minutiae_match
+from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.recipe.matchable import surface_print
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr_minutiae.json"

@@ -27,9 +27,9 @@ from pressed_prints import finger, press
 from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, differences, ids_of
 from splitknit.evaluation.fusion_models import fit_linear, fit_logistic
 from splitknit.io import read_print_png
-from splitknit.match import Prepared, make_template, print_band, ridge_match
-from splitknit.match.minutiae import extract, minutiae_match
-from splitknit.match.minutiae_enhance import EnhanceSettings
+from splitknit.matching import Prepared, make_template, print_band, ridge_match
+from splitknit.matching.minutiae import extract, minutiae_match
+from splitknit.matching.minutiae_enhance import EnhanceSettings
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "real_prints.json"
@@ -41,7 +41,7 @@ Image = NDArray[np.uint8]
 
 def nbis_py(images: Sequence[Image]) -> Callable[[int, int], float]:
     """As nbis-py comes: PNG in, its own minutiae, its own comparison."""
-    import nbis  # noqa: PLC0415 - here to compare with; the library's way in is splitknit.match.minutiae
+    import nbis  # noqa: PLC0415 - here to compare with; the library's way in is splitknit.matching.minutiae
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(

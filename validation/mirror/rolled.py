@@ -22,8 +22,8 @@ from rolled_measure import measure
 
 from splitknit.apps.cli import main as splitknit
 from splitknit.check import BadInput
-from splitknit.match import Template, make_template, ridge_band, ridge_match
-from splitknit.match.minutiae import extract, minutiae_match
+from splitknit.matching import Template, make_template, ridge_band, ridge_match
+from splitknit.matching.minutiae import extract, minutiae_match
 
 HERE = Path(__file__).resolve().parent
 ROLLS_DEG = (0, 20, -20, 10, -10)

@@ -22,9 +22,9 @@ from splitknit.batch.reading import places_of
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.check import BadInput
 from splitknit.io import read_capture
-from splitknit.match.minutiae import extract, nfiq2
-from splitknit.match.minutiae_enhance import EnhanceSettings
-from splitknit.match.minutiae_record import Minutiae, pack_minutiae
+from splitknit.matching.minutiae import extract, nfiq2
+from splitknit.matching.minutiae_enhance import EnhanceSettings
+from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit.radiance import linear_channels
 from splitknit.simulator.press import press_finger
 

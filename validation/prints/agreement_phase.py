@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.matching.minutiae_record import Minutiae
 from splitknit.prints import Enhanced
 from splitknit.simulator.ridge_growth import phase_singularities
 

@@ -25,7 +25,7 @@ from agreement_truth import read_truth
 
 from splitknit.apps.printing import enhance, make_print
 from splitknit.apps.printing_files import by_phase
-from splitknit.match.minutiae import extract
+from splitknit.matching.minutiae import extract
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "phase.json"

@@ -20,8 +20,8 @@ from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.io import read_npz
-from splitknit.match import ridge_match, unpack
-from splitknit.match.minutiae import extract, nfiq2
+from splitknit.matching import ridge_match, unpack
+from splitknit.matching.minutiae import extract, nfiq2
 
 HALF_PERIOD_PX = 5.0
 """A true minutia is found if one lies within half a ridge period."""

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from splitknit.io.images import read_image
 from splitknit.io.wsq_image import decode_wsq, encode_wsq
-from splitknit.match.minutiae import extract, minutiae_match, nfiq2
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
+from splitknit.matching.minutiae_record import Minutiae
 
 HERE = Path(__file__).resolve().parent
 

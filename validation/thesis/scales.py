@@ -24,10 +24,10 @@ from trials import Captures, Pairs, Table, Trial
 from splitknit.evaluation import comparisons
 from splitknit.io import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.match import ThesisSettings, finger_images
-from splitknit.match.align import align_masks, to_box
-from splitknit.match.lbp import LbpSettings, lbp_features
-from splitknit.match.score import dissimilarity
+from splitknit.matching import ThesisSettings, finger_images
+from splitknit.matching.align import align_masks, to_box
+from splitknit.matching.lbp import LbpSettings, lbp_features
+from splitknit.matching.score import dissimilarity
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.recipe.memory import Memory
 from splitknit.types import BoolArray, Capture, FloatArray

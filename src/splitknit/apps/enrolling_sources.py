@@ -15,7 +15,7 @@ from splitknit.apps.matching_inputs import MatchingSettings, Progress, Side, no_
 from splitknit.check import BadInput, read_bytes, require
 from splitknit.io import file_hash, read_capture, read_image
 from splitknit.io.prints import encode_print_png
-from splitknit.match import pack
+from splitknit.matching import pack
 from splitknit.recipe.matchable import surface_print
 
 KEEP = ("none", "thumbnail", "raw")

@@ -16,10 +16,10 @@ from splitknit.check import BadInput
 from splitknit.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores
 from splitknit.io import file_hash
-from splitknit.match import Prepared, ridge_match, unpack
-from splitknit.match.gallery import Gallery
-from splitknit.match.gallery_entry import session_order
-from splitknit.match.gallery_key import Key
+from splitknit.matching import Prepared, ridge_match, unpack
+from splitknit.matching.gallery import Gallery
+from splitknit.matching.gallery_entry import session_order
+from splitknit.matching.gallery_key import Key
 
 _BLOCK = 128
 """Fingers kept ready at a time: 2 MB each."""
@@ -80,7 +80,7 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
 
     What a side keeps for many comparisons is large where it is turned (7 MB) and small where it is not (2 MB): pairs go
     in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
-    (:func:`splitknit.match.ridge_match`), so that the order changes nothing.
+    (:func:`splitknit.matching.ridge_match`), so that the order changes nothing.
     """
     templates = [unpack(payload) for payload in payloads]
     keys = [Prepared(one).key for one in templates]

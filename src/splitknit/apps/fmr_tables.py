@@ -8,7 +8,7 @@ from importlib import resources
 
 import numpy as np
 
-from splitknit.match import FmrTable
+from splitknit.matching import FmrTable
 
 
 @cache

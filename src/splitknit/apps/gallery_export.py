@@ -16,11 +16,11 @@ from splitknit.check import BadInput, read_bytes, refusing, require
 from splitknit.io import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.templates import encode_template, read_template
-from splitknit.match import VERSION, unpack
-from splitknit.match.code import CODE_VERSION, code_of
-from splitknit.match.gallery import Gallery, NewCapture
-from splitknit.match.gallery_entry import Entry
-from splitknit.match.gallery_key import Key
+from splitknit.matching import VERSION, unpack
+from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.gallery import Gallery, NewCapture
+from splitknit.matching.gallery_entry import Entry
+from splitknit.matching.gallery_key import Key
 
 TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
 _FORMAT, _VERSION = "splitknit-gallery-export", 1

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from splitknit.check import BadInput
 
 if TYPE_CHECKING:
-    from splitknit.match.gallery_key import Key
+    from splitknit.matching.gallery_key import Key
     from splitknit.recipe.matchable import MatchingSettings
 
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
@@ -45,7 +45,7 @@ def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
     BadInput
         If the file cannot be read, or what it holds is no key.
     """
-    from splitknit.match.gallery_key import key_from_bytes  # noqa: PLC0415 - verbs import what they need
+    from splitknit.matching.gallery_key import key_from_bytes  # noqa: PLC0415 - verbs import what they need
 
     if file is not None:
         try:
@@ -70,7 +70,7 @@ def key_notes(file: Path | None) -> list[str]:
 def templates_hash(settings: MatchingSettings) -> str:
     """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
     from splitknit.io import settings_hash  # noqa: PLC0415
-    from splitknit.match import VERSION  # noqa: PLC0415
+    from splitknit.matching import VERSION  # noqa: PLC0415
 
     document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
     return settings_hash(document)

@@ -16,7 +16,7 @@ from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching import as_calibrated, false_match_rate, similarity_at
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, no_progress, read_side
 from splitknit.check import BadInput, require
-from splitknit.match import (
+from splitknit.matching import (
     RidgeBandSettings,
     RidgeMatchSettings,
     Template,
@@ -25,11 +25,11 @@ from splitknit.match import (
     ridge_match,
     unpack,
 )
-from splitknit.match.code import CODE_VERSION, code_of
-from splitknit.match.gallery import Enrolled, Gallery
-from splitknit.match.gallery_entry import check_person, session_order
-from splitknit.match.gallery_key import Key
-from splitknit.match.search import EXHAUSTIVE, CodeIndex, SearchSettings
+from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.gallery import Enrolled, Gallery
+from splitknit.matching.gallery_entry import check_person, session_order
+from splitknit.matching.gallery_key import Key
+from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
 
 MERGES = ("person", "finger", "none")
 SEARCHES = ("auto", "exhaustive", "codes")

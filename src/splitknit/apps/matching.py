@@ -22,7 +22,7 @@ from splitknit.apps.matching_inputs import (
 from splitknit.apps.targets import check_file
 from splitknit.check import BadInput, require
 from splitknit.io.templates import MAGIC, write_template
-from splitknit.match import VERSION, Template, pack, ridge_match, thesis_match
+from splitknit.matching import VERSION, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override
 
 SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from splitknit.check import BadInput, require
 from splitknit.io import read_capture, read_image, read_npz, read_print_png
 from splitknit.io.templates import read_template
-from splitknit.match import VERSION, Template, make_template, print_band, unpack
+from splitknit.matching import VERSION, Template, make_template, print_band, unpack
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, Surface, surface_images, surface_of, surface_template
 

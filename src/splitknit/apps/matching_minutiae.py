@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from splitknit.apps.fmr_tables import fmr_table
 from splitknit.apps.matching_inputs import Side, naming, read_print
 from splitknit.check import BadInput
-from splitknit.match import ridge_match
-from splitknit.match.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit.match.minutiae_enhance import EnhanceSettings
-from splitknit.match.minutiae_joined import joined_similarity
+from splitknit.matching import ridge_match
+from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit.matching.minutiae_enhance import EnhanceSettings
+from splitknit.matching.minutiae_joined import joined_similarity
 from splitknit.recipe.matchable import surface_print
 
 _FMR_TABLE = "match_fmr_minutiae.json"

@@ -7,8 +7,8 @@ from typing import Any
 from splitknit.apps.matching_inputs import Side, naming
 from splitknit.check import BadInput
 from splitknit.io import read_capture
-from splitknit.match.minutiae import minutiae_match
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.matching.minutiae import minutiae_match
+from splitknit.matching.minutiae_record import Minutiae
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.leave_one_out import voted_minutiae
 from splitknit.recipe.matchable import MatchingSettings

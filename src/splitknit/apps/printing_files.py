@@ -18,7 +18,7 @@ from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.provenance import JsonValue
-from splitknit.match.minutiae_record import Minutiae
+from splitknit.matching.minutiae_record import Minutiae
 from splitknit.prints import Enhanced, PrintMap, Unrolled, phase_minutiae
 from splitknit.prints.print_map import NOWHERE
 from splitknit.recipe.space_minutiae import in_space
@@ -57,7 +57,7 @@ def write_minutiae(  # noqa: PLR0917
 
     Without the package that mindtct comes with, nothing is written and the facts say what to install.
     """
-    from splitknit.match.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 
     try:
         if sought_in == "phase":

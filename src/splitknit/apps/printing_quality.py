@@ -21,7 +21,7 @@ FULL_WORTH = 0.95
 
 def nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
     """NFIQ 2 of ``print.png`` and ``enhanced.png``, None where it sees no print; None without the package for it."""
-    from splitknit.match.minutiae import NFIQ2_FAILED, nfiq2  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import NFIQ2_FAILED, nfiq2  # noqa: PLC0415 - large, and not everywhere
 
     try:
         found = {name: nfiq2(pictures[f"{name}.png"], ppi) for name in ("print", "enhanced")}

@@ -21,7 +21,7 @@ from splitknit.batch.surfaces import pack_surface
 from splitknit.check import BadInput
 from splitknit.io import canonical_json, provenance, read_capture, settings_hash
 from splitknit.io.prints import encode_print_png, provenance_texts
-from splitknit.match import pack
+from splitknit.matching import pack
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
 from splitknit.recipe.memory import Memory

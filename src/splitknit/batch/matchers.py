@@ -15,12 +15,12 @@ from typing import Any, ClassVar
 
 from splitknit.batch.pairs import Blocks
 from splitknit.batch.reading import Place, images_of, small_column
-from splitknit.match import Prepared, RidgeMatchSettings, ThesisSettings, ridge_match, similarity_of, unpack
-from splitknit.match.minutiae import minutiae_match
-from splitknit.match.minutiae_edge import EDGE_MM
-from splitknit.match.minutiae_record import unpack_minutiae
-from splitknit.match.thesis import ATTRIBUTES
-from splitknit.match.thesis_many import database_finger, match_database
+from splitknit.matching import Prepared, RidgeMatchSettings, ThesisSettings, ridge_match, similarity_of, unpack
+from splitknit.matching.minutiae import minutiae_match
+from splitknit.matching.minutiae_edge import EDGE_MM
+from splitknit.matching.minutiae_record import unpack_minutiae
+from splitknit.matching.thesis import ATTRIBUTES
+from splitknit.matching.thesis_many import database_finger, match_database
 from splitknit.recipe.matchable import MatchingSettings
 
 Values = Mapping[str, float]

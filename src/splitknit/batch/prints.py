@@ -15,8 +15,8 @@ from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.check import require
 from splitknit.io.png import decode_png
-from splitknit.match.minutiae import extract
-from splitknit.match.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit.matching.minutiae import extract
+from splitknit.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 
 VERSION = 2
 """1: with the ends at the outline."""

@@ -9,12 +9,12 @@ from typing import Any
 from splitknit.batch.matchers import Matcher, Values
 from splitknit.batch.pairs import Blocks
 from splitknit.batch.reading import Place, small_column
-from splitknit.match.minutiae3d import PreparedMinutiae3D, minutiae3d_match
-from splitknit.match.minutiae3d_record import unpack_space_minutiae
-from splitknit.match.minutiae_edge import EDGE_MM
-from splitknit.match.surface_code import unpack_surface_code
-from splitknit.match.surface_code_match import PreparedSurface, surface_code_match
-from splitknit.match.tetrahedra import PreparedTetrahedra, tetrahedra_match
+from splitknit.matching.minutiae3d import PreparedMinutiae3D, minutiae3d_match
+from splitknit.matching.minutiae3d_record import unpack_space_minutiae
+from splitknit.matching.minutiae_edge import EDGE_MM
+from splitknit.matching.surface_code import unpack_surface_code
+from splitknit.matching.surface_code_match import PreparedSurface, surface_code_match
+from splitknit.matching.tetrahedra import PreparedTetrahedra, tetrahedra_match
 from splitknit.recipe.matchable import MatchingSettings
 from splitknit.recipe.space_minutiae import SLOPE_SIGMA_MM
 

@@ -19,8 +19,8 @@ from splitknit.batch.packages import load
 from splitknit.batch.prints import MinutiaeDone
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.check import BadInput, require
-from splitknit.match.minutiae3d_record import pack_space_minutiae
-from splitknit.match.surface_code import pack_surface_code
+from splitknit.matching.minutiae3d_record import pack_space_minutiae
+from splitknit.matching.surface_code import pack_surface_code
 from splitknit.recipe.matchable import MatchingSettings, Surface
 from splitknit.recipe.space_minutiae import space_minutiae
 from splitknit.recipe.surface_codes import surface_code

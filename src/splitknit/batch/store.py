@@ -21,7 +21,7 @@ from splitknit.io import atomic_file, provenance
 from splitknit.io.atomic import make_folder
 from splitknit.io.fields import as_number, read_json
 from splitknit.io.provenance import plain_json, settings_hash
-from splitknit.match import FingerImages
+from splitknit.matching import FingerImages
 
 STORE_FILE = "store.json"
 FORMAT, VERSION = "splitknit-batch", 1

@@ -12,7 +12,7 @@ from splitknit.batch.prints import MinutiaeDone, write_minutiae
 from splitknit.batch.settings import Case
 from splitknit.check import BadInput
 from splitknit.io import read_capture
-from splitknit.match.minutiae_record import Minutiae, no_minutiae
+from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.pipeline import PipelineSettings
 from splitknit.recipe.leave_one_out import voted_minutiae
 from splitknit.recipe.matchable import MatchingSettings

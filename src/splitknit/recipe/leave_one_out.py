@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.match.minutiae import extract
-from splitknit.match.minutiae_record import Minutiae, no_minutiae
-from splitknit.match.voted_minutiae import VoteSettings, vote
+from splitknit.matching.minutiae import extract
+from splitknit.matching.minutiae_record import Minutiae, no_minutiae
+from splitknit.matching.voted_minutiae import VoteSettings, vote
 from splitknit.normals.left_out import left_out
 from splitknit.prints import PrintSettings, ink, plane_map, resample
 from splitknit.radiance import linear_stack

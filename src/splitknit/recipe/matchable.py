@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.match import (
+from splitknit.matching import (
     FingerImages,
     RidgeBandSettings,
     RidgeMatchSettings,
@@ -19,11 +19,11 @@ from splitknit.match import (
     make_template,
     ridge_band,
 )
-from splitknit.match.minutiae3d import Minutiae3DSettings
-from splitknit.match.surface_code import SurfaceCodeSettings
-from splitknit.match.surface_code_match import SurfaceMatchSettings
-from splitknit.match.tetrahedra import TetrahedraSettings
-from splitknit.match.voted_minutiae import VoteSettings
+from splitknit.matching.minutiae3d import Minutiae3DSettings
+from splitknit.matching.surface_code import SurfaceCodeSettings
+from splitknit.matching.surface_code_match import SurfaceMatchSettings
+from splitknit.matching.tetrahedra import TetrahedraSettings
+from splitknit.matching.voted_minutiae import VoteSettings
 from splitknit.prints import relief_print
 from splitknit.recipe.leave_one_out import LeaveOneOutSettings
 from splitknit.types import Reconstruction

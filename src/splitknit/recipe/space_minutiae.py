@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from splitknit.check import require
 from splitknit.geometry import height_gradients
 from splitknit.io.minutiae3d import angles_of
-from splitknit.match.minutiae3d_record import SpaceMinutiae, no_space_minutiae
+from splitknit.matching.minutiae3d_record import SpaceMinutiae, no_space_minutiae
 from splitknit.prints.print_map import PrintMap, plane_map
 from splitknit.recipe.matchable import Surface, surface_print
 from splitknit.recipe.smooth import smoothed
@@ -36,7 +36,7 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
     37(3), 2015: minutiae of the plane print with their height z and elevation phi.
     """
-    from splitknit.match.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 
     found = extract(surface_print(surface, 500.0))
     if not found.count:

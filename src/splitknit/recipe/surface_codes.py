@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from splitknit.match.surface_code import SurfaceCode, SurfaceCodeSettings, make_surface_code
+from splitknit.matching.surface_code import SurfaceCode, SurfaceCodeSettings, make_surface_code
 from splitknit.prints.curvature import REFERENCE_PX_PER_MM, CurvatureSettings, curvature
 from splitknit.recipe.matchable import Surface
 from splitknit.recipe.smooth import smoothed

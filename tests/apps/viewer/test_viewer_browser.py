@@ -15,9 +15,9 @@ from chromium import Page, PageMaker, why_not
 from viewer_server import Asking, started
 
 from splitknit.io.glb import read_glb
-from splitknit.match import Template, pack
-from splitknit.match.gallery import Gallery, NewCapture
-from splitknit.match.gallery_entry import Entry
+from splitknit.matching import Template, pack
+from splitknit.matching.gallery import Gallery, NewCapture
+from splitknit.matching.gallery_entry import Entry
 
 pytestmark = [
     pytest.mark.slow,

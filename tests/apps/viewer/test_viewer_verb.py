@@ -20,9 +20,9 @@ from viewer_server import started
 from splitknit.apps.cli import main
 from splitknit.apps.viewer.serve import opened_page
 from splitknit.io import write_npz
-from splitknit.match import Template, pack
-from splitknit.match.gallery import Gallery, NewCapture
-from splitknit.match.gallery_entry import Entry
+from splitknit.matching import Template, pack
+from splitknit.matching.gallery import Gallery, NewCapture
+from splitknit.matching.gallery_entry import Entry
 
 Captured = pytest.CaptureFixture[str]
 

@@ -91,7 +91,7 @@ def _recorded(folder: Path, size: tuple[int, int]) -> _Columns | None:
 
 
 def _found(image: NDArray[np.uint8], ppi: float) -> _Columns:
-    from splitknit.match.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 
     found = extract(image, ppi)
     stored = image.shape[1] / max(1, found.size[1])

@@ -13,8 +13,8 @@ from splitknit.apps.viewer.catalogue import Entry
 from splitknit.apps.viewer.marks import Marks
 from splitknit.apps.viewer.measure import locate, sample
 from splitknit.apps.viewer.surface import Surface, read_members
-from splitknit.match import RidgeBandSettings, make_template, ridge_band, ridge_match
-from splitknit.match.unroll import GridSettings, band_places
+from splitknit.matching import RidgeBandSettings, make_template, ridge_band, ridge_match
+from splitknit.matching.unroll import GridSettings, band_places
 
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from splitknit.check import BadInput, require
 from splitknit.io.images import encode_image
-from splitknit.match.gallery import Gallery
-from splitknit.match.gallery_key import Key
-from splitknit.match.template import unpack
+from splitknit.matching.gallery import Gallery
+from splitknit.matching.gallery_key import Key
+from splitknit.matching.template import unpack
 
 _GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)
 """Deep valley to high ridge: ridges dark, as in a print."""

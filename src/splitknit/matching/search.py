@@ -1,0 +1,243 @@
+"""Search of one finger among very many, in stages: codes of fixed length, a glance at the ridges of the best, then
+the comparison of the ridges of a few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.matching.code import ProbeSettings, code_size, probe_codes
+from splitknit.matching.code_field import laid_on
+from splitknit.matching.elastic import compare_patches
+from splitknit.matching.ridge import Prepared, RidgeMatchSettings, prepared, ridge_match
+from splitknit.matching.template import Template
+from splitknit.types import FloatArray
+
+EXHAUSTIVE = 2000
+"""In a gallery of no more fingers all are compared by their ridges (if it is asked for a sure answer)."""
+_BLOCK = 1024
+"""Codes that are widened to float32 at a time: what a core's cache holds."""
+
+Gallery = Mapping[str, Template | Prepared] | Callable[[str], Template | Prepared]
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """How a gallery is searched."""
+
+    candidates: int = 50
+    """Fingers that the codes let through to a glance at their ridges, which are laid as the codes fit best."""
+    finalists: int = 3
+    """Of those the fingers whose ridges are compared in full."""
+    probe: ProbeSettings = field(default_factory=ProbeSettings)
+
+    def __post_init__(self) -> None:
+        require(self.candidates >= 1, "search.candidates must be at least 1.")
+        require(self.finalists >= 1, "search.finalists must be at least 1.")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A finger that was found."""
+
+    id: str
+    similarity: float
+    """Of the ridges (:func:`splitknit.matching.ridge_match`)."""
+    code_similarity: float
+    """Of the codes, -1 to 1; NaN where all fingers were compared and none left out by codes."""
+
+
+class CodeIndex:
+    """Codes of a gallery in memory: contiguous, one byte a number, grown as needed.
+
+    It guarantees that `search` looks at every code (no approximation beyond the code itself), that its order of
+    results depends on the set of (id, code) alone, not on the order in which they were added and removed, and that it
+    holds `nbytes`, at most 2 code_size() bytes a finger just after growing, beside the ids.
+    It is not safe to change it in one thread while another searches.
+    """
+
+    def __init__(self, ids: Iterable[str] = (), codes: NDArray[np.int8] | None = None) -> None:
+        """Make an index of ids (N) and codes (N, code_size()); both may be left out."""
+        self._ids: list[str] = []
+        self._place: dict[str, int] = {}
+        self._codes: NDArray[np.int8] = np.zeros((0, code_size()), dtype=np.int8)
+        names = list(ids)
+        if names or codes is not None:
+            self.add_many(names, np.zeros((0, code_size()), dtype=np.int8) if codes is None else codes)
+
+    def __len__(self) -> int:
+        return len(self._ids)
+
+    def __contains__(self, identity: object) -> bool:
+        return identity in self._place
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """In the order of `codes`."""
+        return tuple(self._ids)
+
+    @property
+    def codes(self) -> NDArray[np.int8]:
+        """(N, code_size()) view, read-only."""
+        view = self._codes[: len(self._ids)]
+        view.flags.writeable = False
+        return view
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the codes, room for growth included."""
+        return self._codes.nbytes
+
+    def add(self, identity: str, code: NDArray[np.int8]) -> None:
+        """Add a finger; BadInput if its id is there already or the code is none of this version."""
+        self.add_many([identity], np.asarray(code)[None])
+
+    def add_many(self, identities: Sequence[str], codes: NDArray[np.int8]) -> None:
+        """Add fingers: ids (N) and codes (N, code_size()); all of them or, if one is refused, none."""
+        codes = np.asarray(codes)
+        require(
+            codes.dtype == np.int8 and codes.shape == (len(identities), code_size()),
+            f"codes must be int8 of the shape ({len(identities)}, {code_size()}), but they are {codes.dtype} of the "
+            f"shape {codes.shape}; make them with code_of.",
+        )
+        new = set(identities)
+        twice = len(new) < len(identities) or any(identity in self._place for identity in new)
+        require(not twice, "an id is in the index already; remove it first, or choose another.")
+        start, end = len(self._ids), len(self._ids) + len(identities)
+        if end > len(self._codes):
+            room = np.zeros((end if start == 0 else max(end, 2 * start, 256), code_size()), dtype=np.int8)
+            room[:start] = self._codes[:start]
+            self._codes = room
+        self._codes[start:end] = codes
+        self._ids.extend(identities)
+        self._place.update(zip(identities, range(start, end), strict=True))
+
+    def remove(self, identity: str) -> None:
+        """Take a finger out; its code is overwritten. BadInput if there is none of that id."""
+        require(identity in self._place, f"there is no '{identity}' in the index.")
+        place, last = self._place.pop(identity), len(self._ids) - 1
+        if place != last:  # the last one moves into the gap
+            self._codes[place] = self._codes[last]
+            self._ids[place] = self._ids[last]
+            self._place[self._ids[place]] = place
+        self._codes[last] = 0
+        self._ids.pop()
+
+    def search(
+        self, probe: Template, k: int = 50, settings: ProbeSettings | None = None
+    ) -> tuple[list[str], FloatArray]:
+        """The `k` fingers whose codes are most like the probe's.
+
+        Parameters
+        ----------
+        probe : Template, not empty
+        k : at least 1; fewer come back from a smaller index
+        settings : of the probe's variants
+
+        Returns
+        -------
+        ids : list of str, best first; equal scores in the order of their ids
+        scores : (k,) float32, -1 to about 1
+        """
+        require(k >= 1, f"k must be at least 1, but it is {k}.")
+        if not self._ids:
+            return [], np.zeros(0, dtype=np.float32)
+        places, scores = self.nearest(probe_codes(probe, settings), k)
+        return [self._ids[place] for place in places], scores
+
+    def nearest(self, variants: FloatArray, k: int) -> tuple[list[int], FloatArray]:
+        """Places and scores of the `k` best, as :meth:`search`, for the variants (V, code_size()) of a probe."""
+        scores = self.scores(variants)
+        k = min(k, len(scores))
+        least = np.partition(scores, len(scores) - k)[len(scores) - k]
+        ranked = sorted((-float(scores[n]), self._ids[n], n) for n in np.flatnonzero(scores >= least).tolist())[:k]
+        return [n for _, _, n in ranked], np.array([-score for score, _, _ in ranked], dtype=np.float32)
+
+    def scores(self, variants: FloatArray) -> FloatArray:
+        """(N,) best product of each code with the variants (V, code_size()) of a probe."""
+        best = np.empty(len(self._ids), dtype=np.float32)
+        left = np.ascontiguousarray(variants, dtype=np.float32)
+        block = np.empty((_BLOCK, code_size()), dtype=np.float32)
+        for start in range(0, len(best), _BLOCK):
+            codes = self._codes[start : min(start + _BLOCK, len(best))]
+            part = block[: len(codes)]
+            part[...] = codes
+            best[start : start + len(codes)] = (left @ part.T).max(axis=0)
+        return best
+
+
+def identify(  # noqa: PLR0917
+    probe: Template,
+    gallery: Gallery,
+    index: CodeIndex,
+    k: int | None = None,
+    settings: SearchSettings | None = None,
+    match: RidgeMatchSettings | None = None,
+) -> list[Candidate]:
+    """Who is it? Codes choose `k` fingers of the gallery, a glance at their ridges a few, and those are compared.
+
+    Parameters
+    ----------
+    probe : Template
+    gallery : templates (or prepared ones) by id, or a function that fetches one by its id; it is asked for the
+        candidates only
+    index : codes of the gallery
+    k : candidates of the codes; `settings.candidates` if None. Where k reaches the size of the index, codes are not
+        used at all: all are compared. For galleries up to `EXHAUSTIVE` fingers that is the sure way.
+    settings : SearchSettings, optional
+    match : of the comparison of ridges
+
+    Returns
+    -------
+    list of Candidate, highest similarity first, at most `settings.finalists` (all of a gallery that is compared as a
+    whole); equal ones in the order of their ids. Empty if the probe is a failure to acquire. A finger is who it is
+    taken for only where its similarity passes a threshold: `splitknit match` prints false match rates of one
+    comparison; a search among N fingers makes N chances of a false match.
+
+    Raises
+    ------
+    BadInput
+        If k is less than 1, or a template has another pitch than the probe.
+    """
+    settings = settings or SearchSettings()
+    k = settings.candidates if k is None else k
+    require(k >= 1, f"k must be at least 1, but it is {k}.")
+    if probe.empty or not len(index):
+        return []
+    fetch: Callable[[str], Template | Prepared] = gallery.__getitem__ if isinstance(gallery, Mapping) else gallery
+    ready = prepared(probe, match)
+    if k >= len(index):
+        chosen = [(identity, float("nan"), prepared(fetch(identity), match)) for identity in sorted(index.ids)]
+    else:
+        variants = probe_codes(probe, settings.probe)
+        chosen, worths = [], []
+        for place, score in zip(*index.nearest(variants, k), strict=True):
+            code = index.codes[place].astype(np.float32)
+            other = prepared(fetch(index.ids[place]), match)
+            worths.append(_glance(ready, other, settings.probe, int(np.argmax(variants @ code))))
+            chosen.append((index.ids[place], float(score), other))
+        best = sorted(range(len(chosen)), key=lambda n: (-worths[n], chosen[n][0]))[: settings.finalists]
+        chosen = [chosen[n] for n in best]
+    found = [
+        Candidate(identity, ridge_match(ready, other, match).similarity, score) for identity, score, other in chosen
+    ]
+    return sorted(found, key=lambda candidate: (-candidate.similarity, candidate.id))
+
+
+def _glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
+    """How well patches of the probe's ridges are found in the other finger, laid as its code fits best."""
+    if other.template.empty:
+        return -1.0
+    require(
+        probe.template.pitch_mm == other.template.pitch_mm,
+        f"templates have pitches of {probe.template.pitch_mm:g} and {other.template.pitch_mm:g} mm; make both new.",
+    )
+    turn, right, down = (float(values[variant]) for values in settings.variants())
+    start = laid_on(probe.template, other.template, turn, right, down)
+    seen = compare_patches(probe.first, other.value, other.template.valid, start, probe.settings.first)
+    return float(seen.mean * np.sqrt(len(seen.used)))

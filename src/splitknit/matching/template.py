@@ -1,0 +1,160 @@
+"""The compact template of one finger: the ridge band in four levels, and where it is valid.
+
+A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each), number of runs (uint32),
+pitch in micrometres (uint16); the lengths of alternating runs of missing and valid pixels in row order (uint16 each, or
+65535 and a uint32 for longer ones); and two bits for each valid pixel, the first pixel in the lowest bits. A finger
+that could not be acquired is a payload of zero bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import require
+from splitknit.matching.ridge_band import RidgeBand
+from splitknit.types import BoolArray, FloatArray
+
+VERSION = 1
+"""Of the payload; a reader refuses others."""
+_HEAD = struct.Struct("<HHIH")
+_THRESHOLD, _LEVELS = 0.98, (-1.51, -0.45, 0.45, 1.51)
+_LONG = 65535
+_LARGEST_SIDE = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateSettings:
+    """What a template keeps."""
+
+    least_area_mm2: float = 30.0
+    """A smaller ridge band is a failure to acquire."""
+
+    def __post_init__(self) -> None:
+        require(self.least_area_mm2 >= 0, "template.least_area_mm2 must not be negative.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Template:
+    """One finger, ready to be compared; empty if nothing could be acquired."""
+
+    level: NDArray[np.uint8]
+    """(H, W) 0 to 3: deep valley, valley, ridge, high ridge; 0 where not `valid`."""
+    valid: BoolArray
+    """(H, W)."""
+    pitch_mm: float
+
+    @property
+    def empty(self) -> bool:
+        """Whether the finger could not be acquired."""
+        return not bool(self.valid.any())
+
+    @property
+    def area_mm2(self) -> float:
+        """Skin in the template."""
+        return float(self.valid.sum()) * self.pitch_mm**2
+
+    def value(self) -> FloatArray:
+        """(H, W) ridge band of about unit variance, zero where not valid."""
+        return np.where(self.valid, np.asarray(_LEVELS, dtype=np.float32)[self.level], np.float32(0.0))
+
+
+def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
+    """Return the template of a ridge band, cut to what is valid.
+
+    Parameters
+    ----------
+    band : RidgeBand
+        As :func:`splitknit.matching.ridge_band` gives it.
+    settings : TemplateSettings, optional
+
+    Returns
+    -------
+    Template
+        Empty where less than ``least_area_mm2`` is valid: a failure to acquire.
+
+    Raises
+    ------
+    BadInput
+        If the band is larger than the format allows: larger than any finger.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from splitknit.matching.ridge_band import ridge_band
+    >>> waves = np.sin(np.arange(200) * 1.4)[None, :] * np.ones((200, 1))
+    >>> make_template(ridge_band(waves.astype(np.float32), np.ones((200, 200), bool), 0.1)).empty
+    False
+    """
+    settings = settings or TemplateSettings()
+    if not bool(band.valid.any()) or band.area_mm2 < settings.least_area_mm2:
+        return failed_template(band.pitch_mm)
+    rows = np.flatnonzero(band.valid.any(axis=1))
+    columns = np.flatnonzero(band.valid.any(axis=0))
+    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
+    require(
+        max(valid.shape) <= _LARGEST_SIDE,
+        f"the ridge band has {valid.shape} pixels, more than a finger's; check the pitch ({band.pitch_mm:g} mm).",
+    )
+    level = np.digitize(value, (-_THRESHOLD, 0.0, _THRESHOLD)).astype(np.uint8)
+    return Template(np.where(valid, level, np.uint8(0)), valid, band.pitch_mm)
+
+
+def failed_template(pitch_mm: float = 0.1) -> Template:
+    """Return the template of a failure to acquire."""
+    return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
+
+
+def pack(template: Template) -> bytes:
+    """Payload of a template; no bytes for a failure to acquire."""
+    if template.empty:
+        return b""
+    flat = template.valid.ravel()
+    edges = np.flatnonzero(np.diff(flat)) + 1
+    runs = np.diff(np.concatenate([[0] if not flat[0] else [0, 0], edges, [flat.size]]))
+    head = _HEAD.pack(*template.valid.shape, len(runs), round(1000 * template.pitch_mm))
+    lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
+    level = template.level.ravel()[flat]
+    level = np.concatenate([level, np.zeros(-len(level) % 4, dtype=np.uint8)]).reshape(-1, 4)
+    packed = level[:, 0] | level[:, 1] << 2 | level[:, 2] << 4 | level[:, 3] << 6
+    return head + lengths + packed.astype(np.uint8).tobytes()
+
+
+def unpack(payload: bytes) -> Template:
+    """Read what :func:`pack` wrote.
+
+    Raises
+    ------
+    BadInput
+        If the payload is damaged.
+    """
+    if not payload:
+        return failed_template()
+    wrong = "the template's content contradicts itself; enroll the finger again."
+    require(len(payload) >= _HEAD.size, wrong)
+    height, width, count, pitch_um = _HEAD.unpack_from(payload)
+    require(0 < height <= _LARGEST_SIDE and 0 < width <= _LARGEST_SIDE and pitch_um > 0, wrong)
+    require(0 < count <= height * width + 1 and len(payload) >= _HEAD.size + 2 * count, wrong)
+    runs, position = [], _HEAD.size
+    for _ in range(count):
+        require(position + 2 <= len(payload), wrong)
+        (length,) = struct.unpack_from("<H", payload, position)
+        position += 2
+        if length == _LONG:
+            require(position + 4 <= len(payload), wrong)
+            (length,) = struct.unpack_from("<I", payload, position)
+            position += 4
+        runs.append(length)
+    require(sum(runs) == height * width and all(runs[1:]), wrong)
+    flat = np.repeat(np.arange(count) % 2 == 1, runs)
+    known = int(flat.sum())
+    require(known > 0 and len(payload) == position + (known + 3) // 4, wrong)
+    packed = np.frombuffer(payload, dtype=np.uint8, offset=position)
+    level = np.zeros(height * width, dtype=np.uint8)
+    level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
+    shape = (height, width)
+    return Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000)

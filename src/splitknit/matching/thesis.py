@@ -1,0 +1,242 @@
+"""The thesis's matcher: masks aligned, boxes made alike, features of every channel, the score (5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.check import check_mask, require
+from splitknit.geometry import warp
+from splitknit.matching.align import align_masks, to_box
+from splitknit.matching.features import FeatureSettings, gabor_features, hog_features, shape_context_features
+from splitknit.matching.lbp import LbpSettings, lbp_features
+from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
+from splitknit.types import BoolArray, FloatArray
+
+NORMALS = ("normal_x", "normal_y", "normal_z")
+ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"normals": NORMALS, "relief": ("relief",), "shape_normals": tuple(f"shape_{name}" for name in NORMALS)}
+)
+"""What is matched, and the channels of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisSettings:
+    """How two fingers are compared."""
+
+    gate: float = 0.9
+    """Pairs whose masks overlap less (5.1) are not compared; 0 compares all."""
+    feature: str = "lbp"
+    """``lbp``, ``hog``, ``gabor`` or ``shape_context``."""
+    attributes: tuple[str, ...] = ("normals", "relief")
+    """Names in :data:`ATTRIBUTES`; the similarity is the mean of theirs."""
+    lbp: LbpSettings = field(default_factory=LbpSettings)
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+
+    def __post_init__(self) -> None:
+        require(0 <= self.gate <= 1, f"thesis.gate must lie in [0, 1], but it is {self.gate}.")
+        require(
+            self.feature in ("lbp", "hog", "gabor", "shape_context"),
+            f"thesis.feature must be 'lbp', 'hog', 'gabor' or 'shape_context', but it is '{self.feature}'.",
+        )
+        unknown = [name for name in self.attributes if name not in ATTRIBUTES]
+        require(not unknown and len(self.attributes) > 0, f"thesis.attributes must be of {', '.join(ATTRIBUTES)}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerImages:
+    """One finger, upright and cut to the bounding box of its mask."""
+
+    channels: Mapping[str, FloatArray]
+    """(h, w) each, zero outside the mask."""
+    mask: BoolArray
+    """(h, w)."""
+    px_per_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisMatch:
+    """The thesis's scores, and the library's."""
+
+    similarity: float
+    """1 - the mean dissimilarity of the attributes: 1 for equal fingers, below -1.7 where nothing was compared."""
+    dissimilarity: Mapping[str, float]
+    """(5.2) of each attribute; exp(2 - ratio) where the pair was not compared."""
+    distances: Mapping[str, float]
+    """Euclidean distance of each channel; empty where the pair was not compared."""
+    ratio: float
+    """Intersection over union of the masks."""
+    shift_px: int
+    """Columns by which the query's box was shifted."""
+    compared: bool
+
+
+def finger_images(  # noqa: PLR0917
+    normals: FloatArray,
+    ridge_mm: FloatArray,
+    mask: BoolArray,
+    pitch_mm: float,
+    input_from_upright: NDArray[np.float64] | None = None,
+    upright_size: tuple[int, int] | None = None,
+    shape_normals: FloatArray | None = None,
+) -> FingerImages:
+    """Bring normals and relief upright and cut them to the finger.
+
+    Parameters
+    ----------
+    normals : (H, W, 3) float32
+        Of the fingerprint's surface, in the frame of the images; they turn with the picture.
+    ridge_mm : (H, W) float32
+        Ridge-valley relief.
+    mask : (H, W) bool
+    pitch_mm : float
+        Side of a pixel.
+    input_from_upright : (3, 3), optional
+        Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
+    upright_size : (rows, columns) of the upright frame, optional
+    shape_normals : (H, W, 3) float32, optional
+        Of the finger without ridges.
+
+    Raises
+    ------
+    BadInput
+        If shapes disagree, the mask is empty, or the pitch is not positive.
+    """
+    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
+    require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
+    mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
+    channels = {"relief": ridge_mm}
+    for prefix, field_of in (("", normals), ("shape_", shape_normals)):
+        if field_of is not None:
+            require(
+                field_of.shape == (*mask.shape, 3),
+                f"normals must have the shape {(*mask.shape, 3)}, but have {field_of.shape}.",
+            )
+            channels |= {prefix + name: field_of[..., k] for k, name in enumerate(NORMALS)}
+    cleaned = {
+        name: np.where(mask & np.isfinite(channel), channel, np.float32(0.0)).astype(np.float32)
+        for name, channel in channels.items()
+    }
+    if input_from_upright is not None:
+        size = mask.shape if upright_size is None else upright_size
+        matrix = np.asarray(input_from_upright, dtype=np.float64)
+        mask = warp(mask.astype(np.float32), matrix, (size[0], size[1])) > 0.5
+        require(bool(mask.any()), "the mask lies outside the upright frame.")
+        cleaned = {name: warp(channel, matrix, (size[0], size[1])) for name, channel in cleaned.items()}
+        back = np.linalg.inv(matrix[:2, :2])
+        turn = back / np.sqrt(abs(np.linalg.det(back)))
+        for prefix in ("", "shape_"):
+            if prefix + "normal_x" in cleaned:
+                x, y = cleaned[prefix + "normal_x"], cleaned[prefix + "normal_y"]
+                cleaned[prefix + "normal_x"] = (turn[0, 0] * x - turn[0, 1] * y).astype(np.float32)
+                cleaned[prefix + "normal_y"] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    inside = mask[box]
+    return FingerImages(
+        {name: np.where(inside, channel[box], np.float32(0.0)) for name, channel in cleaned.items()},
+        inside,
+        1.0 / pitch_mm,
+    )
+
+
+def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
+    """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
+
+    Parameters
+    ----------
+    images : FingerImages
+    settings : ThesisSettings, optional
+
+    Returns
+    -------
+    Channel to (n,) float32, for :func:`thesis_match`.
+
+    Raises
+    ------
+    BadInput
+        If a channel is missing, or smaller than a cell.
+    """
+    settings = settings or ThesisSettings()
+    extract = _extractor(settings, images.px_per_mm)
+    return {name: extract(images.channels[name]) for name in _needed(images, settings)}
+
+
+def thesis_match(
+    database: FingerImages,
+    query: FingerImages,
+    settings: ThesisSettings | None = None,
+    features: Mapping[str, NDArray[np.float32]] | None = None,
+) -> ThesisMatch:
+    """Compare a query with a finger of the database, as the thesis does.
+
+    The query is resampled to the database's box, so that the order of the two matters a little.
+
+    Parameters
+    ----------
+    database, query : FingerImages
+        Of one scale (pixels per mm).
+    settings : ThesisSettings, optional
+    features : of the database's finger by channel, optional
+        What :func:`finger_features` made with the same settings.
+
+    Returns
+    -------
+    ThesisMatch
+        The similarity, 1 - the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate
+        left the pair out.
+
+    Raises
+    ------
+    BadInput
+        If the two have different scales, or one lacks a channel.
+
+    References
+    ----------
+    The thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2) are those of the channels of
+    one attribute; relief has one.
+    """
+    settings = settings or ThesisSettings()
+    require(
+        abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02,
+        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs both "
+        "alike.",
+    )
+    _needed(database, settings)
+    needed = _needed(query, settings)
+    laid = align_masks(database.mask, query.mask)
+    if laid.ratio < settings.gate or laid.ratio <= 0.0:
+        gated = dissimilarity_of_gated(laid.ratio)
+        return ThesisMatch(
+            similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
+        )
+    distances = {}
+    extract = _extractor(settings, database.px_per_mm)
+    for name in needed:
+        channel = to_box(query.channels[name], (database.mask.shape[0], database.mask.shape[1]))
+        known = extract(database.channels[name]) if features is None else features[name]
+        distances[name] = float(np.linalg.norm(known - extract(channel)))
+    scores = {
+        attribute: dissimilarity(laid.ratio, [distances[name] for name in ATTRIBUTES[attribute]])
+        for attribute in settings.attributes
+    }
+    mean = float(np.mean(list(scores.values())))
+    return ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
+
+
+def _needed(images: FingerImages, settings: ThesisSettings) -> list[str]:
+    needed = [name for attribute in settings.attributes for name in ATTRIBUTES[attribute]]
+    missing = [name for name in needed if name not in images.channels]
+    require(not missing, f"a finger has no channel '{missing[0] if missing else ''}'.")
+    return needed
+
+
+def _extractor(settings: ThesisSettings, px_per_mm: float) -> Callable[[FloatArray], NDArray[np.float32]]:
+    if settings.feature == "lbp":
+        return lambda image: lbp_features(image, px_per_mm, settings.lbp)
+    others = {"hog": hog_features, "gabor": gabor_features, "shape_context": shape_context_features}
+    return lambda image: others[settings.feature](image, px_per_mm, settings.features)

@@ -1,0 +1,176 @@
+"""Minutiae that several pictures of one finger agree on: lists of minutiae in, voted minutiae out."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from splitknit.check import require
+from splitknit.matching.minutiae_record import PPI, Minutiae
+
+MM_PER_INCH = 25.4
+
+
+@dataclass(frozen=True, slots=True)
+class VoteSettings:
+    """When minutiae of two pictures are the same, and how many pictures must agree."""
+
+    reach_mm: float = 0.3
+    """Minutiae of two pictures are the same if they lie no further apart: a third to two thirds of a ridge period."""
+    turn_deg: float = 40.0
+    """... and their directions differ by no more."""
+    least_share: float = 0.5
+    """Share of the pictures in which a minutia must be found to be kept."""
+
+    def __post_init__(self) -> None:
+        require(0 < self.reach_mm <= 2, f"voted.reach_mm must lie in (0, 2], but it is {self.reach_mm}.")
+        require(0 < self.turn_deg <= 180, f"voted.turn_deg must lie in (0, 180], but it is {self.turn_deg}.")
+        require(0 < self.least_share <= 1, f"voted.least_share must lie in (0, 1], but it is {self.least_share}.")
+
+
+def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> Minutiae:
+    """Keep the minutiae that enough pictures show.
+
+    Every picture has one vote for a place. The place with most votes is taken first, and the minutiae that voted for it
+    have then no vote left for another, so that each minutia counts once. A kept minutia lies at the mean of its voters,
+    points in their mean direction and has the type of most of them.
+
+    Parameters
+    ----------
+    pictures : lists of minutiae, all on prints of one size
+    settings : VoteSettings, optional
+
+    Returns
+    -------
+    Minutiae
+        By column and row; the quality is the share of the pictures that show it, 0 to 100. The order of the pictures
+        changes nothing.
+
+    Raises
+    ------
+    BadInput
+        If there are no pictures, or their sizes differ.
+
+    References
+    ----------
+    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as
+    the thesis describes it (section 2.2.1).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> def one(x):
+    ...     small = np.array([1], np.uint8)
+    ...     return Minutiae(np.array([x]), np.array([20]), np.zeros(1), small, small, (40, 40))
+    >>> found = vote([one(10), one(12), one(30)], VoteSettings(least_share=0.5))
+    >>> found.x_px.tolist(), found.quality.tolist()
+    ([11], [67])
+    """
+    settings = settings or VoteSettings()
+    require(len(pictures) > 0, "a vote needs at least one picture.")
+    size = pictures[0].size
+    for one in pictures:
+        require(
+            one.size == size,
+            f"pictures that vote must be of one size, but one is {size[0]} x {size[1]} and another {one.size[0]} x "
+            f"{one.size[1]}.",
+        )
+    pool = _pool(pictures)
+    near = _same(pool, settings)
+    free = np.ones(len(pool), dtype=np.bool_)
+    least = max(1, int(np.ceil(settings.least_share * len(pictures) - 1e-9)))
+    waiting = [(*_standing(pool, near[k]), k) for k in range(len(pool))]
+    heapq.heapify(waiting)
+    kept = []
+    while waiting:
+        votes, spread, k = heapq.heappop(waiting)
+        if -votes < least:
+            break
+        around = near[k][free[near[k]]]
+        if not free[k]:
+            continue
+        now = _standing(pool, around)
+        if now != (votes, spread):  # some of its voters have gone: it waits for its turn again
+            heapq.heappush(waiting, (*now, k))
+            continue
+        voters = _voters(pool, around)
+        free[voters] = False
+        kept.append((*_mean(pool[voters]), len(voters)))
+    return _listed(kept, size, len(pictures))
+
+
+def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
+    """All minutiae, in an order that does not depend on that of the pictures."""
+    rows = np.dtype(
+        [("x", float), ("y", float), ("direction", float), ("type", int), ("quality", int), ("picture", int)]
+    )
+    pool = np.zeros(sum(one.count for one in pictures), dtype=rows)
+    start = 0
+    for number, one in enumerate(pictures):
+        part = pool[start : start + one.count]
+        part["x"], part["y"], part["direction"] = one.x_px, one.y_px, one.direction_rad
+        part["type"], part["quality"], part["picture"] = one.type, one.quality, number
+        start += one.count
+    keys = ("type", "quality", "direction", "y", "x")
+    return pool[np.lexsort([pool[key] for key in keys])]
+
+
+def _same(pool: NDArray[np.void], settings: VoteSettings) -> list[NDArray[np.intp]]:
+    """For each minutia those that are near enough to be the same, itself among them."""
+    if not len(pool):
+        return []
+    places = np.stack([pool["x"], pool["y"]], axis=1)
+    reach = settings.reach_mm * PPI / MM_PER_INCH
+    found = []
+    for k, around in enumerate(cKDTree(places).query_ball_point(places, reach, return_sorted=True)):
+        index = np.array(around, dtype=np.intp)
+        turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
+        found.append(index[turn <= np.deg2rad(settings.turn_deg)])
+    return found
+
+
+def _standing(pool: NDArray[np.void], around: NDArray[np.intp]) -> tuple[int, float]:
+    """How many pictures show a place, negative, and how far its voters lie apart: the smallest comes first."""
+    here = pool[around]
+    votes = len(set(here["picture"].tolist()))
+    return -votes, round(float(here["x"].var() + here["y"].var()), 6)
+
+
+def _voters(pool: NDArray[np.void], where: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Of each picture the minutia that lies nearest to the middle of all that are near."""
+    around = pool[where]
+    away = np.hypot(around["x"] - around["x"].mean(), around["y"] - around["y"].mean())
+    order = np.lexsort([np.arange(len(where)), np.round(away, 6), around["picture"]])
+    _, first = np.unique(around["picture"][order], return_index=True)
+    return np.asarray(where[order[first]])
+
+
+def _mean(voters: NDArray[np.void]) -> tuple[float, float, float, int]:
+    """Place, direction and type of a kept minutia; the reliable voters decide where the types are even."""
+    direction = float(np.angle(np.exp(1j * voters["direction"]).sum()))
+    kinds = np.unique(voters["type"])
+    support = [
+        (int((voters["type"] == kind).sum()), int(voters["quality"][voters["type"] == kind].sum())) for kind in kinds
+    ]
+    kind = int(kinds[max(range(len(kinds)), key=lambda k: support[k])])
+    return float(voters["x"].mean()), float(voters["y"].mean()), direction % (2 * np.pi), kind
+
+
+def _listed(kept: list[tuple[float, float, float, int, int]], size: tuple[int, int], pictures: int) -> Minutiae:
+    table = np.array(kept, dtype=np.float64).reshape(-1, 5)
+    x, y = (np.rint(table[:, k]).astype(np.int32) for k in (0, 1))
+    order = np.lexsort((table[:, 2], y, x))
+    share = np.rint(100.0 * table[:, 4] / pictures)
+    return Minutiae(
+        x[order],
+        y[order],
+        table[order, 2],
+        table[order, 3].astype(np.uint8),
+        share[order].astype(np.uint8),
+        size,
+    )

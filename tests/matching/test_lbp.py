@@ -1,0 +1,106 @@
+"""Local binary patterns: codes against scikit-image, histograms against counting."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitknit.check import BadInput
+from splitknit.matching import LbpSettings, cell_histograms, lbp_codes, lbp_features
+from splitknit.matching.lbp import uniform_bins
+
+
+@pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.3])
+def test_codes_are_those_of_scikit_image(radius: float) -> None:
+    feature = pytest.importorskip("skimage.feature")
+    image = np.random.default_rng(4).random((90, 110)).astype(np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # it prefers whole numbers
+        expected = feature.local_binary_pattern(image.astype(np.float64), 8, radius)
+    edge = 5  # it takes zeros beyond the border, we repeat the edge
+    inner = slice(edge, -edge), slice(edge, -edge)
+    assert np.mean(lbp_codes(image, radius)[inner] == expected[inner]) > 0.9999
+
+
+def test_uniform_bins_are_those_of_scikit_image() -> None:
+    """58 uniform patterns, one bin for the rest."""
+    bins = uniform_bins()
+    assert bins.max() == 58
+    assert np.bincount(bins)[:58].tolist() == [1] * 58
+    for code in range(256):
+        bits = [(code >> k) & 1 for k in range(8)]
+        changes = sum(bits[k] != bits[k - 1] for k in range(8))
+        assert (bins[code] == 58) == (changes > 2)
+
+
+def test_codes_by_hand() -> None:
+    image = np.array([[1, 2, 3], [8, 5, 4], [7, 6, 5]], np.float32)
+    # counter-clockwise from the right: 4, 3, 2, 1, 8, 7, 6, 5 against 5
+    assert lbp_codes(image, interpolation="nearest")[1, 1] == 0b11110000
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 1000),
+    gain=st.floats(0.01, 100.0),
+    offset=st.floats(-50, 50),
+    power=st.sampled_from([1, 3]),
+    rows=st.integers(8, 30),
+    columns=st.integers(8, 30),
+)
+def test_monotone_changes_of_a_channel_change_nothing(  # noqa: PLR0917
+    seed: int, gain: float, offset: float, power: int, rows: int, columns: int
+) -> None:
+    image = np.random.default_rng(seed).integers(-20, 20, (rows, columns)).astype(np.float32)
+    changed = (np.float64(gain) * image.astype(np.float64) ** power + offset).astype(np.float32)
+    same = lbp_codes(image, interpolation="nearest") == lbp_codes(changed, interpolation="nearest")
+    assert same.all()
+
+
+def test_interpolated_codes_keep_under_gain_and_offset() -> None:
+    image = np.random.default_rng(1).random((40, 50)).astype(np.float32)
+    assert np.mean(lbp_codes(image, 1.5) == lbp_codes(4.0 * image + 2.0, 1.5)) > 0.999
+
+
+def test_histograms_count() -> None:
+    codes = np.random.default_rng(2).integers(0, 256, (70, 45)).astype(np.uint8)
+    counts = cell_histograms(codes, 20, LbpSettings(uniform=False, normalisation="none"))
+    assert counts.shape == (3, 2, 256)
+    for row in range(3):
+        for column in range(2):
+            part = codes[20 * row : 20 * row + 20, 20 * column : 20 * column + 20]
+            assert counts[row, column].tolist() == [int((part == code).sum()) for code in range(256)]
+    shares = cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
+    assert shares.shape == (3, 2, 59)
+    np.testing.assert_allclose(shares.sum(axis=2), 1.0, rtol=1e-6)
+    lengths = np.linalg.norm(cell_histograms(codes, 20, LbpSettings()), axis=2)
+    np.testing.assert_allclose(lengths, 1.0, rtol=1e-6)
+
+
+def test_sizes_scale_with_the_image() -> None:
+    settings_of = LbpSettings(radius_px=4.0)
+    assert settings_of.cell(75.7) == 64
+    assert settings_of.cell(37.85) == 32
+    assert settings_of.radius(37.85) == pytest.approx(2.0)
+    assert LbpSettings().radius(20.0) == 1.0
+    image = np.random.default_rng(3).random((130, 70)).astype(np.float32)
+    assert lbp_features(image, 37.85).shape == (4 * 2 * 59,)
+
+
+@pytest.mark.parametrize(
+    "change", [{"radius_px": 0}, {"cell_px": 1}, {"normalisation": "max"}, {"interpolation": "cubic"}]
+)
+def test_settings_are_checked(change) -> None:
+    with pytest.raises(BadInput, match=next(iter(change))):
+        LbpSettings(**change)
+
+
+def test_bad_images_are_refused() -> None:
+    with pytest.raises(BadInput, match="NaN"):
+        lbp_codes(np.full((5, 5), np.nan, np.float32))
+    with pytest.raises(BadInput, match="smaller than a cell"):
+        lbp_features(np.zeros((20, 20), np.float32), 75.7)

@@ -1,0 +1,172 @@
+"""The thesis's matcher: alignment, gate, score, and the other features."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitknit.check import BadInput
+from splitknit.geometry import rotation_about
+from splitknit.matching import (
+    FeatureSettings,
+    FingerImages,
+    ThesisSettings,
+    align_masks,
+    finger_features,
+    finger_images,
+    gabor_features,
+    hog_features,
+    intersection_over_union,
+    shape_context_features,
+    thesis_match,
+)
+from splitknit.matching.align import to_box
+
+FEATURES = ("lbp", "hog", "gabor", "shape_context")
+
+
+def ellipse(rows: int, columns: int) -> np.ndarray:
+    y, x = np.mgrid[0:rows, 0:columns]
+    return ((x - (columns - 1) / 2) / (columns / 2)) ** 2 + ((y - (rows - 1)) / rows) ** 2 < 1
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(right=st.integers(-30, 30), rows=st.integers(60, 160), columns=st.integers(60, 120))
+def test_lateral_search_finds_the_shift(right: int, rows: int, columns: int) -> None:
+    """A query that is the database's finger with empty columns on one side."""
+    mask = ellipse(rows, columns)
+    query = np.pad(mask, ((0, 0), (max(0, -right), max(0, right))))
+    found = align_masks(mask, query)
+    assert found.right == -max(0, -right)
+    assert found.ratio == 1.0
+
+
+def test_overlap_by_hand() -> None:
+    a, b = np.ones((4, 6), np.bool_), np.ones((4, 6), np.bool_)
+    assert intersection_over_union(a, b) == 1.0
+    assert intersection_over_union(a, b, 2) == pytest.approx(16 / 32)
+    assert intersection_over_union(a, b, -6) == 0.0
+    assert intersection_over_union(a, b[:2]) == pytest.approx(12 / 24)
+    with pytest.raises(BadInput, match="empty"):
+        align_masks(a, np.zeros((3, 3), np.bool_))
+
+
+def test_the_gate_keeps_unlike_outlines_apart() -> None:
+    wide, slim = pictured(ellipse(120, 100)), pictured(ellipse(120, 70))
+    found = thesis_match(wide, slim)
+    assert not found.compared
+    assert found.ratio < 0.9
+    assert found.dissimilarity["normals"] == pytest.approx(np.exp(2 - found.ratio))
+    assert found.similarity == pytest.approx(1 - np.exp(2 - found.ratio))
+    assert found.distances == {}
+    assert thesis_match(wide, slim, ThesisSettings(gate=0.0)).compared
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_same_fingers_are_more_alike(impressions, feature: str) -> None:
+    """Poses that differ little: that is what this matcher can take."""
+    chosen = ThesisSettings(gate=0.0, feature=feature)
+    fingers = [impressions[k].images() for k in (0, 3, 6)]
+    for k, one in zip((0, 3, 6), fingers, strict=True):
+        again = finger_images(
+            np.roll(impressions[k].normals, 2, axis=1), np.roll(impressions[k].ridge_mm, 2, axis=1),
+            np.roll(impressions[k].mask, 2, axis=1), impressions[k].pitch_mm,
+        )  # fmt: skip
+        same = thesis_match(one, again, chosen).similarity
+        others = [thesis_match(other, again, chosen).similarity for other in fingers if other is not one]
+        assert same > max(others)
+
+
+def test_equal_fingers_give_one_and_known_features_change_nothing(impressions) -> None:
+    one, other = impressions[0].images(), impressions[3].images()
+    found = thesis_match(one, one)
+    assert found.similarity == 1.0
+    assert set(found.distances.values()) == {0.0}
+    chosen = ThesisSettings(gate=0.0)
+    assert thesis_match(one, other, chosen) == thesis_match(one, other, chosen, finger_features(one, chosen))
+
+
+def test_the_score_is_that_of_the_distances(impressions) -> None:
+    found = thesis_match(impressions[0].images(), impressions[3].images(), ThesisSettings(gate=0.0))
+    total = sum(found.distances[name] for name in ("normal_x", "normal_y", "normal_z"))
+    assert found.dissimilarity["normals"] == pytest.approx(np.exp(-(found.ratio**4) / total))
+    assert found.dissimilarity["relief"] == pytest.approx(np.exp(-(found.ratio**4) / found.distances["relief"]))
+    assert found.similarity == pytest.approx(1 - np.mean(list(found.dissimilarity.values())))
+
+
+def test_upright_images_turn_their_normals() -> None:
+    """A tilted plane, turned by 90 deg: what pointed right points up, as the picture does."""
+    normals = np.zeros((30, 40, 3), np.float32)
+    normals[:] = (0.6, 0.0, 0.8)
+    mask = np.zeros((30, 40), np.bool_)
+    mask[10:20, 12:26] = True
+    relief = np.zeros((30, 40), np.float32)
+    turn = rotation_about((19.5, 14.5), -np.pi / 2)  # upright content is the input turned counter-clockwise
+    found = finger_images(normals, relief, mask, 0.1, turn, (60, 60))
+    assert found.mask.shape == pytest.approx((14, 10), abs=1)
+    middle = tuple(float(found.channels[f"normal_{axis}"][7, 5]) for axis in "xyz")
+    assert middle == pytest.approx((0.0, 0.6, 0.8), abs=1e-5)
+
+
+def test_boxes_are_made_alike() -> None:
+    ramp = np.broadcast_to(np.arange(20, dtype=np.float32), (10, 20))
+    assert to_box(ramp, (10, 20)) is ramp
+    wide = to_box(ramp, (15, 40))
+    assert wide.shape == (15, 40)
+    assert wide[7, 20] == pytest.approx(9.75, abs=0.01)
+
+
+def test_hog_knows_the_direction_of_stripes() -> None:
+    stripes = np.sin(np.arange(128) * 0.4).astype(np.float32)[None, :] * np.ones((128, 1), np.float32)
+    upright, across = hog_features(stripes, 75.7), hog_features(np.ascontiguousarray(stripes.T), 75.7)
+    assert upright.shape == (4 * 9,)
+    assert np.linalg.norm(upright - across) > 0.9
+    assert np.linalg.norm(upright - hog_features(3 * stripes + 1, 75.7)) < 1e-4
+    # gradients lie along the columns: directions near 0 and 180 deg, the first and the last bin
+    assert set(np.argsort(upright[:9])[-2:]) == {0, 8}
+
+
+def test_gabor_knows_direction_and_period() -> None:
+    def stripes(period: float, turn: float) -> np.ndarray:
+        y, x = np.mgrid[0:192, 0:192]
+        return np.sin(2 * np.pi / period * (x * np.cos(turn) + y * np.sin(turn))).astype(np.float32)
+
+    for place, period in enumerate((24.0, 33.0, 45.0)):
+        for k in (0, 2):
+            cells = gabor_features(stripes(period, np.pi * k / 6), 75.7).reshape(9, 3, 6)
+            assert np.unravel_index(int(cells[4].argmax()), (3, 6)) == (place, k)
+
+
+def test_shape_contexts_see_where_flanks_lie() -> None:
+    image = np.zeros((192, 192), np.float32)
+    image[:, 130:] = 1.0  # one flank, to the right of the middle cell's middle
+    cells = shape_context_features(image, 75.7).reshape(3, 3, 5, 12)
+    middle = cells[1, 1]
+    assert middle.sum() == pytest.approx(1.0, abs=1e-5)
+    right = middle[:, [0, 1, 2, 9, 10, 11]].sum()
+    assert right > 0.9
+
+
+def test_sizes_and_settings_are_checked(impressions) -> None:
+    small = np.zeros((20, 20), np.float32)
+    for feature in (hog_features, gabor_features, shape_context_features):
+        with pytest.raises(BadInput, match="smaller than a cell"):
+            feature(small, 75.7)
+    for change in ({"gate": 2}, {"feature": "sift"}, {"attributes": ("colour",)}, {"attributes": ()}):
+        with pytest.raises(BadInput):
+            ThesisSettings(**change)
+    with pytest.raises(BadInput):
+        FeatureSettings(hog_bins=1)
+    one = impressions[0].images()
+    with pytest.raises(BadInput, match="px/mm"):
+        thesis_match(one, FingerImages(one.channels, one.mask, 75.7))
+    with pytest.raises(BadInput, match="no channel"):
+        thesis_match(one, one, ThesisSettings(attributes=("shape_normals",)))
+
+
+def pictured(mask: np.ndarray) -> FingerImages:
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(*mask.shape, 3)).astype(np.float32)
+    return finger_images(normals, normals[..., 0], mask, 0.05)
