@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.finger.orientation import find_upright
 from splitknit.matching import (
     FingerImages,
     Prepared,
@@ -32,7 +33,6 @@ from splitknit.matching import (
 from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_enhance import enhance_print
 from splitknit.matching.minutiae_record import pack_minutiae
-from splitknit.preprocess.orientation import find_upright
 from splitknit.prints.ridges import relief_print
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig

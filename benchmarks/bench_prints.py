@@ -25,8 +25,8 @@ import numpy as np
 
 from splitknit.apps.printing import Print, enhance, make_print
 from splitknit.apps.printing_sources import Source
+from splitknit.finger.orientation import find_upright
 from splitknit.matching.minutiae import nfiq2
-from splitknit.preprocess.orientation import find_upright
 from splitknit.prints import CurvatureSettings, curvature, gabor_enhance, ridge_mask, stft_enhance, thin
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig

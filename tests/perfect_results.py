@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from splitknit.finger.orientation import Upright, find_upright
 from splitknit.io import write_npz, write_print_png
-from splitknit.preprocess.orientation import Upright, find_upright
 from splitknit.prints.ridges import relief_print
 from splitknit.types import Camera
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.preprocess import (
+from splitknit.finger import (
     capture_quality,
     clahe,
     find_crease,

@@ -56,7 +56,7 @@ def perfect() -> Surface:
     camera = default_rig(0.27).camera
     pose = Pose(insertion_mm=27.0, yaw_rad=0.2, roll_rad=0.1, x_mm=1.5)
     seen = finger_surface(draw_finger(731, "right_loop"), pose, camera)
-    from splitknit.preprocess.orientation import find_upright
+    from splitknit.finger.orientation import find_upright
 
     upright = find_upright(seen.mask)
     ridge = (seen.height_mm - seen.shape_mm).astype(np.float32)

@@ -11,7 +11,7 @@ import pytest
 
 from script_folder import Script, scripts_of
 from splitknit.check import BadInput
-from splitknit.preprocess.orientation import find_upright
+from splitknit.finger.orientation import find_upright
 from splitknit.recipe.matchable import Surface
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig

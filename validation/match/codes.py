@@ -28,6 +28,7 @@ from flat_fingers import load_flat, make_flat
 from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
+from splitknit.finger.orientation import find_upright
 from splitknit.io import read_npz
 from splitknit.io.atomic import atomic_file
 from splitknit.matching import Template, pack, unpack
@@ -35,7 +36,6 @@ from splitknit.matching.code import CODE_VERSION, SCALE, code_model, code_of, pr
 from splitknit.matching.code_field import ridge_field, sampled
 from splitknit.matching.code_model import FactorModel
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.preprocess.orientation import find_upright
 from splitknit.types import FloatArray
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "match" / "code_model.npz"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.preprocess.orientation import find_upright
+from splitknit.finger.orientation import find_upright
 from splitknit.recipe.matchable import Surface
 from splitknit.simulator.finger import draw_finger, finger_surface
 from splitknit.simulator.pose_ranges import PoseRanges

@@ -13,8 +13,8 @@ from splitknit.capture.exposure import MEDIAN, clipped_share
 from splitknit.capture.focus import grey_light
 from splitknit.check import require
 from splitknit.devices import Frame
-from splitknit.preprocess.motion import MotionSettings, shot_motion
-from splitknit.preprocess.regions import blur, dilate, reduce_image
+from splitknit.finger.motion import MotionSettings, shot_motion
+from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.types import BoolArray, FloatArray
 
 

@@ -19,7 +19,7 @@ from splitknit.capture.exposure import (
 )
 from splitknit.check import BadInput, require
 from splitknit.devices import Camera, Frame, LightBank
-from splitknit.preprocess import finger_mask
+from splitknit.finger import finger_mask
 from splitknit.types import BoolArray, FloatArray
 
 

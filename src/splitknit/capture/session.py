@@ -19,7 +19,7 @@ from splitknit.capture.pins import led_names
 from splitknit.capture.shots import Shooting, Shot
 from splitknit.check import require
 from splitknit.devices import Camera, LightBank
-from splitknit.preprocess.regions import bounding_box
+from splitknit.finger.regions import bounding_box
 from splitknit.types import Band, Capture, Rig
 
 Progress = Callable[[str, float], None]

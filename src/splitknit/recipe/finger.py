@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.drift import drift_words, led_drift
 from splitknit.check import BadInput, require
-from splitknit.preprocess import (
+from splitknit.finger import (
     Upright,
     capture_quality,
     check_borders,
@@ -26,7 +26,7 @@ from splitknit.preprocess import (
     quality_warnings,
     shot_motion,
 )
-from splitknit.preprocess.phalange import Crease
+from splitknit.finger.phalange import Crease
 from splitknit.radiance import (
     Window,
     has_colour,

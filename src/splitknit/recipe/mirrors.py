@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
+from splitknit.finger import finger_outline, finger_region
 from splitknit.fuse import facing_share, led_image, mirrored_share
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.knit import crossover
 from splitknit.normals import pseudo_normals
-from splitknit.preprocess import finger_outline, finger_region
 from splitknit.radiance import Window, linear_survey
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings

@@ -5,11 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from splitknit.check import require
-from splitknit.integrate import PoissonSettings, ShapeletSettings
-from splitknit.knit import KnitSettings
-from splitknit.metric import MetricSettings
-from splitknit.normals import HanrahanKruegerSettings, RobustSettings
-from splitknit.preprocess import (
+from splitknit.finger import (
     ClaheSettings,
     CreaseSettings,
     MaskSettings,
@@ -18,6 +14,10 @@ from splitknit.preprocess import (
     PhotometricMaskSettings,
     QualitySettings,
 )
+from splitknit.integrate import PoissonSettings, ShapeletSettings
+from splitknit.knit import KnitSettings
+from splitknit.metric import MetricSettings
+from splitknit.normals import HanrahanKruegerSettings, RobustSettings
 from splitknit.separate import SkinSettings
 from splitknit.shape import MirrorShapeSettings
 

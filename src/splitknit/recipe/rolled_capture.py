@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.preprocess import find_crease, find_upright, finger_mask
+from splitknit.finger import find_crease, find_upright, finger_mask
 from splitknit.radiance import linear_survey, pick_channel
 from splitknit.recipe.finger import BEYOND_CREASE_MM, enlarged
 from splitknit.recipe.mirrors import skin_slopes

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import BadInput, require
-from splitknit.preprocess import Seen, register_band, register_shots, without_glare
-from splitknit.preprocess.registration_flow import Flow
+from splitknit.finger import Seen, register_band, register_shots, without_glare
+from splitknit.finger.registration_flow import Flow
 from splitknit.radiance import has_colour, linear_channels, linear_stack
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.presets import PipelineSettings

@@ -69,10 +69,10 @@ def find_views(  # noqa: PLR0917
         Linear, in blocks of `binning` pixels a side of the camera's image.
     camera : Camera
     mirrors : by name, where they nominally are
-    find_finger : mask of the finger in an image, :func:`splitknit.preprocess.finger_mask` say
+    find_finger : mask of the finger in an image, :func:`splitknit.finger.finger_mask` say
     binning : int
     settings : ViewSettings, optional
-    find_outline : outline of a finger roughly known, :func:`splitknit.preprocess.finger_outline` say, optional
+    find_outline : outline of a finger roughly known, :func:`splitknit.finger.finger_outline` say, optional
 
     Raises
     ------

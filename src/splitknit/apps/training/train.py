@@ -29,9 +29,9 @@ from splitknit.apps.training.training_folder import (
     write_file,
 )
 from splitknit.check import refusing, require
+from splitknit.finger import clahe
 from splitknit.io.fields import parse_json
 from splitknit.io.npz import map_npy
-from splitknit.preprocess import clahe
 from splitknit.separate.train import (
     MAY_CHANGE,
     DataSettings,

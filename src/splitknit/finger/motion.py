@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, check_stack, require
-from splitknit.preprocess.regions import blur, bounding_box, dilate, reduce_image, reduce_mask, reduction
-from splitknit.preprocess.registration import RegistrationSettings
+from splitknit.finger.regions import blur, bounding_box, dilate, reduce_image, reduce_mask, reduction
+from splitknit.finger.registration import RegistrationSettings
 from splitknit.types import BoolArray, FloatArray
 
 

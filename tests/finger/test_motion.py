@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.preprocess import MotionSettings, motion_warnings, shot_motion
+from splitknit.finger import MotionSettings, motion_warnings, shot_motion
 
 
 def moved(stack, k, x_mm, y_mm, px_per_mm):

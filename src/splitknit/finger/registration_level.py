@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.preprocess.regions import blur
+from splitknit.finger.regions import blur
 from splitknit.types import BoolArray, FloatArray
 
 Array = NDArray[np.float64]

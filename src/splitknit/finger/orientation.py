@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, require
+from splitknit.finger.regions import reduce_mask
 from splitknit.geometry import rotation_about, warp
-from splitknit.preprocess.regions import reduce_mask
 from splitknit.types import BoolArray, FloatArray
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from splitknit.check import BadInput
-from splitknit.preprocess import ClaheSettings, clahe
+from splitknit.finger import ClaheSettings, clahe
 
 
 def picture(shape=(256, 320), seed=0):

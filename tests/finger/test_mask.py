@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.preprocess import (
+from splitknit.finger import (
     MaskSettings,
     check_borders,
     finger_mask,
@@ -15,9 +15,9 @@ from splitknit.preprocess import (
     photometric_mask,
     touched_borders,
 )
-from splitknit.preprocess.clusters import two_means
-from splitknit.preprocess.evidence import chromaticity
-from splitknit.preprocess.regions import fill_holes, largest_component, remove_spurs
+from splitknit.finger.clusters import two_means
+from splitknit.finger.evidence import chromaticity
+from splitknit.finger.regions import fill_holes, largest_component, remove_spurs
 
 TONES = ("very dark", "dark", "medium", "very light")
 

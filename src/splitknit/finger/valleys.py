@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.preprocess.regions import depth_inside
+from splitknit.finger.regions import depth_inside
 from splitknit.types import BoolArray, FloatArray
 
 

@@ -4,16 +4,16 @@ Every function takes and returns arrays on the input's pixel grid. Decisions are
 says at which scale.
 """
 
-from splitknit.preprocess.contrast import ClaheSettings, clahe
-from splitknit.preprocess.mask import MaskSettings, check_borders, finger_mask, touched_borders
-from splitknit.preprocess.mask_steps import finger_outline, finger_region
-from splitknit.preprocess.motion import MotionSettings, ShotMotion, motion_warnings, shot_motion
-from splitknit.preprocess.orientation import OrientationSettings, Upright, find_upright
-from splitknit.preprocess.phalange import Crease, CreaseSettings, find_crease, phalange_mask
-from splitknit.preprocess.photometric import PhotometricMaskSettings, photometric_mask
-from splitknit.preprocess.quality import QualitySettings, capture_quality, quality_warnings
-from splitknit.preprocess.registration import Registration, RegistrationSettings, register_shots, without_glare
-from splitknit.preprocess.registration_band import BandRegistration, Seen, register_band
+from splitknit.finger.contrast import ClaheSettings, clahe
+from splitknit.finger.mask import MaskSettings, check_borders, finger_mask, touched_borders
+from splitknit.finger.mask_steps import finger_outline, finger_region
+from splitknit.finger.motion import MotionSettings, ShotMotion, motion_warnings, shot_motion
+from splitknit.finger.orientation import OrientationSettings, Upright, find_upright
+from splitknit.finger.phalange import Crease, CreaseSettings, find_crease, phalange_mask
+from splitknit.finger.photometric import PhotometricMaskSettings, photometric_mask
+from splitknit.finger.quality import QualitySettings, capture_quality, quality_warnings
+from splitknit.finger.registration import Registration, RegistrationSettings, register_shots, without_glare
+from splitknit.finger.registration_band import BandRegistration, Seen, register_band
 
 __all__ = [
     "BandRegistration",

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_image, check_mask, require
-from splitknit.preprocess.regions import bounding_box
+from splitknit.finger.regions import bounding_box
 from splitknit.types import BoolArray, FloatArray
 
 

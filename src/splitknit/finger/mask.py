@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from splitknit.check import BadInput, require
-from splitknit.preprocess.clusters import two_means
-from splitknit.preprocess.evidence import SAMPLES, chromaticity, rise_at_edge, skin_evidence
-from splitknit.preprocess.regions import (
+from splitknit.finger.clusters import two_means
+from splitknit.finger.evidence import SAMPLES, chromaticity, rise_at_edge, skin_evidence
+from splitknit.finger.regions import (
     blur,
     depth_inside,
     dilate,

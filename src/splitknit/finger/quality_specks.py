@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import require
-from splitknit.preprocess.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask
+from splitknit.finger.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask
 from splitknit.types import BoolArray, FloatArray
 
 DIRECTIONS = 16

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splitknit.check import check_image, check_mask, require
+from splitknit.finger.orientation import Upright
+from splitknit.finger.regions import largest_component, reduce_image, reduce_mask
+from splitknit.finger.valleys import Valley, transverse_valleys
 from splitknit.geometry import warp
-from splitknit.preprocess.orientation import Upright
-from splitknit.preprocess.regions import largest_component, reduce_image, reduce_mask
-from splitknit.preprocess.valleys import Valley, transverse_valleys
 from splitknit.types import BoolArray, FloatArray
 
 

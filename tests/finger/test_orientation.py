@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
+from splitknit.finger import OrientationSettings, find_upright
 from splitknit.geometry import warp
-from splitknit.preprocess import OrientationSettings, find_upright
 
 CASES = [
     (0.0, (0.0, 15.0)),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.preprocess import QualitySettings, capture_quality, quality_warnings
+from splitknit.finger import QualitySettings, capture_quality, quality_warnings
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.preprocess import CreaseSettings, find_crease, find_upright, phalange_mask
+from splitknit.finger import CreaseSettings, find_crease, find_upright, phalange_mask
 
 
 def search(scene, **settings):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.preprocess.regions import dilate, erode, wide_blur
+from splitknit.finger.regions import dilate, erode, wide_blur
 from splitknit.types import BoolArray, FloatArray
 
 SAMPLES = 8000

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.check import require
-from splitknit.preprocess.registration_flow import Array
-from splitknit.preprocess.registration_level import Level, at_samples
+from splitknit.finger.registration_flow import Array
+from splitknit.finger.registration_level import Level, at_samples
 from splitknit.types import FloatArray
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_image, check_mask, check_stack, require
-from splitknit.preprocess.mask import touched_borders
-from splitknit.preprocess.quality_specks import SpeckSettings, speck_shares
-from splitknit.preprocess.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask, reduction
+from splitknit.finger.mask import touched_borders
+from splitknit.finger.quality_specks import SpeckSettings, speck_shares
+from splitknit.finger.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask, reduction
 from splitknit.types import BoolArray, FloatArray
 
 

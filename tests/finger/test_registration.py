@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from splitknit.check import BadInput
-from splitknit.preprocess import RegistrationSettings, Seen, register_band, register_shots, without_glare
-from splitknit.preprocess.registration_flow import finger_family, places_of, still
-from splitknit.preprocess.registration_level import details_of
+from splitknit.finger import RegistrationSettings, Seen, register_band, register_shots, without_glare
+from splitknit.finger.registration_flow import finger_family, places_of, still
+from splitknit.finger.registration_level import details_of
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from splitknit.check import require
-from splitknit.preprocess.mask import (
+from splitknit.finger.mask import (
     NO_FINGER,
     MaskSettings,
     check_borders,
@@ -14,7 +14,7 @@ from splitknit.preprocess.mask import (
     coarse_mask,
     fine_outline,
 )
-from splitknit.preprocess.regions import blur, reduce_image, reduction
+from splitknit.finger.regions import blur, reduce_image, reduction
 from splitknit.types import BoolArray, FloatArray
 
 FEW_SAMPLES = 2000

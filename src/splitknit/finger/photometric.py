@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.check import check_mask, check_stack, require
-from splitknit.preprocess.regions import bounding_box, erode, fill_holes, largest_component
+from splitknit.finger.regions import bounding_box, erode, fill_holes, largest_component
 from splitknit.types import BoolArray, FloatArray
 
 
