@@ -16,7 +16,7 @@ from peers import (
     masked_pyamg,
     shapelets_scale_by_scale,
 )
-from splitknit.integrate import PoissonSettings, ShapeletSettings, frankot_chellappa, poisson, shapelets
+from splitknit.integration import PoissonSettings, ShapeletSettings, frankot_chellappa, poisson, shapelets
 from timing import machine, print_table, race
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from cases import shadow_case
-from splitknit.normals import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian, robust
-from splitknit.normals.hanrahan_krueger_fit import Pixels, directions, fitted
-from splitknit.normals.skin_layers import reflected
+from splitknit.photometric import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian, robust
+from splitknit.photometric.hanrahan_krueger_fit import Pixels, directions, fitted
+from splitknit.photometric.skin_layers import reflected
 from timing import machine, print_table, race
 
 NOISE = 0.01

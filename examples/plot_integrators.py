@@ -12,7 +12,7 @@ import argparse
 
 import numpy as np
 
-from splitknit.integrate import ShapeletSettings, frankot_chellappa, poisson, shapelets
+from splitknit.integration import ShapeletSettings, frankot_chellappa, poisson, shapelets
 
 Array = np.ndarray
 

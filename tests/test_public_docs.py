@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 import splitknit
-from splitknit import integrate, normals
+from splitknit import integration, photometric
 
 PUBLIC = {
     f"{module.__name__}.{name}": getattr(module, name)
-    for module in (splitknit, integrate, normals)
+    for module in (splitknit, integration, photometric)
     for name in module.__all__
     if inspect.isfunction(getattr(module, name))
 }

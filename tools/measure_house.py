@@ -24,7 +24,7 @@ from collections import deque
 from pathlib import Path
 
 VERB = ("splitknit.cli.reconstruct", "splitknit.apps.finger_verbs")
-EQUATIONS = ("splitknit.photometric.lambertian", "splitknit.normals.lambertian")
+EQUATIONS = ("splitknit.photometric.lambertian", "splitknit.photometric.lambertian")
 MESH = ("splitknit.io.ply",)
 
 

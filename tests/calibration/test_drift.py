@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.calibration.drift import DriftSettings, drift_words, led_drift
 from splitknit.check import BadInput
-from splitknit.normals.light_field import light_field
+from splitknit.photometric.light_field import light_field
 from splitknit.radiance import linear_stack
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture

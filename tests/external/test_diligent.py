@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.normals import lambertian, robust
+from splitknit.photometric import lambertian, robust
 
 pytestmark = pytest.mark.external
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splitknit.geometry import gradients_from_normals
-from splitknit.integrate import frankot_chellappa, poisson
+from splitknit.integration import frankot_chellappa, poisson
 
 pytestmark = pytest.mark.external
 

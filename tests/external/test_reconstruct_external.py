@@ -12,7 +12,7 @@ import pytest
 from splitknit.apps.cli import main
 from splitknit.apps.outputs import FILES
 from splitknit.io import capture_from_plain_images, read_lights_txt, write_capture
-from splitknit.normals import robust
+from splitknit.photometric import robust
 from splitknit.pipeline import reconstruct
 from splitknit.radiance import linear_stack
 from splitknit.types import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig

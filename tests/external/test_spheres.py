@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.normals import lambertian, robust
+from splitknit.photometric import lambertian, robust
 
 pytestmark = pytest.mark.external
 

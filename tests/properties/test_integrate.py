@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.integrate import (
+from splitknit.integration import (
     PoissonSettings,
     ShapeletSettings,
     frankot_chellappa,
@@ -15,7 +15,7 @@ from splitknit.integrate import (
     shapelet_response,
     shapelets,
 )
-from splitknit.integrate.edges import difference, difference_adjoint, edge_weights
+from splitknit.integration.edges import difference, difference_adjoint, edge_weights
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.normals import lambertian, near_light, robust
+from splitknit.photometric import lambertian, near_light, robust
 from splitknit.types import Camera, Led, Rig
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)

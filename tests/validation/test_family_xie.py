@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
-from splitknit.normals import SkinLayers
-from splitknit.normals.skin_layers import reflected
+from splitknit.photometric import SkinLayers
+from splitknit.photometric.skin_layers import reflected
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "family"
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.compare import compare
 from splitknit.io import atomic_file
-from splitknit.normals.left_out import left_out
+from splitknit.photometric.left_out import left_out
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.radiance import linear_stack
 from splitknit.recipe.finger import find_finger

@@ -29,7 +29,7 @@ from xie_photographs import on_photographs
 from xie_ways import Scene, error_deg, figures, trials, ways
 
 import splitknit
-from splitknit.normals import hanrahan_krueger, lambertian
+from splitknit.photometric import hanrahan_krueger, lambertian
 from splitknit.radiance import linear_channels
 from splitknit.simulator.skin import SkinRanges
 from splitknit.simulator.twin import TwinSettings, simulate_capture

@@ -9,8 +9,8 @@ import numpy as np
 from xie_skin import Skin, layers, paint
 from xie_ways import SHIPPED, error_deg
 
-from splitknit.normals import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian
-from splitknit.normals.hanrahan_krueger_fit import Pixels
+from splitknit.photometric import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian
+from splitknit.photometric.hanrahan_krueger_fit import Pixels
 from splitknit.simulator.twin import TwinSettings, lay_down
 
 SKINS = {

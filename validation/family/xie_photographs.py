@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from xie_ways import SHIPPED, error_deg
 
-from splitknit.normals import hanrahan_krueger, lambertian, robust
+from splitknit.photometric import hanrahan_krueger, lambertian, robust
 
 SUBSETS = 5
 

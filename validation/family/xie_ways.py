@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from splitknit.apps.compare import compare
 from splitknit.geometry import gradients_from_normals, height_gradients
-from splitknit.integrate import ShapeletSettings, poisson, shapelets
-from splitknit.normals import (
+from splitknit.integration import ShapeletSettings, poisson, shapelets
+from splitknit.photometric import (
     HanrahanKruegerSettings,
     NearLightSettings,
     SkinLayers,

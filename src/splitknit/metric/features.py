@@ -16,7 +16,7 @@ from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
-from splitknit.normals import pseudo_normals
+from splitknit.photometric import pseudo_normals
 from splitknit.types import BoolArray, FloatArray, Rig
 
 RIDGE_BAND_MM = 0.3

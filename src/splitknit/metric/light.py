@@ -10,7 +10,7 @@ import numpy as np
 
 from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.grid import Grid, smooth_step
-from splitknit.normals import light_vectors_at
+from splitknit.photometric import light_vectors_at
 from splitknit.separate import fresnel_transmission
 from splitknit.types import BoolArray, FloatArray, Rig
 

@@ -13,7 +13,7 @@ from splitknit.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid, smooth_step
 from splitknit.metric.light import FineLight, slant_of, trust_of
-from splitknit.normals import pseudo_normals
+from splitknit.photometric import pseudo_normals
 from splitknit.separate import (
     Diffusion,
     LocalWienerSettings,

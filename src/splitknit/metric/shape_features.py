@@ -18,7 +18,7 @@ from splitknit.metric.facets import Facets, facet_normals
 from splitknit.metric.features import beyond_matt
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import lighting, predict, reached_by_all
-from splitknit.normals import pseudo_normals
+from splitknit.photometric import pseudo_normals
 from splitknit.separate import Diffusion
 from splitknit.types import FloatArray
 

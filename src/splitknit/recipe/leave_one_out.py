@@ -12,7 +12,7 @@ from splitknit.check import BadInput, require
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
-from splitknit.normals.left_out import left_out
+from splitknit.photometric.left_out import left_out
 from splitknit.prints import PrintSettings, ink, plane_map, resample
 from splitknit.radiance import linear_stack
 from splitknit.recipe.coloured import as_lit, balanced
@@ -65,7 +65,7 @@ def left_out_pictures(
     """Photometric stereo without each white image in its turn: normals and albedo as prints.
 
     Grey images, distant lights, a matt surface: no model of the skin. The sets share all work but one addition a pixel
-    (:func:`splitknit.normals.left_out.left_out`), and one set is in memory at a time.
+    (:func:`splitknit.photometric.left_out.left_out`), and one set is in memory at a time.
 
     Parameters
     ----------

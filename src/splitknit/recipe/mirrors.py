@@ -14,8 +14,8 @@ from splitknit.check import require
 from splitknit.finger import finger_outline, finger_region
 from splitknit.fuse import facing_share, led_image, mirrored_share
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.knit import crossover
-from splitknit.normals import pseudo_normals
+from splitknit.integration.knit import crossover
+from splitknit.photometric import pseudo_normals
 from splitknit.radiance import Window, linear_survey
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings

@@ -14,10 +14,10 @@ from splitknit.finger import (
     PhotometricMaskSettings,
     QualitySettings,
 )
-from splitknit.integrate import PoissonSettings, ShapeletSettings
-from splitknit.knit import KnitSettings
+from splitknit.integration import PoissonSettings, ShapeletSettings
+from splitknit.integration.knit import KnitSettings
 from splitknit.metric import MetricSettings
-from splitknit.normals import HanrahanKruegerSettings, RobustSettings
+from splitknit.photometric import HanrahanKruegerSettings, RobustSettings
 from splitknit.separate import SkinSettings
 from splitknit.shape import MirrorShapeSettings
 

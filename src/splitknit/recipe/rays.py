@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.integrate import poisson
+from splitknit.integration import poisson
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.types import BoolArray, Camera, Capture, FloatArray
 from splitknit.view import View, view_of

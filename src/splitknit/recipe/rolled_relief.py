@@ -12,13 +12,13 @@ from scipy import ndimage
 
 from splitknit.fuse import Chart, Sight, heights, read
 from splitknit.geometry import gradients_from_normals, height_gradients, normals_from_gradients
-from splitknit.integrate import shapelets
+from splitknit.integration import shapelets
 from splitknit.metric import can_learn
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.metric.learned import relief_by_network
 from splitknit.metric.light import FineLight, fine_lighting, slant_of, trust_of
-from splitknit.normals import pseudo_normals
+from splitknit.photometric import pseudo_normals
 from splitknit.radiance import Window, has_colour, linear_channels
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.registration_flow import Flow
-from splitknit.normals import light_vectors_at
+from splitknit.photometric import light_vectors_at
 from splitknit.radiance import Window
 from splitknit.recipe.finger import Finger
 from splitknit.types import Band, Capture

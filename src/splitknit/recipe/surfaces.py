@@ -11,9 +11,9 @@ import numpy as np
 
 from splitknit.finger import clahe
 from splitknit.geometry import gradients_from_normals
-from splitknit.integrate import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
-from splitknit.knit import add, crossover
-from splitknit.normals import NearLightSettings, hanrahan_krueger, lambertian, near_light, robust
+from splitknit.integration import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
+from splitknit.integration.knit import add, crossover
+from splitknit.photometric import NearLightSettings, hanrahan_krueger, lambertian, near_light, robust
 from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
 from splitknit.recipe.coloured import balanced
 from splitknit.recipe.finger import Finger, finger_key

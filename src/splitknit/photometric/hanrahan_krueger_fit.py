@@ -1,0 +1,190 @@
+"""The unknowns of one pixel of layered skin, and their least-squares problem.
+
+Parameters, in rows: the normal's two stereographic coordinates f, g (n = (2f, 2g, 1 - f^2 - g^2) / (1 + f^2 + g^2)),
+the logarithm of the base over the Lambertian albedo, the logit of the epidermis's scattering share W, the logarithm of
+its optical depth. The last two are held to what all skin has: seven images see little of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splitknit.check import require
+from splitknit.photometric.equations import unit_normals
+from splitknit.photometric.levenberg import Array, LevenbergSettings, Minimum, NormalEquations, levenberg_marquardt
+from splitknit.photometric.skin_layers import SkinLayers, reflected
+from splitknit.photometric.weights import RobustSettings
+
+_STEEPEST = 0.97
+"""Largest f^2 + g^2: 89 deg of slant."""
+_LONGEST = np.array([0.25, 0.25, 0.7, 2.0, 1.5])
+"""Longest step of every parameter."""
+_LOW = np.array([-np.inf, -np.inf, -4.0, -9.0, -6.0])
+_HIGH = np.array([np.inf, np.inf, 4.0, 9.0, 5.0])
+
+
+@dataclass(frozen=True, slots=True)
+class HanrahanKruegerSettings:
+    """Photometric stereo of two-layer skin."""
+
+    layers: SkinLayers = field(default_factory=SkinLayers)
+    """What all pixels have in common."""
+    base_reflectance: float = 0.45
+    """Share of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
+    against the layers' single scattering, which the exposure leaves unknown."""
+    noise: float = 0.02
+    """Standard deviation of an image, relative to the albedo: how much a residual counts against the two spreads."""
+    spread_share: float = 1.0
+    """Standard deviation of the logit of the epidermis's W over the pixels; small: the same everywhere."""
+    spread_depth: float = 0.7
+    """Standard deviation of the logarithm of its optical depth; small: the same everywhere."""
+    weights: str = "robust"
+    """``robust``: shadowed and glossy lights lose weight as in the method of that name; ``equal``: none does, as the
+    source has it."""
+    robust: RobustSettings = field(default_factory=RobustSettings)
+    """The weights of ``robust``."""
+    fit: LevenbergSettings = field(default_factory=LevenbergSettings)
+    """When a pixel's fit ends."""
+
+    def __post_init__(self) -> None:
+        require(
+            0.01 <= self.base_reflectance <= 1,
+            f"hanrahan_krueger.base_reflectance must lie between 0.01 and 1, but it is {self.base_reflectance}.",
+        )
+        for name in ("noise", "spread_share", "spread_depth"):
+            value = getattr(self, name)
+            require(
+                bool(np.isfinite(value)) and 1e-4 <= value <= 100,
+                f"hanrahan_krueger.{name} must lie between 0.0001 and 100, but it is {value}.",
+            )
+        require(
+            self.weights in ("robust", "equal"),
+            f"hanrahan_krueger.weights must be robust or equal, not '{self.weights}'.",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pixels:
+    """The problems of n pixels."""
+
+    images: Array
+    """(L, n)."""
+    trust: Array
+    """(L, n): root of a light's weight over the noise in units of the images."""
+    lights: Array
+    """(L, 3, 1) or (L, 3, n): unit directions towards the lights."""
+    strengths: Array
+    """(L, 1) or (L, n)."""
+    albedo: Array
+    """(n,) of the Lambertian fit, positive."""
+    exposure: float
+    settings: HanrahanKruegerSettings
+
+    def start(self, normals: Array) -> Array:
+        """(5, n): normals (3, n), the Lambertian albedo and the layers of all skin."""
+        result = np.zeros((5, normals.shape[1]), dtype=self.images.dtype)
+        result[:2] = normals[:2] / (1.0 + np.maximum(normals[2], 0.0))
+        result[:2] *= self._inside(result)
+        result[3], result[4] = self._prior()
+        return result
+
+    def equations(self, parameters: Array) -> NormalEquations:
+        """Weighted squares of the residuals over the noise, and of the layers' distance from all skin's."""
+        normals, by_f, by_g = directions(parameters)
+        share = 1.0 / (1.0 + np.exp(-parameters[3]))
+        depth, base = np.exp(parameters[4]), self.albedo * np.exp(parameters[2])
+        to_light = _dots(self.lights, normals)
+        model = reflected(
+            to_light, normals[2], self.lights[:, 2], base, share, depth, self.exposure, self.settings.layers
+        )
+        scale = self.strengths * self.trust
+        residual = model.value * scale - self.images * self.trust
+        slopes = (
+            scale * (model.by_light * _dots(self.lights, by_f) + model.by_view * by_f[2]),
+            scale * (model.by_light * _dots(self.lights, by_g) + model.by_view * by_g[2]),
+            scale * (model.by_base * base),
+            scale * (model.by_share * (share * (1.0 - share))),
+            scale * (model.by_depth * depth),
+        )
+        cost = _summed(residual, residual)
+        gradient = np.stack([_summed(slope, residual) for slope in slopes])
+        moments = np.stack([_summed(slopes[i], slopes[j]) for i in range(5) for j in range(i, 5)])
+        for row, spread, prior, place in zip(
+            (3, 4), (self.settings.spread_share, self.settings.spread_depth), self._prior(), (12, 14), strict=True
+        ):
+            away = (parameters[row] - prior) / spread
+            cost = cost + away * away
+            gradient[row] += away / spread
+            moments[place] += 1.0 / spread**2
+        return NormalEquations(cost, gradient, moments)
+
+    def held(self, parameters: Array) -> Array:
+        """The part of the cost that is the layers' distance from all skin's, (n,)."""
+        share, depth = self._prior()
+        return np.asarray(
+            ((parameters[3] - share) / self.settings.spread_share) ** 2
+            + ((parameters[4] - depth) / self.settings.spread_depth) ** 2
+        )
+
+    def moved(self, parameters: Array, step: Array) -> Array:
+        """Parameters after `step`, no parameter further than its longest step, inside the hemisphere and the bounds."""
+        kind = parameters.dtype
+        longest = _LONGEST[:, None].astype(kind)
+        shorter = np.minimum(1.0, (longest / np.maximum(np.abs(step), 1e-20)).min(axis=0))
+        result = np.clip(parameters + step * shorter, _LOW[:, None].astype(kind), _HIGH[:, None].astype(kind))
+        result[:2] *= self._inside(result)
+        return np.asarray(result)
+
+    def take(self, kept: Array) -> Pixels:
+        """The pixels of some indices."""
+        near = self.lights.shape[2] > 1
+        return Pixels(
+            self.images[:, kept],
+            self.trust[:, kept],
+            self.lights[:, :, kept] if near else self.lights,
+            self.strengths[:, kept] if near else self.strengths,
+            self.albedo[kept],
+            self.exposure,
+            self.settings,
+        )
+
+    def _prior(self) -> tuple[float, float]:
+        share = self.settings.layers.epidermis_share
+        return float(np.log(share / (1.0 - share))), float(np.log(self.settings.layers.epidermis_depth))
+
+    @staticmethod
+    def _inside(parameters: Array) -> Array:
+        square = parameters[0] * parameters[0] + parameters[1] * parameters[1]
+        return np.asarray(np.minimum(1.0, np.sqrt(_STEEPEST / np.maximum(square, 1e-20))), dtype=parameters.dtype)
+
+
+def directions(parameters: Array) -> tuple[Array, Array, Array]:
+    """Unit normals (3, n) of f and g, and their derivatives by f and by g."""
+    f, g = parameters[0], parameters[1]
+    twice = 2.0 / (1.0 + f * f + g * g)  # 1 + nz
+    x, y = f * twice, g * twice
+    normals = np.stack([x, y, twice - 1.0])
+    mixed = -x * y
+    return normals, np.stack([twice - x * x, mixed, -twice * x]), np.stack([mixed, twice - y * y, -twice * y])
+
+
+def fitted(pixels: Pixels, g: Array) -> tuple[Array, Minimum]:
+    """Normals (3, n) and the minimum, from the Lambertian albedo-scaled normals `g` (3, n)."""
+    normals, _ = unit_normals(g)
+    minimum = levenberg_marquardt(pixels, pixels.start(normals), pixels.settings.fit)
+    return directions(minimum.parameters)[0], minimum
+
+
+def _dots(lights: Array, vectors: Array) -> Array:
+    """(L, n) scalar products of lights (L, 3, 1 or n) with vectors (3, n), summed in one order."""
+    return np.asarray(lights[:, 0] * vectors[0] + lights[:, 1] * vectors[1] + lights[:, 2] * vectors[2])
+
+
+def _summed(first: Array, second: Array) -> Array:
+    """Sum over the lights, one after the other."""
+    total = first[0] * second[0]
+    for k in range(1, first.shape[0]):
+        total += first[k] * second[k]
+    return np.asarray(total)

@@ -1,0 +1,173 @@
+"""The light that reaches every point of the current surface from near LEDs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.check import require
+from splitknit.photometric.chunks import row_chunks
+from splitknit.types import Camera, FloatArray, Led, Rig, Shade
+from splitknit.view import View, view_of
+
+_UNIT_MM2 = np.float32(1e4)
+"""Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
+_LONGEST = 30_000
+
+
+def seen_from(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any, view: View | None = None) -> View:
+    """View of an image of `shape`: as given, by the axes given, else by the camera."""
+    if view is not None:
+        pixels = np.broadcast_shapes(*(axis.shape for axis in view.on_plane()))
+        require(pixels == shape, f"the view is of {pixels} pixels, but the images have {shape}.")
+        return view
+    apex = camera.height_mm if camera.model == "perspective" else None
+    require((x_mm is None) == (y_mm is None), "x_mm and y_mm must be given together.")
+    if x_mm is not None:
+        x, y = np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64)
+        require(
+            x.shape == (shape[1],) and y.shape == (shape[0],),
+            f"x_mm and y_mm must have the lengths {shape[1]} and {shape[0]}, but they have {x.shape} and {y.shape}.",
+        )
+        require(bool(np.isfinite(x).all() and np.isfinite(y).all()), "x_mm or y_mm contains NaN or infinite values.")
+        return View(x, y, apex)
+    require(
+        tuple(camera.image_size) == shape,
+        f"the rig's camera takes images of {tuple(camera.image_size)} pixels, but the stack's have {shape}; "
+        "give x_mm and y_mm for a part of the image.",
+    )
+    return view_of(camera)
+
+
+def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    """Light vectors (L, 3, ...) at points in mm: direction towards the light times its relative irradiance.
+
+    Near LEDs follow the inverse square of the distance and the cosine lobe about their axes. LEDs
+    that share an exposure add. As in :meth:`splitknit.types.Rig.light_vectors`, the mean length at the origin is one.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its L lights.
+    x, y, z : arrays of one shape (...), mm
+        Points in the rig's frame.
+
+    Returns
+    -------
+    (L, 3, ...) float32
+        Without a unit.
+    """
+    origin = np.zeros(1, dtype=np.float32)
+    at_origin = np.stack([_sum(_alone(led), origin, origin, origin) for led in rig.leds]).astype(np.float64)
+    scale = np.float32(1 / np.sqrt((at_origin**2).sum(axis=1)).mean())
+    field = np.empty((len(rig.leds), 3, *z.shape), dtype=np.float32)
+    for k, led in enumerate(rig.leds):
+        np.multiply(_sum(led, x, y, z), scale, out=field[k])
+    return field
+
+
+def _alone(led: Led) -> Led:
+    """An exposure's light without images in mirrors and without shadows."""
+    if led.shade is None and not any(other.reflected for other in led.also):
+        return led
+    return replace(led, shade=None, also=tuple(_alone(other) for other in led.also if not other.reflected))
+
+
+def _sum(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    total = _one(led, x, y, z)
+    for other in led.also:
+        total = total + _sum(other, x, y, z)
+    return total
+
+
+def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    result = np.empty((3, *z.shape), dtype=np.float32)
+    if led.position_mm is None:
+        direction = np.asarray(led.direction, dtype=np.float64)
+        unit = (led.intensity * direction / np.linalg.norm(direction)).astype(np.float32)
+        for axis in range(3):
+            result[axis] = unit[axis]
+        return result
+    position = np.asarray(led.position_mm, dtype=np.float32)
+    for axis, coordinate in enumerate((x, y, z)):
+        np.subtract(position[axis], coordinate, out=result[axis])
+    square = result[0] * result[0] + result[1] * result[1] + result[2] * result[2]
+    distance = np.sqrt(square)
+    strength = np.float32(led.intensity) * _UNIT_MM2 / (square * distance)
+    if led.lobe_exponent > 0:
+        axis_unit = -led.axis.astype(np.float32)
+        cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
+        strength *= np.maximum(cosine, np.float32(0.0)) ** np.float32(led.lobe_exponent)
+    result *= strength if led.shade is None else strength * _share(led.shade, x, y)
+    return result
+
+
+def _share(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Share of the light that reaches the places (x, y), of any shape."""
+    rows, columns = shade.share.shape
+    places = []
+    for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
+        places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
+    column, row = np.broadcast_arrays(*places)
+    flat = row.reshape(-1)
+    read = np.empty(flat.shape, dtype=np.float32)
+    for start in range(0, flat.size, _LONGEST):  # OpenCV reads at most so many places in one line
+        part = slice(start, start + _LONGEST)
+        where = column.reshape(-1)[part, None], flat[part, None]
+        read[part] = cv2.remap(shade.share, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
+    return read.reshape(row.shape)
+
+
+def light_field(
+    rig: Rig, surface_mm: Any, shape: tuple[int, int] | None = None, x_mm: Any = None, y_mm: Any = None
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield light vectors of all LEDs at the surface, some rows at a time: (rows, field (L, 3, h, W) float32).
+
+    Parameters
+    ----------
+    rig : Rig
+        `rig.leds[k]` lights image k.
+    surface_mm : (H, W) or a number
+        z of the surface in mm; NaN (no surface) counts as the finger plane.
+    shape : (H, W), needed only where `surface_mm` is a number and no axes are given; the camera's size by default
+    x_mm, y_mm : (W,), (H,), optional
+        Position of the pixels on the finger plane, for a window or binned images; the camera's own by default.
+
+    Yields
+    ------
+    rows : slice
+    field : (L, 3, h, W) float32
+        Direction towards the light times its relative irradiance.
+    """
+    size = image_shape(rig, surface_mm, shape, x_mm, y_mm)
+    surface = surface_array(surface_mm, size)
+    view = seen_from(rig.camera, size, x_mm, y_mm)
+    for chunk in row_chunks(*size, len(rig.leds)):
+        z = np.nan_to_num(surface[chunk], nan=0.0).astype(np.float32)
+        yield chunk, light_vectors_at(rig, *view.points(z, chunk))
+
+
+def image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
+    """(H, W) as the surface, the caller, the axes or the camera say, in this order."""
+    if np.ndim(surface_mm) == 2:
+        rows, columns = np.shape(surface_mm)
+        return int(rows), int(columns)
+    if shape is not None:
+        return shape
+    if x_mm is not None and y_mm is not None:
+        return len(y_mm), len(x_mm)
+    return rig.camera.image_size
+
+
+def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
+    """`surface_mm` as (H, W) float32, a number spread over the image."""
+    array = np.asarray(surface_mm, dtype=np.float32)
+    require(
+        array.ndim == 0 or array.shape == shape,
+        f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.",
+    )
+    return np.broadcast_to(array, shape)

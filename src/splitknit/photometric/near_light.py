@@ -1,0 +1,245 @@
+"""Photometric stereo under near LEDs, for a known (current) surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from splitknit.check import check_lights, check_mask, check_stack, require
+from splitknit.photometric.chunks import for_each_chunk, gather
+from splitknit.photometric.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
+from splitknit.photometric.light_field import light_vectors_at, seen_from, surface_array
+from splitknit.photometric.weights import RobustSettings, robust_fit
+from splitknit.types import BoolArray, FloatArray, Rig
+from splitknit.view import View
+
+
+@dataclass(frozen=True, slots=True)
+class NearLightSettings:
+    """Near-light photometric stereo."""
+
+    robust: RobustSettings | None = field(default_factory=RobustSettings)
+    """Weights for shadowed and glossy lights where none are given; None uses all lights alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearScene:
+    """What a chunk of rows is cut from."""
+
+    images: FloatArray
+    """(C, L, H, W)."""
+    rig: Rig
+    surface: FloatArray
+    mask: BoolArray
+    view: View
+
+    def cut(self, chunk: slice) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Mask (h, W) of some rows, and the light vectors (L, 3, n) and images (C, L, n) of its n pixels."""
+        here = self.mask[chunk]
+        z = np.where(here, self.surface[chunk], np.float32(0.0))
+        x, y, z = self.view.points(z, chunk)
+        lights = self.view.turned(light_vectors_at(self.rig, x[here], y[here], z[here]), chunk, here)
+        return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])
+
+
+def near_light(  # noqa: PLR0917
+    stack: Any,
+    rig: Rig,
+    surface_mm: Any,
+    mask: Any = None,
+    weights: Any = None,
+    settings: NearLightSettings | None = None,
+    x_mm: Any = None,
+    y_mm: Any = None,
+    view: View | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Normals and albedo with a light vector of its own for every pixel, from LED positions and the current surface.
+
+    Parameters
+    ----------
+    stack : (L, H, W) float32
+        Linear light; image k is lit by `rig.leds[k]`.
+    rig : Rig
+        LEDs at positions (inverse square, lobe) or at directions, several together where they share an exposure.
+    surface_mm : (H, W) or a number
+        z of the current surface in mm; NaN is allowed outside the mask. The result depends on it weakly: 1 mm at
+        140 mm turns a light by less than 0.2 deg.
+    mask : (H, W) bool, optional
+        The surface; by default where `surface_mm` is finite.
+    weights : (L, H, W), optional
+        Trust in each light at each pixel, not negative; replaces the robust weights.
+    settings : NearLightSettings, optional
+    x_mm : (W,), optional
+        x of the columns on the finger plane, for a window or binned images; the camera's own by default.
+    y_mm : (H,), optional
+        y of the rows, likewise. A perspective camera's rays pass through these points; without axes its rays follow
+        from its matrix and distortion.
+    view : View, optional
+        Instead of `x_mm` and `y_mm`. If it is one along the rays, `surface_mm` is the height along them and the normals
+        are those of the pixels' own frames (:mod:`splitknit.view`).
+
+    Returns
+    -------
+    normals : (H, W, 3) float32
+        Unit vectors; zero outside the mask, (0, 0, 1) where all images are black.
+    albedo : (H, W) float32
+        In units of the images at a light of strength one (the mean LED at the origin); NaN outside the mask.
+
+    Raises
+    ------
+    BadInput
+        If shapes or numbers disagree, values are not finite inside the mask, or the lights are fewer than three,
+        duplicate or coplanar.
+
+    References
+    ----------
+    Y. Queau, B. Durix, T. Wu, D. Cremers, F. Lauze and J.-D. Durou, "LED-based photometric stereo: modeling,
+    calibration and numerical solution", JMIV 60 (2018), eq. 2.5 and 3.1.
+    """
+    chosen = settings if settings is not None else NearLightSettings()
+    scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
+    _, count, rows, columns = scene.images.shape
+    given = None if weights is None else _check_weights(weights, (count, rows, columns))
+    normals = np.zeros((rows, columns, 3), dtype=np.float32)
+    albedo = np.full((rows, columns), np.nan, dtype=np.float32)
+
+    def work(chunk: slice) -> None:
+        if not scene.mask[chunk].any():
+            return
+        here, lights, images = scene.cut(chunk)
+        if given is None and chosen.robust is not None:
+            g, _ = robust_fit(images[0], lights, chosen.robust)
+        else:
+            g = _solve(images, lights, None if given is None else gather(given, chunk, here))[0]
+        unit, length = unit_normals(g)
+        normals[chunk][here] = unit.T
+        albedo[chunk][here] = length
+
+    for_each_chunk(work, rows, columns, count)
+    return normals, albedo
+
+
+def pseudo_normals(  # noqa: PLR0917
+    stack: Any,
+    rig: Rig,
+    surface_mm: Any,
+    mask: Any = None,
+    weights: Any = None,
+    x_mm: Any = None,
+    y_mm: Any = None,
+    view: View | None = None,
+) -> FloatArray:
+    """Albedo times normal, (H, W, 3), zero outside the mask: linear in the images for given weights.
+
+    Parameters
+    ----------
+    stack : (L, H, W) or (C, L, H, W) linear light
+        Several channels share one factorisation.
+    rig, surface_mm, mask, x_mm, y_mm, view
+        As of :func:`near_light`.
+    weights : (L, H, W), 0 or more, optional
+        What each light counts at each pixel; without them all count alike.
+
+    Returns
+    -------
+    (H, W, 3) or (C, H, W, 3) float32
+        Length: the albedo, relative; direction: out of the skin.
+
+    Raises
+    ------
+    BadInput
+        As :func:`near_light`, and if the weights have another shape, or are negative or not finite.
+    """
+    array = np.asarray(stack)
+    channels = array.ndim == 4
+    images = check_stack(array.reshape(-1, *array.shape[-2:]) if channels else array, least=3)
+    colours = array.shape[0] if channels else 1
+    count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
+    grouped = images.reshape(colours, count, rows, columns)
+    scene = near_scene(grouped, rig, surface_mm, mask, x_mm, y_mm, view)
+    given = None if weights is None else _check_weights(weights, (count, rows, columns))
+    result = np.zeros((colours, rows, columns, 3), dtype=np.float32)
+
+    def work(chunk: slice) -> None:
+        if not scene.mask[chunk].any():
+            return
+        here, lights, part = scene.cut(chunk)
+        g = _solve(part, lights, None if given is None else gather(given, chunk, here))
+        for c in range(colours):
+            result[c, chunk][here] = g[c].T
+
+    for_each_chunk(work, rows, columns, count)
+    return result if channels else result[0]
+
+
+def near_light_weights(  # noqa: PLR0917
+    stack: Any,
+    rig: Rig,
+    surface_mm: Any,
+    mask: Any = None,
+    settings: RobustSettings | None = None,
+    x_mm: Any = None,
+    y_mm: Any = None,
+    view: View | None = None,
+) -> FloatArray:
+    """Weights (L, H, W) in [0, 1] for shadowed and glossy lights under near LEDs; zero outside the mask.
+
+    Parameters are those of :func:`near_light`.
+
+    Raises
+    ------
+    BadInput
+        As :func:`near_light`.
+    """
+    chosen = settings if settings is not None else RobustSettings()
+    scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
+    _, count, rows, columns = scene.images.shape
+    result = np.zeros((count, rows, columns), dtype=np.float32)
+
+    def work(chunk: slice) -> None:
+        if not scene.mask[chunk].any():
+            return
+        here, lights, images = scene.cut(chunk)
+        _, used = robust_fit(images[0], lights, chosen)
+        result[:, chunk][:, here] = used
+
+    for_each_chunk(work, rows, columns, count)
+    return result
+
+
+def near_scene(  # noqa: PLR0917
+    images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, x_mm: Any, y_mm: Any, given: View | None
+) -> NearScene:
+    """Check what near lights shine on; parameters and errors as for :func:`near_light`."""
+    count, shape = images.shape[1], (images.shape[2], images.shape[3])
+    check_lights(rig.light_vectors(), count, name="the rig's lights")
+    surface = surface_array(surface_mm, shape)
+    finite = np.isfinite(surface)
+    inside = finite if mask is None else check_mask(mask, shape)
+    require(bool(inside.any()), "surface_mm is NaN everywhere: there is no surface to light.")
+    require(
+        bool(finite[inside].all()),
+        "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels out of the mask.",
+    )
+    view = seen_from(rig.camera, shape, x_mm, y_mm, given)
+    heights = [led.position_mm[2] for led in rig.leds if led.position_mm is not None]
+    require(
+        float(surface.max(where=inside, initial=-np.inf)) < min(heights, default=np.inf),
+        "surface_mm reaches the LEDs; it must be in mm above the finger plane.",
+    )
+    return NearScene(images, rig, surface, inside, view)
+
+
+def _check_weights(weights: Any, shape: tuple[int, int, int]) -> FloatArray:
+    array = np.asarray(weights, dtype=np.float32)
+    require(array.shape == shape, f"weights must have the shape {shape}, but it has the shape {array.shape}.")
+    require(bool(np.isfinite(array).all()) and float(array.min()) >= 0, "weights must be finite and not negative.")
+    return array
+
+
+def _solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> list[FloatArray]:
+    """Albedo-scaled normals (3, n) of every channel of `images` (C, L, n), with one factorisation."""
+    factors = factorise(moment_matrix(lights, weights))
+    return [back_substitute(factors, moment_vector(channel, lights, weights)) for channel in images]

@@ -1,0 +1,61 @@
+"""Frankot-Chellappa: true scale, both rectangles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.check import BadInput
+from splitknit.integration import frankot_chellappa
+
+
+def bump(rows=96, columns=128, sigma=9.0):
+    i, j = np.mgrid[0:rows, 0:columns].astype(float)
+    x, y = j - columns / 2, rows / 2 - i
+    height = 8 * np.exp(-(x**2 + y**2) / (2 * sigma**2))
+    return height, -x / sigma**2 * height, -y / sigma**2 * height
+
+
+@pytest.mark.parametrize("padding", ["zero", "mirror"])
+def test_a_bump_inside_the_rectangle_has_its_true_height(padding):
+    height, slope_x, slope_y = bump()
+    got = frankot_chellappa(slope_x, slope_y, padding=padding)
+    assert np.abs(got - (height - height.mean())).max() < 1e-3
+
+
+def test_mirror_recovers_a_surface_that_the_border_cuts():
+    i, j = np.mgrid[0:60, 0:80].astype(float)
+    height = 5 * np.cos(np.pi * 3 * (j + 0.5) / 80) + 4 * np.cos(np.pi * 2 * (i + 0.5) / 60)
+    slope_x = -5 * np.pi * 3 / 80 * np.sin(np.pi * 3 * (j + 0.5) / 80)
+    slope_y = 4 * np.pi * 2 / 60 * np.sin(np.pi * 2 * (i + 0.5) / 60)
+    mirrored = frankot_chellappa(slope_x, slope_y, padding="mirror")
+    assert np.abs(mirrored - height).max() < 1e-4
+    assert np.abs(frankot_chellappa(slope_x, slope_y) - height).max() > 0.5
+
+
+def test_zero_filling_bends_a_surface_that_ends_steeply():
+    """What the thesis's method does, and why the masked solver is the default."""
+    i, j = np.mgrid[0:64, 0:64].astype(float)
+    mask = np.hypot(i - 32, j - 32) < 20
+    ramp = frankot_chellappa(np.ones((64, 64)), np.zeros((64, 64)), mask)
+    assert np.isnan(ramp[~mask]).all()
+    assert abs(ramp[mask].mean()) < 1e-4
+    assert 0.3 < (ramp[32, 45] - ramp[32, 19]) / 26 < 0.8
+
+
+def test_y_is_up():
+    height, slope_x, slope_y = bump()
+    slope_y = slope_y.copy()
+    tilted = frankot_chellappa(slope_x, -slope_y)
+    assert not np.allclose(tilted, height - height.mean(), atol=1)
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (1, 1), (2, 3)])
+@pytest.mark.parametrize("padding", ["zero", "mirror"])
+def test_tiny_images_do_not_fail(shape, padding):
+    assert np.isfinite(frankot_chellappa(np.ones(shape), np.ones(shape), padding=padding)).all()
+
+
+def test_unknown_padding_is_refused():
+    with pytest.raises(BadInput, match="padding"):
+        frankot_chellappa(np.zeros((4, 4)), np.zeros((4, 4)), padding="wrap")
