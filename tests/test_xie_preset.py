@@ -31,7 +31,7 @@ def test_it_differs_from_ea_by_the_reflectance_alone() -> None:
     changed = {name: (ea[name], xie[name]) for name in ea if ea[name] != xie[name]}
     assert changed == {
         "normals.method": ("lambertian", "hanrahan_krueger"),
-        "photometric.hanrahan_krueger.weights": ("robust", "equal"),
+        "normals.hanrahan_krueger.weights": ("robust", "equal"),
     }
 
 
@@ -49,15 +49,15 @@ def test_surface_follows_from_the_layers(capture: Capture, xie: Reconstruction) 
 
 
 def test_settings_reach_the_fit(capture: Capture, xie: Reconstruction) -> None:
-    other = reconstruct(capture, "xie", {"photometric.hanrahan_krueger.layers.refractive_index": 1.37})
+    other = reconstruct(capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.37})
     assert not np.array_equal(other.height_mm, xie.height_mm, equal_nan=True)
     with pytest.raises(BadInput, match="refractive_index"):
-        reconstruct(capture, "xie", {"photometric.hanrahan_krueger.layers.refractive_index": 1.0})
+        reconstruct(capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.0})
 
 
 def test_bad_settings_are_one_sentence(twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["reconstruct", str(twin_folder), "--out", str(tmp_path / "out"), "--preset", "xie"]
-    assert main([*command, "--set", "photometric.hanrahan_krueger.base_reflectance=7"]) == 2
+    assert main([*command, "--set", "normals.hanrahan_krueger.base_reflectance=7"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert len(said.err.strip().splitlines()) == 1
