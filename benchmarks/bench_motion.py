@@ -17,6 +17,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.steady import register, resampled
@@ -24,7 +25,6 @@ from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
 from splitknit.simulator.motion import HandMotion
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture
 from timing import machine
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from cases import shadow_case
 from peers import batched_weighted_photometric_stereo, pinv_photometric_stereo
+from splitknit.model import Camera, Led, Rig
 from splitknit.photometric import NearLightSettings, lambertian, near_light, pseudo_normals, robust
-from splitknit.types import Camera, Led, Rig
 from timing import machine, print_table, race
 
 

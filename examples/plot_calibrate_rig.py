@@ -15,10 +15,10 @@ import numpy as np
 from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle, by_circle
 from splitknit.calibration.nail import by_joint_fit
+from splitknit.model import Rig
 from splitknit.rig.netlist import design_circuit
 from splitknit.simulator.bench_nail import NailScene
 from splitknit.simulator.built_rig import built_rig
-from splitknit.types import Rig
 
 PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 

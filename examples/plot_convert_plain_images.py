@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
 from splitknit.io import capture_from_plain_images, read_capture, read_lights_txt, write_capture, write_image
-from splitknit.radiance import linear_stack
 
 SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 

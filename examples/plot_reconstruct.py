@@ -17,8 +17,8 @@ import splitknit
 from splitknit.apps.compare import compare
 from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import grey, on_paper, to_frame, upright_frame
+from splitknit.imaging import linear_image
 from splitknit.io import write_image
-from splitknit.radiance import linear_image
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 

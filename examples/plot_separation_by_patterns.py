@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.io import write_image
+from splitknit.model import Camera
 from splitknit.separate import Separation, StackSettings, checkerboard, single_image
 from splitknit.simulator.palm import draw_palm, palm_surface
 from splitknit.simulator.palm_settings import PalmSettings
@@ -24,7 +25,6 @@ from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.separation import checkerboard_stack, separate_truth
 from splitknit.simulator.skin import SkinSettings
-from splitknit.types import Camera
 
 CHECK_MM, PX_PER_MM, BLOCK = 0.4, 20.0, 16
 UNBOUNDED = StackSettings(clip_level=None)  # simulated light does not clip

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.types import Band, Capture, Led, Rig
+from splitknit.model import Band, Capture, Led, Rig
 
 
 def each_band(capture: Capture, change: Callable[[Band], Band]) -> Capture:

@@ -10,8 +10,8 @@ import numpy as np
 
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.io import write_npz, write_print_png
+from splitknit.model import Camera
 from splitknit.prints.ridges import relief_print
-from splitknit.types import Camera
 
 
 def write_perfect(

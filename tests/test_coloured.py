@@ -11,17 +11,17 @@ import pytest
 
 from small_capture import edit
 from splitknit.apps.cli import main
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
 from splitknit.io import read_capture, read_rig, write_capture, write_rig
+from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import PRESETS, reconstruct
-from splitknit.radiance import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
 from splitknit.recipe.coloured import balanced, colour_factors
 from splitknit.recipe.compose import COMPOSED, composed
 from splitknit.recipe.settings_document import LATER, settings_document
 from splitknit.settings import override
 from splitknit.simulator.coloured import CROSSTALK, coloured_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Band, Camera, Capture, Led, Rig
 
 MIXING = np.array(CROSSTALK)
 

@@ -12,9 +12,11 @@ import pytest
 from kinds import turned
 from splitknit.apps.compare import compare
 from splitknit.apps.outputs import upright_mesh
-from splitknit.check import BadInput
-from splitknit.geometry import height_gradients, normals_from_gradients, warp
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
+from splitknit.imaging.view import pixel_axes_mm
 from splitknit.io import read_capture, read_npz
+from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
 from splitknit.recipe import surfaces
 from splitknit.recipe.memory import Memory
@@ -22,8 +24,6 @@ from splitknit.recipe.settings_document import settings_document
 from splitknit.settings import flatten
 from splitknit.simulator.finger import Pose
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Band, Camera, Capture, Led, Reconstruction, Rig
-from splitknit.view import pixel_axes_mm
 
 Truth = dict[str, np.ndarray]
 

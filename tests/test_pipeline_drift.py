@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture
 
 
 @pytest.fixture(scope="module")

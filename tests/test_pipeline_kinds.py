@@ -14,8 +14,9 @@ import pytest
 import kinds
 from small_capture import copy_of, edit
 from splitknit.apps.compare import compare
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture, read_image, read_npz, write_capture
+from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import PRESETS, reconstruct
 from splitknit.simulator.background import BackgroundSettings
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
@@ -23,7 +24,6 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.sensor import SensorSettings
 from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
-from splitknit.types import Capture, Reconstruction
 
 Truth = dict[str, np.ndarray]
 

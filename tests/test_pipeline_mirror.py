@@ -12,13 +12,13 @@ import pytest
 
 from splitknit.apps.cli import main
 from splitknit.apps.compare import compare
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import write_capture
+from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.finger import Pose
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture
 
 Photographed = tuple[Capture, dict[str, Any]]
 

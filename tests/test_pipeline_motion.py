@@ -11,7 +11,7 @@ import pytest
 from splitknit import reconstruct
 from splitknit.apps.cli import main
 from splitknit.apps.compare import compare
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import write_capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.memory import Memory

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splitknit.model import Camera, Capture
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.finger import Pose
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Camera, Capture
 
 SCALE = 0.18
 Truth = dict[str, Any]

@@ -5,7 +5,7 @@ from typing import Literal
 
 import pytest
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.pipeline import preset_settings
 from splitknit.settings import flatten, override
 

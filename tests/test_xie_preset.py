@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture
+from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import PRESETS, reconstruct
 from splitknit.settings import flatten
-from splitknit.types import Capture, Reconstruction
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from splitknit.io import write_capture, write_image
+from splitknit.model import Band, Capture, Rig
 from splitknit.simulator.bench import BenchSettings, CardScene, DarkScene, photograph_bench, well_exposed
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.sensor import SensorSettings
-from splitknit.types import Band, Capture, Rig
 
 SENSOR = SensorSettings(bits=16)
 

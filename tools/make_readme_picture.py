@@ -17,9 +17,9 @@ import splitknit
 from splitknit.apps.outputs import PRINT_PPI
 from splitknit.apps.pictures import Frame, grey, on_paper, to_frame, upright_frame
 from splitknit.apps.shading import oblique_view, upright_surface
+from splitknit.imaging import linear_image
+from splitknit.model import Capture, Reconstruction
 from splitknit.prints import relief_print
-from splitknit.radiance import linear_image
-from splitknit.types import Capture, Reconstruction
 
 HEIGHT_PX = 400
 GAP_PX = 12

@@ -11,25 +11,25 @@ TYPE_CHECKING = False  # as typing's, whose import would take longer than all th
 if TYPE_CHECKING:
     from typing import Any
 
-    from splitknit.check import BadInput as BadInput
+    from splitknit.errors import BadInput as BadInput
     from splitknit.io import read_capture as read_capture
     from splitknit.io import write_capture as write_capture
+    from splitknit.model import Camera as Camera
+    from splitknit.model import Capture as Capture
+    from splitknit.model import Led as Led
+    from splitknit.model import Reconstruction as Reconstruction
+    from splitknit.model import Rig as Rig
     from splitknit.pipeline import preset_settings as preset_settings
     from splitknit.pipeline import reconstruct as reconstruct
     from splitknit.simulator.twin import simulate_capture as simulate_capture
-    from splitknit.types import Camera as Camera
-    from splitknit.types import Capture as Capture
-    from splitknit.types import Led as Led
-    from splitknit.types import Reconstruction as Reconstruction
-    from splitknit.types import Rig as Rig
 
 _HOMES = {
-    "BadInput": "splitknit.check",
-    "Camera": "splitknit.types",
-    "Capture": "splitknit.types",
-    "Led": "splitknit.types",
-    "Reconstruction": "splitknit.types",
-    "Rig": "splitknit.types",
+    "BadInput": "splitknit.errors",
+    "Camera": "splitknit.model",
+    "Capture": "splitknit.model",
+    "Led": "splitknit.model",
+    "Reconstruction": "splitknit.model",
+    "Rig": "splitknit.model",
     "preset_settings": "splitknit.pipeline",
     "read_capture": "splitknit.io",
     "reconstruct": "splitknit.pipeline",

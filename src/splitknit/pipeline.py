@@ -11,7 +11,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import Capture, Reconstruction
 from splitknit.recipe.coloured import as_lit
 from splitknit.recipe.finger import finger_key
 from splitknit.recipe.memory import Memory
@@ -25,7 +26,6 @@ from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.recipe.surfaces import metric_opaque, thesis
 from splitknit.settings import override
-from splitknit.types import Capture, Reconstruction
 
 __all__ = ["PRESETS", "PipelineSettings", "preset_settings", "reconstruct"]
 

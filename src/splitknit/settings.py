@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 Settings = TypeVar("Settings")
 _LONGEST_NAME, _LONGEST_TEXT = 100, 1000

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.geometry import height_gradients, normals_from_gradients, rotation_about
-from splitknit.types import Band, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients, rotation_about
+from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 
 
 def finger(

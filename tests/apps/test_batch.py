@@ -10,7 +10,7 @@ import pytest
 from splitknit.apps.batch_verb import _case
 from splitknit.apps.cli import main
 from splitknit.apps.simulate_population import simulate_population
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.population import PopulationSettings
 
 

@@ -12,9 +12,9 @@ import pytest
 from splitknit.apps.calibration.calibrated_camera import CameraJob, calibrate_to_rig
 from splitknit.apps.cli import main
 from splitknit.io import read_rig, write_image, write_rig
+from splitknit.model import Mirror
 from splitknit.simulator import bench
 from splitknit.simulator.built_rig import built_rig
-from splitknit.types import Mirror
 
 SCALE, SEED, COUNT = 0.15, 2, 7
 PRINTED = bench.Board(columns=9, rows=6, square_mm=3.0)

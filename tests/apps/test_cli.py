@@ -15,9 +15,9 @@ from handmade import capture_of, finger
 from splitknit.apps import commands
 from splitknit.apps.cli import main
 from splitknit.apps.outputs import FILES
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import write_capture
-from splitknit.types import Capture, Reconstruction
+from splitknit.model import Capture, Reconstruction
 
 Captured = pytest.CaptureFixture[str]
 
@@ -200,7 +200,7 @@ def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None
     code = f"""
 import os, signal, sys
 from splitknit.apps import cli, finger_verbs
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 def run(options):
     try:

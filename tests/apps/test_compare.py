@@ -7,7 +7,7 @@ import pytest
 from handmade import finger
 
 from splitknit.apps.compare import compare, high_pass, local_correlation
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 def test_the_truth_agrees_with_itself() -> None:

@@ -11,7 +11,7 @@ from splitknit.apps import demo as demo_module
 from splitknit.apps.cli import main
 from splitknit.apps.outputs import FILES
 from splitknit.io import read_capture
-from splitknit.types import Capture, Reconstruction
+from splitknit.model import Capture, Reconstruction
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from enrolled import facts_of, refusal_of, words_of
 
 from first_gallery import of_version_1
 from splitknit.apps.cli import main
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_print_png
 from splitknit.matching.gallery import NewCapture
 from splitknit.matching.gallery_entry import Entry

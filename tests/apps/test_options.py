@@ -9,7 +9,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from splitknit.apps.options import parse_assignment, read_changes, read_settings_file
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 @pytest.mark.parametrize(

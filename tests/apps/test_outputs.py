@@ -12,7 +12,7 @@ from handmade import capture_of, finger
 
 from splitknit.apps import outputs
 from splitknit.apps.outputs import FILES, upright_mesh, write_results
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_height_tiff, read_npz, read_ply, read_print_png
 
 Written = tuple[Path, dict[str, Any]]

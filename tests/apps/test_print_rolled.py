@@ -15,7 +15,7 @@ from splitknit.apps.print_verb import _words
 from splitknit.io import write_capture
 from splitknit.io.minutiae3d import read_minutiae3d
 from splitknit.io.ply import read_ply
-from splitknit.types import Capture
+from splitknit.model import Capture
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipe"))
 import rolled_scene as scene

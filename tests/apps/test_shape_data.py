@@ -11,19 +11,19 @@ from splitknit.apps.training import shape_data
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.apps.training.shape_data import assembled_shape, drawn_relief, shape_sample, shape_sample_of
 from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
-from splitknit.check import BadInput
-from splitknit.geometry import height_gradients
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import height_gradients
 from splitknit.metric import learned
 from splitknit.metric.bands import BandImages
 from splitknit.metric.facets import Facets
 from splitknit.metric.grid import Grid
 from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE
 from splitknit.metric.shape_features import shape_features
+from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import preset_settings
 from splitknit.separate import SkinSettings, diffusion
 from splitknit.separate.train_shape import CHANNELS, FIELDS, SLOPES, TURNS, WEIGHT, without_nir
 from splitknit.separate.train_shape_batches import OF_NIR
-from splitknit.types import Camera, Led, Rig
 
 PITCH_MM = 0.106
 SIDE = 64

@@ -8,7 +8,7 @@ import pytest
 
 from splitknit.apps.cli import main
 from splitknit.apps.targets import check_file, check_picture, check_target
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import atomic_folder, write_image
 
 WRITERS = (

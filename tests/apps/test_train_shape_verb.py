@@ -14,7 +14,7 @@ from splitknit.apps.training.shape_card import shape_metrics, write_shape_networ
 from splitknit.apps.training.shape_scenes import ShapeData
 from splitknit.apps.training.train_shape import train_shape
 from splitknit.apps.training.training_data import HELD_OUT_FROM
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate.train_shape import CHANNELS, SLOPES, WEIGHT, ShapeSettings, relief_network
 from splitknit.separate.unet import load_network, run_network
 

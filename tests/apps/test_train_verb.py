@@ -10,7 +10,7 @@ import pytest
 from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train
 from splitknit.apps.training.train_verb import command_of
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate import train_network
 from splitknit.separate.unet import load_network
 

@@ -13,7 +13,7 @@ from splitknit.batch import Store
 from splitknit.batch.chunks import column_type, read_chunk, read_origin, write_chunk
 from splitknit.batch.export import names_of
 from splitknit.batch.scores import score_schema
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_1/right_index")
 COLUMNS: dict[str, list[Any]] = {

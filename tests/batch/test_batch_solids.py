@@ -9,7 +9,7 @@ import pytest
 from batch_stores import EA, chunks, pairs_of
 
 from splitknit.batch import Store, run_batch
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.minutiae3d import minutiae3d_match
 from splitknit.matching.minutiae3d_record import unpack_space_minutiae
 from splitknit.matching.surface_code import unpack_surface_code

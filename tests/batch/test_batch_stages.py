@@ -14,7 +14,7 @@ from batch_stores import EA, chunks, pairs_of
 
 from splitknit.batch import BatchSettings, Case, Store, preset_cases, run_batch, to_scores
 from splitknit.batch.chunks import read_chunk, read_origin
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture, read_print_png
 from splitknit.io.scores import read_scores
 from splitknit.matching import TemplateSettings, ThesisSettings, pack, ridge_match, thesis_match, unpack

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from splitknit.batch.surfaces import pack_surface, unpack_surface
-from splitknit.check import BadInput
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.recipe.matchable import Surface
 
 

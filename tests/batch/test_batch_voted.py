@@ -11,7 +11,7 @@ from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
 from splitknit.batch.chunks import read_chunk, read_origin
 from splitknit.batch.population import read_population
 from splitknit.batch.store import open_store
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings

@@ -8,7 +8,7 @@ from camera_views import BOARD, MATRIX, SIZE, seen, turned, views
 
 from splitknit.calibration.camera import CameraSettings, calibrate_camera
 from splitknit.calibration.lens_model import LensSettings, fit_lens
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 def test_a_long_lens_is_found_and_its_distortion_held():

@@ -8,7 +8,7 @@ import pytest
 from camera_views import MATRIX, seen, turned
 
 from splitknit.calibration import Board, BoardSettings, find_board, size_in_view
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 SIZE = (400, 560)
 LENS = np.array([[1900.0, 0, 279.5], [0, 1900.0, 199.5], [0, 0, 1]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.depth_of_field import depth_of_field
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.drift import DriftSettings, drift_words, led_drift
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
+from splitknit.model import Rig
 from splitknit.photometric.light_field import light_field
-from splitknit.radiance import linear_stack
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Rig
 
 NAMES = [f"white {k}" for k in range(7)]
 AZIMUTH = 2 * np.pi * np.arange(7) / 7

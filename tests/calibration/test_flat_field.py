@@ -11,11 +11,11 @@ from splitknit.calibration.card_fit import fit_order
 from splitknit.calibration.card_light import CardPlane, card_light, lens_fall_off, squared_radius
 from splitknit.calibration.card_model import LADDER, Answer, CardModel
 from splitknit.calibration.flat_field import FlatFieldSettings, fit_flat_field
-from splitknit.check import BadInput
-from splitknit.radiance import lens_shading
+from splitknit.errors import BadInput
+from splitknit.imaging import lens_shading
+from splitknit.model import Led
 from splitknit.simulator.built_rig import built_rig, nominal_rig
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Led
 from white_cards import as_placed, scene_of
 
 STEP = 6

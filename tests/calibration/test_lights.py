@@ -11,9 +11,9 @@ import pytest
 from splitknit.calibration.light_table import BANDS, COLUMNS, Tip, check_tips, read_tips, write_tips
 from splitknit.calibration.light_verdicts import LightLimits, check_nails, copied_leds, judge, refusal
 from splitknit.calibration.lights import Circle, by_circle, largest_angle_deg
-from splitknit.check import BadInput
-from splitknit.types import Camera
-from splitknit.view import plane_points
+from splitknit.errors import BadInput
+from splitknit.imaging.view import plane_points
+from splitknit.model import Camera
 
 THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"
 CAMERA = Camera(px_per_mm=75.7, image_size=(2200, 3200))

@@ -12,9 +12,9 @@ from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle
 from splitknit.calibration.nail import by_joint_fit
 from splitknit.calibration.nail_model import NailModel, NailSettings
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera
 from splitknit.simulator.lens import pixels_of_points
-from splitknit.types import Camera
 
 ORTHOGRAPHIC = Camera(px_per_mm=75.7, image_size=(2200, 3200))
 FOCAL = 140 * 75.7

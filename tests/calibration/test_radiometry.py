@@ -12,12 +12,12 @@ from splitknit.calibration.card_images import card_images, led_name
 from splitknit.calibration.card_light import CardPlane, card_light
 from splitknit.calibration.cells import CellSettings, cells_of, median_blocks
 from splitknit.calibration.radiometry import PROVENANCE, RadiometrySettings, calibrate_radiometry
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.provenance import canonical_json
 from splitknit.io.rig import rig_from_json, rig_to_json
+from splitknit.model import Rig
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.sensor import SensorSettings
-from splitknit.types import Rig
 from white_cards import as_placed, photograph, scene_of
 
 EXPOSURES = (6.0, 6.0)

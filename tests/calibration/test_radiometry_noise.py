@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.sensor_noise import dark_frames, noise_model, noise_samples
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.sensor import SensorSettings, record
 
 SIZE = (150, 220)

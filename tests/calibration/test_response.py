@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.response import ResponseSettings, fit_response
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.sensor import SensorSettings, record
 
 TIMES = np.array([1.0, 2.0, 4.0, 8.0])

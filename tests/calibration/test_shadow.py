@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.calibration.shadow import find_nail
 from splitknit.calibration.shadow_shape import Shape, hull_distance
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.rig import default_rig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.bench import SphereScene
 from splitknit.simulator.rig import default_rig
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
 from splitknit.devices import Camera, LightBank, relative_exposure
+from splitknit.errors import BadInput
 
 
 class LightContract(ABC):

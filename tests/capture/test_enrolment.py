@@ -7,7 +7,7 @@ import json
 import pytest
 
 from splitknit.capture.enrolment import FINGERS, EnrolmentPlan, Place, check_subject_id, open_enrolment
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 def finish(enrolment, place):

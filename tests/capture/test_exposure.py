@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from splitknit.capture.exposure import ExposureSettings, clipped_share, find_exposure, level_of, split, survey
-from splitknit.check import BadInput
 from splitknit.devices import ExposureRange, Frame
+from splitknit.errors import BadInput
 
 CAMERA = ExposureRange(1e-4, 0.2, 1.0, 8.0)
 SETTINGS = ExposureSettings()

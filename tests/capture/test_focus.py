@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.capture.focus import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 PX = 40.0
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS, led_names, pins_of
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.rig import default_rig
 
 

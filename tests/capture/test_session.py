@@ -11,8 +11,8 @@ from twin_bench import twin_devices
 from splitknit.capture.checks import CheckSettings
 from splitknit.capture.exposure import ExposureSettings
 from splitknit.capture.session import SessionSettings, check_fit, run_session
-from splitknit.check import BadInput
-from splitknit.radiance import linear_stack
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
 from splitknit.simulator.device import TwinDeviceSettings
 from splitknit.simulator.faults import Faults, FaultyScene
 from splitknit.simulator.rig import default_rig

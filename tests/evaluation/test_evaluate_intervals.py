@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.special import betainc, ndtr
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.evaluation import (
     BootstrapSettings,
     Ids,

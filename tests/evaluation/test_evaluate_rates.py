@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.evaluation import auc, d_prime, equal_error, gar_at_far, roc
 from splitknit.evaluation.error_bounds import rule_of_three
 from splitknit.evaluation.sides import sort_scores

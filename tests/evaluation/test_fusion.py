@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.evaluation import Scores, comparisons, d_prime, ids_of, scores_of_comparisons
 from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fuse
 from splitknit.evaluation.fusion_models import fit_linear, fit_logistic

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.geometry import gradients_from_normals
+from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.integration import frankot_chellappa, poisson
 
 pytestmark = pytest.mark.external

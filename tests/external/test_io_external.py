@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
 from splitknit.io import capture_from_plain_images, read_capture, read_image, read_lights_txt, write_capture
-from splitknit.radiance import linear_stack
-from splitknit.types import Band, Camera, Capture, Led, Rig
+from splitknit.model import Band, Camera, Capture, Led, Rig
 
 pytestmark = pytest.mark.external
 

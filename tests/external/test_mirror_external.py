@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from splitknit.io.images import read_image
+from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.mirrors import SeenInMirrors, seen_in_mirrors
 from splitknit.settings import override
-from splitknit.types import Band, Camera, Capture, Led, Mirror, Rig
 
 pytestmark = pytest.mark.external
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.sphere import ball_of_mask, chrome_directions, find_ball, grey_directions
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 pytestmark = pytest.mark.external
 

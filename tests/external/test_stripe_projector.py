@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from splitknit.imaging import linear_image
 from splitknit.io import read_image
-from splitknit.radiance import linear_image
 from splitknit.separate import checkerboard
 
 pytestmark = pytest.mark.external

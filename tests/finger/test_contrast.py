@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.finger import ClaheSettings, clahe
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.finger import OrientationSettings, find_upright
-from splitknit.geometry import warp
+from splitknit.imaging.geometry import warp
 
 CASES = [
     (0.0, (0.0, 15.0)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.finger import QualitySettings, capture_quality, quality_warnings
 from splitknit.finger.quality_specks import SpeckSettings, short_marks_filled, speck_shares
 

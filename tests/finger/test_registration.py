@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.finger import RegistrationSettings, Seen, register_band, register_shots, without_glare
 from splitknit.finger.registration_flow import finger_family, places_of, still
 from splitknit.finger.registration_level import details_of

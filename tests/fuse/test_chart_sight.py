@@ -15,7 +15,7 @@ from splitknit.fuse import (
     sampled,
     surface_normals,
 )
-from splitknit.types import Camera
+from splitknit.model import Camera
 
 CAMERA = Camera(12.0, (420, 900))
 A, B, CAP = 8.0, 6.5, 8.0

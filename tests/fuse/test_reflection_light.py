@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.fuse import (
     Plane,
     facing_share,
@@ -16,7 +16,7 @@ from splitknit.fuse import (
     reflect_vectors,
     reflected_corners,
 )
-from splitknit.types import Led, Mirror
+from splitknit.model import Led, Mirror
 
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
 RIGHT = Plane(np.array([20.0, 0.0, -8.0]), LEAN)

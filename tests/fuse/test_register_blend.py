@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.fuse import (
     BlendSettings,
     Chart,
@@ -26,7 +26,7 @@ from splitknit.fuse import (
     surface_normals,
     view_weight,
 )
-from splitknit.types import Camera
+from splitknit.model import Camera
 
 CAMERA = Camera(12.0, (420, 900))
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)

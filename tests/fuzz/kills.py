@@ -25,7 +25,7 @@ from tests.batch.batch_stores import EA, chunks
 
 from splitknit.apps.simulate_population import simulate_population
 from splitknit.batch import run_batch
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import Template, pack
 from splitknit.matching.gallery import Gallery, NewCapture
 from splitknit.matching.gallery_entry import Entry

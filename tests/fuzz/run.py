@@ -45,7 +45,7 @@ from tests.fuzz.targets import TARGETS, Target, put, said
 from tqdm import tqdm
 
 import splitknit
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 MOST_S, MOST_MB = 3.0, 1024
 IDLE_S = 10.0

@@ -65,7 +65,7 @@ from splitknit.batch.store import open_store
 from splitknit.batch.surfaces import pack_surface, unpack_surface
 from splitknit.calibration.light_table import COLUMNS, check_tips, read_tips
 from splitknit.capture.enrolment import open_enrolment
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import (
     capture_from_plain_images,
     image_size,
@@ -108,6 +108,7 @@ from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minut
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
+from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.matchable import MatchingSettings, Surface
 from splitknit.rig.candidates import Candidate
@@ -117,7 +118,6 @@ from splitknit.rig.study import Study
 from splitknit.separate.train_settings import DataSettings, TrainSettings
 from splitknit.separate.unet import load_network
 from splitknit.settings import override
-from splitknit.types import Band, Camera, Capture, Led, Rig
 
 TINY_NETWORK = Path(__file__).resolve().parents[1] / "separate" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)

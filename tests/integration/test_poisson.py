@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse
 import scipy.sparse.linalg
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.integration import PoissonSettings, poisson
 from splitknit.integration.edges import edge_weights, predicted_differences
 from splitknit.integration.gradient_field import zero_mean_by_component

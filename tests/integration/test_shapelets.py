@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.integration import ShapeletSettings, shapelet_response, shapelets
 
 VARIANTS = ("slant_tilt", "ambiguous_tilt", "slant_only", "tilt_only")

@@ -10,7 +10,7 @@ import pytest
 from io_shared import Build
 
 from splitknit.io import write_capture
-from splitknit.types import Band, Camera, Capture, Led, Rig
+from splitknit.model import Band, Camera, Capture, Led, Rig
 
 
 def ring(band: str, count: int = 4) -> list[Led]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from splitknit.types import Capture
+from splitknit.model import Capture
 
 Build = Callable[..., Capture]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, three_minutiae
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.ansi378 import decode_ansi378, encode_ansi378, read_ansi378, write_ansi378
 from splitknit.io.ansi378_2009 import decode_ansi378_2009, encode_ansi378_2009
 from splitknit.io.fmr_identify import ANSI_2004, ANSI_2009, ANSI_2009_AM1

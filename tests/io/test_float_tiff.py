@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.float_tiff import read_float_tiff, write_float_tiff
 from splitknit.io.height import read_height_tiff
 from splitknit.io.light import read_light_tiff

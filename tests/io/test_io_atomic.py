@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import atomic_file, atomic_folder
 from splitknit.io.atomic import GROUP_READABLE
 

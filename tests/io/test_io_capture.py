@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from io_shared import Build, edit
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
 from splitknit.io import (
     ReadSettings,
     read_capture,
@@ -23,8 +24,7 @@ from splitknit.io import (
     write_rig,
 )
 from splitknit.io.images import ImageSettings
-from splitknit.radiance import linear_stack
-from splitknit.types import Camera, Capture, Led, Rig
+from splitknit.model import Camera, Capture, Led, Rig
 
 
 def assert_same(a: Capture, b: Capture) -> None:

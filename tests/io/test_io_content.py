@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from io_shared import Build
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import ContentSettings
 from splitknit.io.content import check_content
-from splitknit.types import Band
+from splitknit.model import Band
 
 
 def changed(band: Band, k: int, pixels: Any, **changes: Any) -> Band:

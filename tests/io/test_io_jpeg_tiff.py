@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.images import decode_image
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
 from splitknit.io import capture_from_plain_images, read_capture, read_lights_txt, write_capture, write_image
-from splitknit.radiance import linear_stack
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ import pytest
 import tifffile
 
 import splitknit
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import (
     canonical_json,
     provenance,

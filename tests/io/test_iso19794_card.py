@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmr_samples import three_minutiae
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.iso19794_card import decode_card, encode_card
 from splitknit.io.minutiae_record import FingerView
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import itl_reading, itl_transaction
 from splitknit.io.finger_codes import FINGER_CODES
 from splitknit.io.itl_reading import decode_transaction, read_transaction

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from io_shared import edit
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, read_minutiae3d, write_minutiae3d
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_print_png, write_print_png
 from splitknit.io.print_tiff import read_print_tiff, write_print_tiff
 

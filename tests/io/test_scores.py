@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.scores import read_exclusions, read_scores
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import surface_mesh
 from splitknit.io.glb import glb_chunks, read_glb, write_glb
 from splitknit.io.stl import stl_chunks, stl_size, write_mesh_stl

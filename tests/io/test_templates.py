@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.templates import HEADER_BYTES, MAGIC, decode_template, encode_template, read_template, write_template
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import wsq_image
 from splitknit.io.wsq_image import decode_wsq, encode_wsq, read_print_wsq, write_print_wsq
 from splitknit.io.wsq_structure import wsq_header

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import Template, failed_template, make_template
 from splitknit.matching.code import SCALE, ProbeSettings, code_model, code_of, code_size, probe_codes
 from splitknit.matching.code_field import CELLS, CHANNELS, COLUMNS, ROWS, laid_on, origin_of, ridge_field, sampled

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import Template, pack
 from splitknit.matching.gallery import Gallery, NewCapture
 from splitknit.matching.gallery_entry import Entry, session_order

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.gallery_key import Damaged, Key, PlainBox, ScryptSettings, SealedBox, key_from_bytes
 
 CHEAP = ScryptSettings(log2_n=10)

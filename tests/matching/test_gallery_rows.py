@@ -13,7 +13,7 @@ import pytest
 from test_gallery import KEY, SETTINGS, new, payload
 
 from first_gallery import of_version_1
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.gallery import Gallery
 from splitknit.matching.gallery_file import ROWS
 from splitknit.matching.gallery_key import Key

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import LbpSettings, cell_histograms, lbp_codes, lbp_features
 from splitknit.matching.lbp import uniform_bins
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
 from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print

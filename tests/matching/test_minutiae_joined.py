@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.minutiae_joined import JoinedSettings, joined_similarity
 
 

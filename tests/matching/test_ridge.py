@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
-from splitknit.geometry import rotation_about
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
 from splitknit.matching import (
     PatchSettings,
     PhaseSettings,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
-from splitknit.geometry import rotation_about
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
 from splitknit.matching import PhaseSettings, RidgeBandSettings, print_band, ridge_band
 from splitknit.matching.phase import peaks, views
 

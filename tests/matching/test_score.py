@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import (
     calibrate_probability,
     calibrate_scores,

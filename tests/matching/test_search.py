@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import Prepared, failed_template, ridge_match
 from splitknit.matching.code import code_of, code_size, probe_codes
 from splitknit.matching.search import CodeIndex, SearchSettings, identify

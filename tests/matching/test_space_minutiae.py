@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from space_samples import again, finger, turned
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.minutiae3d import Minutiae3DSettings, PreparedMinutiae3D, alike_pairs, minutiae3d_match
 from splitknit.matching.minutiae3d_record import (
     SpaceMinutiae,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
-from splitknit.geometry import rotation_about
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
 from splitknit.matching import (
     FeatureSettings,
     FingerImages,

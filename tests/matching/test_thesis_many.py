@@ -47,7 +47,7 @@ def test_features_are_those_of_the_plain_extractor() -> None:
 
 
 def test_a_missing_channel_is_named() -> None:
-    from splitknit.check import BadInput
+    from splitknit.errors import BadInput
 
     whole = finger(1, 200, 150)
     part = FingerImages({"relief": whole.channels["relief"]}, whole.mask, whole.px_per_mm)

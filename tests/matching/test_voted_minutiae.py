@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
+from splitknit.model import Camera, Led, Rig
 from splitknit.separate import SkinSettings, diffusion
-from splitknit.types import Camera, Led, Rig
 
 PITCH_MM = 0.04
 COLOURS = ("red", "green", "blue")

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene, ring, shape_rms
 
-from splitknit.check import BadInput
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.errors import BadInput
+from splitknit.imaging import bin_mean
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.coarse import CoarsePrior, compare, integrate, start_shape, unit
 from splitknit.metric.grid import coarsen
 from splitknit.metric.light import lighting
-from splitknit.radiance import bin_mean
 from splitknit.separate import SkinSettings, diffusion
 
 FACTOR = 3

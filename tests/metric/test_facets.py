@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.geometry import normals_from_gradients
+from splitknit.imaging.geometry import normals_from_gradients
 from splitknit.metric.facets import (
     MOST_SPREAD,
     Facets,

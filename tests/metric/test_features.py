@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from skin_scene import CUT_MM, make_scene
 
+from splitknit.imaging import bin_mean
 from splitknit.metric.bands import BandImages
 from splitknit.metric.facets import Facets
 from splitknit.metric.features import COUNT, azimuth_waves, features
@@ -22,7 +23,6 @@ from splitknit.metric.learned import (
 )
 from splitknit.metric.light import fine_lighting
 from splitknit.metric.shape_features import SHAPE_COUNT, shape_features
-from splitknit.radiance import bin_mean
 from splitknit.separate import SkinSettings, diffusion
 
 FACTOR = 3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, shape_rms
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.metric import MetricSettings, reconstruct_skin
 from splitknit.metric import shape as shape_module
 from splitknit.metric.bands import BandImages

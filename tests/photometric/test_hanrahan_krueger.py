@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from skin_ball import EQUAL, THIN, ball, ring
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led, Rig
 from splitknit.photometric import (
     HanrahanKruegerSettings,
     LevenbergSettings,
@@ -18,7 +19,6 @@ from splitknit.photometric import (
     lambertian,
 )
 from splitknit.photometric.skin_layers import reflected
-from splitknit.types import Camera, Led, Rig
 
 
 def error_deg(got, normals, mask):

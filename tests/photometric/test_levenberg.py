@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.photometric.levenberg import LevenbergSettings, NormalEquations, levenberg_marquardt, solved
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging.view import pixel_axes_mm
+from splitknit.model import Camera, Led, Rig
 from splitknit.photometric import (
     NearLightSettings,
     RobustSettings,
@@ -15,8 +17,6 @@ from splitknit.photometric import (
     near_light_weights,
     pseudo_normals,
 )
-from splitknit.types import Camera, Led, Rig
-from splitknit.view import pixel_axes_mm
 
 SHAPE = (60, 80)
 

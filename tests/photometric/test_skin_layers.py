@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.photometric import SkinLayers
 from splitknit.photometric.skin_layers import reflected, refracted, scattered, transmitted
 

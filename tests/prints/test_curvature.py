@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bodies import PX_PER_MM, plane_points
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.prints import CurvatureSettings, curvature
 
 PITCH = 1 / PX_PER_MM

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.prints import as_print, gabor_enhance, ridge_field, ridge_mask, stft_enhance, thin
 
 ENHANCERS = (gabor_enhance, stft_enhance)

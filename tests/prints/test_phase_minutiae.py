@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.prints import PhaseMinutiaeSettings, gabor_enhance, phase_minutiae
 from splitknit.simulator.master_print import MasterPrintSettings, ink_print, master_print
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bodies import Twin
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.prints import PrintMap, ink, plane_map, relief_print, resample, ridge_field, unroll, unrolled_map
 from splitknit.simulator.master_print import ink_print
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
-from splitknit.geometry import rotation_about
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
 from splitknit.prints import PrintSettings, relief_print
 
 PX_PER_MM = 1000 / 25.4  # twice the print's resolution

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from bodies import PX_PER_MM, Twin, body_grid, plane_points
 
-from splitknit.check import BadInput
-from splitknit.geometry import rotation_about
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
 from splitknit.prints import GridSettings, SurfaceGrid, UnrollSettings, distortion, surface_grid, unroll
 from splitknit.prints.unroll import KINDS
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from png_files import PNG, chunk, png_of
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import canonical_json, read_npz, write_npz
 from splitknit.io.png import decode_png
 

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from splitknit.model import Camera, Led, Rig
 from splitknit.photometric import lambertian, near_light, robust
-from splitknit.types import Camera, Led, Rig
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, STANDARDS, encode, records
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.ansi378 import decode_ansi378
 from splitknit.io.ansi378_2009 import decode_ansi378_2009
 from splitknit.io.iso19794 import decode_iso19794

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
 from splitknit.pipeline import PRESETS, preset_settings, reconstruct

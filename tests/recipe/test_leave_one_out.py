@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from splitknit.apps.cli import main
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import write_capture
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.model import Band, Capture
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.recipe.leave_one_out import (
     PICTURES,
@@ -24,7 +25,6 @@ from splitknit.recipe.leave_one_out import (
 )
 from splitknit.recipe.matchable import surface_print
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Band, Capture
 
 ZHENG = preset_settings("zheng")
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import rolled_scene as scene
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.fuse import SearchSettings, coverage_deg, ridge_band
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
+from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled import Rolled, _apart, _base, rolled_finger
 from splitknit.recipe.rolled_capture import _notes, check_mirrors
 from splitknit.recipe.rolled_relief import _lit
 from splitknit.recipe.rolled_settings import RolledSettings
-from splitknit.types import Capture
 
 QUICK = RolledSettings(pitch_mm=0.07, search=SearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rolled_scene as scene
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.recipe.rolled_body import ROLL_OF_SHEAR, body_between_mirrors, outside, radius_of, rolled_pad
 from splitknit.recipe.rolled_shape import shape_of
 from splitknit.shape import Views

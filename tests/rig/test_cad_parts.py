@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led, Rig
 from splitknit.rig import assembly, part_files
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
 from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of
@@ -19,7 +20,6 @@ from splitknit.rig.part_settings import PartSettings
 from splitknit.rig.rays import first_hits
 from splitknit.settings import override
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Camera, Led, Rig
 
 build123d = pytest.importorskip("build123d", reason="build123d (extra 'rig') is not installed")
 

@@ -11,7 +11,8 @@ import pytest
 from scipy.optimize import brentq
 
 from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Led
 from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
 from splitknit.rig.circuit_parts import BC337, E24, RATINGS_W, preferred, rating_for
 from splitknit.rig.netlist import (
@@ -24,7 +25,6 @@ from splitknit.rig.netlist import (
     ohm_text,
 )
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Led
 
 
 @pytest.fixture(scope="module")

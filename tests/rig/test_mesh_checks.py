@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.rig.assembly import PartKind
 from splitknit.rig.mesh_checks import check_soundness, thinnest_wall
 from splitknit.rig.part_reports import report_part

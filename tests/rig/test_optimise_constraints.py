@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.rig.candidates import BuildSettings, Candidate, grid, rig_of
 from splitknit.rig.constraints import Limits, Print, examine, glare_lobe_rad, glaring
 from splitknit.rig.photons import (

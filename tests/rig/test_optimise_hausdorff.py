@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.rig.hausdorff import both_ways, surface_distances
 from splitknit.rig.pareto import compare_with_best, mean_interval, pareto_front
 

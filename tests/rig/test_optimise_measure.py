@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splitknit.model import Reconstruction
 from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
 from splitknit.rig.evaluate_rig import compare_surfaces, evaluate, measure, rigs
 from splitknit.rig.photo import photograph
@@ -14,7 +15,6 @@ from splitknit.rig.photons import PhotonSettings, intensity_w_sr
 from splitknit.rig.study import Study
 from splitknit.rig.subject import phalange, places, printed, truth, view_of
 from splitknit.simulator.diffusion import load_walks
-from splitknit.types import Reconstruction
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)
 STUDY = Study(fingers=1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 import splitknit.rig.optimise as module
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.rig.candidates import Candidate, grid
 from splitknit.rig.optimise import summarise, sweep
 from splitknit.rig.study import Study

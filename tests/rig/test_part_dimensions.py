@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led, Rig
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimension_table import dimension_table
 from splitknit.rig.dimensions import dimensions_of
@@ -18,7 +19,6 @@ from splitknit.rig.part_settings import PartSettings
 from splitknit.settings import override
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Camera, Led, Rig
 
 
 def ring(count=6, radius=40.0, height=120.0, camera=None, **changes):

@@ -12,7 +12,7 @@ from splitknit.apps.cli import main
 from splitknit.calibration import Board, find_board
 from splitknit.calibration.disc import find_disc
 from splitknit.calibration.plane import plane_scale
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.rig.pdf import POINTS_PER_MM, Page
 from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate import SkinSettings, diffusion
 
 RIDGES = 2 * np.pi * 75.7 / 33  # rad/mm of one cycle in 33 px at 75.7 px/mm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate import LocalWienerSettings, local_wiener, window_power
 
 PITCH = 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from splitknit.model import Camera
 from splitknit.separate.patterns import StackSettings, by_symmetry, checkerboard
 from splitknit.simulator.diffusion import load_walks
 from splitknit.simulator.palm import draw_palm, palm_surface
@@ -14,7 +15,6 @@ from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.separation import checkerboard_stack, separate_truth
 from splitknit.simulator.skin import SkinSettings
-from splitknit.types import Camera
 
 CHECK_MM, PX_PER_MM = 0.4, 20.0
 UNBOUNDED = StackSettings(clip_level=None)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate.patterns import StackSettings, by_symmetry, checkerboard, checkerboard_patterns
 
 SIZE = (60, 72)

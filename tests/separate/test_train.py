@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separate import train_network
 from splitknit.separate.direct import direct_light
 from splitknit.separate.train import (
@@ -27,7 +28,6 @@ from splitknit.separate.train import (
 from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import card_bytes, read_network
 from splitknit.simulator.skin import SkinRanges
-from splitknit.types import BoolArray, FloatArray
 
 SMALL = DataSettings(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate.train_relief import (
     CHANNELS,
     GLARE,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.metric.shape_features import SHAPE_COUNT
 from splitknit.separate.train_shape_batches import (
     CHANNELS,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 from splitknit.separate.tiles import padded_index, plan_tiles
 from splitknit.separate.unet import NO_TELEMETRY, Network, load_network, run_network

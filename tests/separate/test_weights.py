@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate import weights
 from splitknit.separate.unet import load_network
 from splitknit.separate.weights import card_bytes, read_network, shipped_networks

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 from splitknit.shape import MirrorShape, Views
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
@@ -14,7 +15,6 @@ from splitknit.simulator.mirror_parts import mirror_rig
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.mirror_view import mirror_view
 from splitknit.simulator.skin_map import skin_map
-from splitknit.types import BoolArray, Camera, FloatArray, Mirror
 
 SCALE = 0.2
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Mirror
 from splitknit.shape.body import MOST_SQUARE, Body, Sections, basis
 from splitknit.shape.outline import finger_axis, medial_line, rows_of
 from splitknit.shape.planes import MirrorPlane, Touching, touching
-from splitknit.types import Camera, Mirror
 
 CAMERA = Camera(10.0, (400, 300))
 

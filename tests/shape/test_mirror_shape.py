@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mirrored import Scene, scene, turned
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.shape import MirrorShapeSettings, Slopes, Views, mirror_shape
 from splitknit.simulator.finger import Pose
 

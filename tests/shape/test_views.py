@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 from splitknit.shape import find_views, mirror_outline, view_binning, without_mirrors
-from splitknit.types import BoolArray, Camera, FloatArray, Mirror
 
 CAMERA = Camera(5.0, (300, 460))
 LEFT = Mirror("left", ((-15.0, -25.0, -20.0), (-15.0, 12.0, -20.0), (-37.0, 12.0, 2.0), (-37.0, -25.0, 2.0)))

@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from splitknit.model import Camera
 from splitknit.simulator.bench import BenchSettings
 from splitknit.simulator.built_rig import built_rig, nominal_rig
-from splitknit.types import Camera
 
 DARK_ROOM = BenchSettings(ambient=0.0)
 POINTS = BenchSettings(ambient=0.0, led_radius_mm=0.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitknit.model import Camera
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 PX_PER_MM = 37.85
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bench_help import DARK_ROOM, built, drawn, grey, parallel, seen
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.bench import (
     BenchSettings,
     BoardScene,

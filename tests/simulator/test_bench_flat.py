@@ -8,7 +8,7 @@ import pytest
 from bench_help import DARK_ROOM, built, drawn, grey, parallel, sample, seen
 from scipy.special import ndtr
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.bench import Board, BoardScene, CardScene, DiscScene, HandRanges, board_poses
 from splitknit.simulator.bench_sight import inside
 from splitknit.simulator.lens import slopes_of_pixels

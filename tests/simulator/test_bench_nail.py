@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bench_help import DARK_ROOM, POINTS, built, crossing, drawn, grey, parallel, sample, seen
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Led
 from splitknit.simulator.bench import BenchSettings, CardScene, NailScene
-from splitknit.types import Led
 
 
 def share_lit(scene, led):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from bench_help import DARK_ROOM, POINTS, built, drawn, grey, parallel, sample, seen
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Led
 from splitknit.simulator.bench import BenchSettings, CardScene, SphereScene
 from splitknit.simulator.lens import px_per_mm_at, slopes_of_pixels
-from splitknit.types import Led
 
 NO_WALLS = {"surround": 0.0, "ground": 0.0, "bench": DARK_ROOM}
 

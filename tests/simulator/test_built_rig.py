@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.simulator.bench_sight import base_plane
 from splitknit.simulator.built_rig import Tolerances, built_rig, lobe_exponent, nominal_rig

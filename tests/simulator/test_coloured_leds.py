@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import COLOURS
 from splitknit.simulator.coloured import CROSSTALK, coloured_rig, exposures_of, shared_exposures
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.sensor import SensorSettings
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import COLOURS
 
 
 @pytest.mark.parametrize("exposures", [1, 2, 3])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from surfaces import ridged_egg
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera
 from splitknit.simulator.coat import WATER, Coat, Film, Grains
 from splitknit.simulator.coat_gloss import reflected
 from splitknit.simulator.coat_light import render_coated
@@ -22,7 +23,6 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.water import water_level, water_of
 from splitknit.simulator.weathered import dried, ridge_angle, scale_reflectance, scarred
-from splitknit.types import Camera
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)
 CAMERA = Camera(12.0, (260, 280))

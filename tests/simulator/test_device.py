@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.bench_flat import CardScene
 from splitknit.simulator.device import Clock, TwinCamera, TwinDeviceSettings, TwinLightBank
 from splitknit.simulator.faults import Faults, FaultyScene

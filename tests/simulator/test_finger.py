@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera
 from splitknit.simulator.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody, FingerShape
 from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulator.skin_map import Crease, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = Pose(yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5)

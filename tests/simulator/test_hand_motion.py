@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.motion import HandMotion, draw_path

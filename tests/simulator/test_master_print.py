@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
 from splitknit.simulator.orientation_field import PATTERNS, orientation_field
 

@@ -9,7 +9,8 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led, Mirror
 from splitknit.rig.dimensions import dimensions_of
 from splitknit.rig.mirror_shape import holder_depth, holder_places, mirror_front, mirror_profile, mirror_view
 from splitknit.rig.part_settings import MirrorSettings, PartSettings
@@ -34,7 +35,6 @@ from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.skin_map import skin_map
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Camera, Led, Mirror
 
 ALL = ("left", "right", "tip")
 FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led
 from splitknit.simulator.lighting import UNIT, white_card
 from splitknit.simulator.opaque import render_opaque
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera, Led
 
 CAMERA = Camera(px_per_mm=2.0, image_size=(40, 60))
 LED = Led("white", position_mm=(52.5, 10.0, 140.0), intensity=0.8, lobe_exponent=4.8, aim=(-0.3, 0.0, -1.0))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera
 from splitknit.simulator.palm import draw_palm, palm_surface
 from splitknit.simulator.palm_lines import PalmLine, draw_lines, groove_map
 from splitknit.simulator.palm_settings import PalmSettings
-from splitknit.types import Camera
 
 SMALL = PalmSettings(size_mm=(20.0, 16.0))
 PLAIN = PalmSettings(size_mm=(20.0, 16.0), principal=(0, 0), wrinkles=(0, 0))

@@ -10,7 +10,8 @@ import pytest
 from scipy import ndimage
 from surfaces import perspective_camera, perspective_plane, ridged_egg
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led
 from splitknit.simulator.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
 from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
@@ -24,7 +25,6 @@ from splitknit.simulator.renderer import render_ambient, render_band
 from splitknit.simulator.separation import separate_truth
 from splitknit.simulator.skin import ChannelOptics, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera, Led
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = Pose(yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.capture import enrolment
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.finger import Pose, finger_surface
 from splitknit.simulator.pattern_classes import DIGITS, class_shares
 from splitknit.simulator.people import FINGERS, draw_person

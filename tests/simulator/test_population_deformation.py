@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.deformation import deformed, draw_deformation
 from splitknit.simulator.master_print import MasterPrintSettings, master_print
 from splitknit.simulator.people_ranges import PeopleRanges

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.finger import Finger, draw_finger
 from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, ink_print
 from splitknit.simulator.press import PressedPrint, PressSettings, press_finger

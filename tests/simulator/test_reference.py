@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led
 from splitknit.simulator import reference
 from splitknit.simulator.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
 from splitknit.simulator.reference import (
@@ -21,7 +22,6 @@ from splitknit.simulator.reference import (
 )
 from splitknit.simulator.skin import ChannelOptics
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera, Led
 
 HERE = importlib.util.find_spec("mitsuba") is not None and (
     "DRJIT_LIBLLVM_PATH" in os.environ or any(any(Path("/usr").glob(pattern)) for pattern in reference.LLVM)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from splitknit.model import Camera
 from splitknit.simulator.reference_mesh import LEDGE_MM, skin_mesh
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 
 def bump(size: int = 41, pitch_mm: float = 0.1, outline: bool = False) -> Surface:

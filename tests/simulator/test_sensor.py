@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
-from splitknit.radiance import decode_table
+from splitknit.errors import BadInput
+from splitknit.imaging import decode_table
 from splitknit.simulator.sensor import RESPONSE, SensorSettings, record
 
 

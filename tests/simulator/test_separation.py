@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from surfaces import plane, ridged_egg
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led
 from splitknit.simulator.diffusion import diffusion_profile, load_walks
 from splitknit.simulator.palm import draw_palm, palm_surface
 from splitknit.simulator.palm_settings import PalmSettings
@@ -17,7 +18,6 @@ from splitknit.simulator.renderer import RenderSettings, render_band
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.separation import checkerboard_images, checkerboard_stack, separate_truth
 from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
-from splitknit.types import Camera, Led
 
 LED = default_rig().leds[1]
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.simulator.diffusion import (
     RADIUS_EDGES,
     diffuse_transmittance,

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from surfaces import ridged_egg
 
-from splitknit.check import BadInput
-from splitknit.radiance import linear_stack
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
+from splitknit.model import Camera
 from splitknit.simulator.background import BackgroundSettings, background_albedo
 from splitknit.simulator.pose_ranges import PoseRanges
 from splitknit.simulator.renderer import RenderSettings
@@ -18,7 +19,6 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.sensor import SensorSettings
 from splitknit.simulator.skin import SkinRanges, SkinSettings
 from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
-from splitknit.types import Camera
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 

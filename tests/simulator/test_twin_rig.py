@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from surfaces import perspective_camera, ridged_egg
 
-from splitknit.check import BadInput
-from splitknit.radiance import linear_stack
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_stack
+from splitknit.model import Camera
 from splitknit.simulator.background import BackgroundSettings
 from splitknit.simulator.defocus import blur_sigma_px
 from splitknit.simulator.diffusion import load_walks
@@ -22,7 +23,6 @@ from splitknit.simulator.sensor import SensorSettings, binning_scale
 from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
 from splitknit.simulator.twin_scene import Scene
-from splitknit.types import Camera
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 SHADING = (-0.35, -0.1)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
-from splitknit.radiance import linear_channels, linear_stack
+from splitknit.imaging import linear_channels, linear_stack
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"

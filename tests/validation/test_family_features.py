@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.finger.orientation import find_upright
 from splitknit.recipe.matchable import Surface
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface

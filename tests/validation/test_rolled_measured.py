@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from script_folder import scripts_of
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled import rolled_finger
 from splitknit.recipe.rolled_settings import RolledSettings, SearchSettings

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Capture
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
-from splitknit.types import Capture
 
 Truth = dict[str, NDArray[Any]]
 

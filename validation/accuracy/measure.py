@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 import splitknit
 from cases import Case, Truth, photographed
 from splitknit.apps.compare import Comparison, compare
+from splitknit.model import Reconstruction
 from splitknit.simulator.finger import draw_finger
-from splitknit.types import Reconstruction
 
 CREASE_TOLERANCE_MM = 1.0
 """A cut that lies further below the crease has kept skin of the next phalanx."""

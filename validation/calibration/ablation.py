@@ -27,10 +27,10 @@ import numpy as np
 from splitknit.apps.cli import main as splitknit
 from splitknit.apps.compare import compare
 from splitknit.io import read_rig
+from splitknit.model import Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.built_rig import nominal_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture, Led, Reconstruction, Rig
 
 FIRST_FINGER = 2000
 FIGURES = {

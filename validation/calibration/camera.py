@@ -22,9 +22,9 @@ from splitknit.calibration.camera import CameraCalibration, calibrate_camera
 from splitknit.calibration.disc import find_disc
 from splitknit.calibration.lens_model import fit_lens
 from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
+from splitknit.model import Rig
 from splitknit.simulator import bench
 from splitknit.simulator.built_rig import built_rig
-from splitknit.types import Rig
 
 BOARD = Board(9, 6, 3.0)
 PRINTED = bench.Board(columns=9, rows=6, square_mm=3.0)

@@ -27,10 +27,10 @@ from splitknit.calibration.lights import Circle, by_circle
 from splitknit.calibration.nail import by_joint_fit
 from splitknit.calibration.nail_model import NailSettings
 from splitknit.calibration.shadow import find_nail
+from splitknit.model import Rig
 from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Rig
 
 Points = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent

@@ -52,7 +52,7 @@ def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     """Errors on the finger plane, and how often a calibration was refused, for every case."""
     from radiometry_cards import CASES  # noqa: PLC0415
 
-    from splitknit.check import BadInput  # noqa: PLC0415
+    from splitknit.errors import BadInput  # noqa: PLC0415
 
     rows = []
     for case in CASES:
@@ -156,7 +156,7 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
     import numpy as np  # noqa: PLC0415
 
     from splitknit.calibration.drift import drift_words, led_drift  # noqa: PLC0415
-    from splitknit.radiance import linear_stack  # noqa: PLC0415
+    from splitknit.imaging import linear_stack  # noqa: PLC0415
     from splitknit.simulator.twin import TwinSettings, simulate_capture  # noqa: PLC0415
 
     calm, errors_found, named, asked = [], {0.95: [], 0.88: []}, 0, 0

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Band, Camera, Capture, FloatArray, Rig
 from splitknit.simulator.bench import BenchSettings, CardScene, photograph_bench, well_exposed
 from splitknit.simulator.sensor import SensorSettings
-from splitknit.types import Band, Camera, Capture, FloatArray, Rig
 
 Array = NDArray[np.float64]
 

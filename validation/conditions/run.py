@@ -27,16 +27,16 @@ from splitknit.apps.matching import false_match_rate
 from splitknit.apps.printing import enhance, make_print, measured
 from splitknit.apps.printing_quality import advice
 from splitknit.apps.printing_sources import source_of
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import Template, pack, ridge_match, unpack
 from splitknit.matching.minutiae import nfiq2
+from splitknit.model import Reconstruction
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
 from splitknit.recipe.memory import Memory
 from splitknit.simulator.conditions import Condition
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Reconstruction
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 KINDS = ("wet", "dry", "dusty", "scarred", "glossy")

@@ -26,11 +26,11 @@ from run import KINDS, SEEDS, photographed
 
 import splitknit.simulator.finger as drawing
 from splitknit.io import read_capture
+from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.simulator.twin import simulate_capture
-from splitknit.types import Capture
 
 OUT = Path(__file__).with_name("specks.json")
 SEVERITIES = (0.25, 0.5, 0.75, 1.0)

@@ -26,7 +26,7 @@ import numpy as np
 
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.surfaces import unpack_surface
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.evaluation import comparisons, scores_of_comparisons
 from splitknit.evaluation.fusion import FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, bootstrap

@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.compare import compare
+from splitknit.imaging import linear_stack
 from splitknit.io import atomic_file
+from splitknit.model import COLOURS, Capture
 from splitknit.photometric.left_out import left_out
 from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.radiance import linear_stack
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import COLOURS, Capture
 
 FIRST_SEED = 4100
 KEPT = ("normals_mean_deg", "ridge_correlation", "ridge_gain", "ridge_rms_um", "shape_rms_mm", "ridge_good_area")

@@ -29,11 +29,11 @@ from xie_photographs import on_photographs
 from xie_ways import Scene, error_deg, figures, trials, ways
 
 import splitknit
+from splitknit.imaging import linear_channels
+from splitknit.model import Capture
 from splitknit.photometric import hanrahan_krueger, lambertian
-from splitknit.radiance import linear_channels
 from splitknit.simulator.skin import SkinRanges
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture
 
 Array = NDArray[Any]
 HERE = Path(__file__).resolve().parent

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.compare import compare
-from splitknit.geometry import gradients_from_normals, height_gradients
+from splitknit.imaging.geometry import gradients_from_normals, height_gradients
+from splitknit.imaging.view import view_of
 from splitknit.integration import ShapeletSettings, poisson, shapelets
+from splitknit.model import BoolArray, FloatArray, Reconstruction, Rig
 from splitknit.photometric import (
     HanrahanKruegerSettings,
     NearLightSettings,
@@ -23,8 +25,6 @@ from splitknit.photometric import (
     robust,
 )
 from splitknit.pipeline import PRESETS
-from splitknit.types import BoolArray, FloatArray, Reconstruction, Rig
-from splitknit.view import view_of
 
 Array = NDArray[Any]
 SHIPPED = PRESETS["xie"].normals.hanrahan_krueger

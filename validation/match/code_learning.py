@@ -8,7 +8,7 @@ from flat_fingers import Laid
 from splitknit.matching import Template
 from splitknit.matching.code_field import CELLS, COLUMNS, ROWS, origin_of, ridge_field, sampled
 from splitknit.matching.code_model import FactorModel
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 JITTER_MM, JITTER_DEG = 0.5, 2.5
 """What is left of a probe's alignment between its variants: half their steps."""

@@ -36,7 +36,7 @@ from splitknit.matching.code import CODE_VERSION, SCALE, code_model, code_of, pr
 from splitknit.matching.code_field import ridge_field, sampled
 from splitknit.matching.code_model import FactorModel
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "match" / "code_model.npz"
 RESULT = Path(__file__).with_name("codes.json")

@@ -21,7 +21,7 @@ import numpy as np
 from rolled_measure import measure
 
 from splitknit.apps.cli import main as splitknit
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import Template, make_template, ridge_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
 

@@ -22,15 +22,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_survey
+from splitknit.model import Capture, Mirror
 from splitknit.pipeline import preset_settings
-from splitknit.radiance import linear_survey
 from splitknit.recipe.mirrors import found_views, skin_slopes
 from splitknit.settings import override
 from splitknit.shape import MirrorShape, MirrorShapeSettings, Views, mirror_shape
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture, Mirror
 
 OUT = Path(__file__).resolve().parent / "shape.json"
 SEEDS = tuple(range(9101, 9117))

@@ -25,14 +25,14 @@ from measure import figures, loaded, undone
 from run import interval, rounded
 
 from splitknit import reconstruct
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import write_capture
+from splitknit.model import Rig
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.motion import HandMotion
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Rig
 
 RESULTS = Path(__file__).resolve().parent / "coloured.json"
 SHOTS_IN_ALL = 14

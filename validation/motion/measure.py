@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
 from splitknit.apps.compare import CompareSettings, compare, high_pass
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.types import Capture, Reconstruction
 
 Truth = Mapping[str, NDArray[Any]]
 MARGIN_MM = 1.0

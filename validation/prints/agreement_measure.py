@@ -20,12 +20,12 @@ from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
 from splitknit.batch.surfaces import unpack_surface
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.imaging import linear_channels
 from splitknit.io import read_capture
 from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
-from splitknit.radiance import linear_channels
 from splitknit.simulator.press import press_finger
 
 PX_PER_MM = 500.0 / 25.4

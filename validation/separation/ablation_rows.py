@@ -14,9 +14,10 @@ from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 import splitknit.metric.surface as metric_surface
 from splitknit.apps.compare import compare
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.imaging import linear_channels
+from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.pipeline import preset_settings, undoes_blur
-from splitknit.radiance import linear_channels
 from splitknit.recipe import surfaces
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.memory import Memory
@@ -26,7 +27,6 @@ from splitknit.recipe.skin import metric_skin
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.direct import direct_of_enhanced
 from splitknit.settings import override
-from splitknit.types import Capture, FloatArray, Reconstruction
 
 FIGURES = (
     "ridge_correlation",

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from splitknit.model import Camera, Led
 from splitknit.simulator.diffusion import load_walks
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.palm import draw_palm, palm_surface
@@ -16,7 +17,6 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.separation import Separated, checkerboard_stack, separate_truth
 from splitknit.simulator.skin import ChannelOptics, SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera, Led
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)

@@ -30,6 +30,7 @@ import cv2
 import numpy as np
 
 from splitknit.apps.training.train import HELD_OUT_FROM, enhance
+from splitknit.model import Led
 from splitknit.separate.direct import direct_light, direct_of_enhanced
 from splitknit.separate.patterns import single_image
 from splitknit.separate.stacks import StackSettings
@@ -39,7 +40,6 @@ from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.separation import checkerboard_images, separate_truth
 from splitknit.simulator.skin import SkinSettings
-from splitknit.types import Led
 
 HERE = Path(__file__).resolve().parent
 FIRST = HELD_OUT_FROM + 1000

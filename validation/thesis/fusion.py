@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from trials import ATTRIBUTES, Table, Trial, scores_of
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.evaluation.fusion import FusionSettings, fuse
 
 OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}

@@ -28,9 +28,9 @@ from splitknit.matching import ThesisSettings, finger_images
 from splitknit.matching.align import align_masks, to_box
 from splitknit.matching.lbp import LbpSettings, lbp_features
 from splitknit.matching.score import dissimilarity
+from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.recipe.memory import Memory
-from splitknit.types import BoolArray, Capture, FloatArray
 
 SCALES = (2, 3, 4, 5, 6, 7)
 SESSIONS = ("1", "2")

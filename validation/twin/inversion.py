@@ -30,7 +30,7 @@ from compare import Array, binned
 from patches import PITCH_MM, middle, ridged_patch
 from run import HERE, OUT, source_hash
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate import diffusion
 from splitknit.simulator.diffusion import load_walks
 from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume

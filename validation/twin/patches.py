@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Camera
 from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.skin_map import SkinSettings, skin_map
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 PITCH_MM = 0.0132

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Led
 from splitknit.simulator.diffusion import fresnel, load_walks
 from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulator.lens import pixels_of_points
@@ -23,7 +24,6 @@ from splitknit.simulator.renderer import render_band
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import Led
 
 SCALE = 0.25
 SLANTS = ((0, 30), (30, 40), (40, 50), (50, 60), (60, 70))

@@ -24,7 +24,7 @@ from measure import Ridges, compare_finger, compare_glare, compare_ridges
 from ranges import ranges_of
 
 import splitknit.simulator
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Camera, Led
 from splitknit.simulator.diffusion import REFRACTIVE_INDEX, diffuse_transmittance, fresnel, load_walks
 from splitknit.simulator.renderer import RenderSettings, render_band
 from splitknit.simulator.skin import CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera, Led
 
 Array = NDArray[np.float64]
 HALF_WIDTH_MM, HALF_HEIGHT_MM = 8.0, 5.5

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.verb import Outcome, Progress, natural, new_verb, share
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 
 def add_batch(verbs: Any) -> None:

@@ -20,7 +20,7 @@ from splitknit.apps.targets import check_target
 from splitknit.apps.verb import Refused
 from splitknit.capture.enrolment import Enrolment, Place
 from splitknit.capture.session import Session, WatchFocus, run_session
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import atomic_folder, plain_json, provenance, write_capture
 
 MARKER = "session.json"

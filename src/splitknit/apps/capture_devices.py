@@ -14,9 +14,10 @@ from splitknit.apps.commands import twin_settings
 from splitknit.capture.pi import open_pi
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
-from splitknit.check import require
 from splitknit.devices import Camera, LightBank
+from splitknit.errors import require
 from splitknit.io import read_rig
+from splitknit.model import Rig
 from splitknit.settings import flatten, override
 from splitknit.simulator.bench import BoardScene, CardScene, DiscScene, NailScene, SphereScene, board_poses
 from splitknit.simulator.built_rig import nominal_rig
@@ -24,7 +25,6 @@ from splitknit.simulator.device import Clock, Scene, TwinCamera, TwinDeviceSetti
 from splitknit.simulator.finger_scene import FingerScene
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings
-from splitknit.types import Rig
 
 TARGETS = ("card", "disc", "nail", "board", "sphere")
 NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by --rig"

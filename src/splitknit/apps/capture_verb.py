@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from splitknit.apps.capture import CaptureOptions
     from splitknit.apps.capture_devices import Opened
     from splitknit.capture import Focus, FocusWatch, Place
-    from splitknit.types import Rig
+    from splitknit.model import Rig
 
 _BAR = 30
 
@@ -83,7 +83,7 @@ def run_capture(options: argparse.Namespace) -> Outcome:
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
     from splitknit.capture.enrolment import FINGERS, check_subject_id  # noqa: PLC0415
-    from splitknit.check import require  # noqa: PLC0415
+    from splitknit.errors import require  # noqa: PLC0415
 
     require(
         (options.out is None) != (options.enrolment is None),

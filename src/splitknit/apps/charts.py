@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from splitknit.apps.pictures import colour
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 INK = "#222222"
 SERIES_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A8A8A")

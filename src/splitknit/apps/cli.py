@@ -148,7 +148,7 @@ def _guarded(options: argparse.Namespace) -> int:
     import json  # noqa: PLC0415
 
     from splitknit.apps.verb import Refused, one_line, run_verb  # noqa: PLC0415
-    from splitknit.check import BadInput  # noqa: PLC0415
+    from splitknit.errors import BadInput  # noqa: PLC0415
 
     try:
         facts, lines = run_verb(options)

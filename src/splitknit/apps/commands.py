@@ -12,12 +12,12 @@ from typing import Any
 from splitknit.apps.outputs import FILES, write_files
 from splitknit.apps.simulated_lights import coloured_lights
 from splitknit.apps.targets import check_target
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import atomic_folder, read_capture, read_npz, read_rig, with_rig, write_capture
+from splitknit.model import Capture
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.types import Capture
 
 Progress = Callable[[str, float], None]
 

@@ -24,9 +24,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.geometry import height_gradients
-from splitknit.types import BoolArray, FloatArray, Reconstruction
+from splitknit.errors import require
+from splitknit.imaging.geometry import height_gradients
+from splitknit.model import BoolArray, FloatArray, Reconstruction
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from splitknit.apps.gallery_options import add_gallery, count
 from splitknit.apps.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
-from splitknit.check import require
+from splitknit.errors import require
 
 
 def add_enroll(verbs: Any) -> None:

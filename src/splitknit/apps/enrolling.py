@@ -13,7 +13,7 @@ from splitknit.apps.enrolling_sources import Made, made_of
 from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, no_progress
 from splitknit.capture.enrolment import FINGERS
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching import unpack
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.gallery import Enrolled, Gallery, NewCapture

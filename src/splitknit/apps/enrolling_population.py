@@ -15,7 +15,7 @@ from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.apps.verb import Refused
 from splitknit.apps.workers import run_jobs
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.gallery import Gallery
 from splitknit.matching.gallery_entry import check_session, session_order
 from splitknit.matching.gallery_key import Key

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, Side, no_progress, read_side
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import file_hash, read_capture, read_image
 from splitknit.io.prints import encode_print_png
 from splitknit.matching import pack

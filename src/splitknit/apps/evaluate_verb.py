@@ -8,7 +8,7 @@ from typing import Any
 
 from splitknit.apps.gallery_options import add_key
 from splitknit.apps.verb import Outcome, Progress, natural, new_verb
-from splitknit.check import require
+from splitknit.errors import require
 
 
 def add_evaluate(verbs: Any) -> None:

@@ -15,7 +15,7 @@ from splitknit.apps.evaluation_facts import Result, difference_facts, notes_of, 
 from splitknit.apps.evaluation_fusion import fused_system
 from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
 from splitknit.apps.targets import check_target
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluation.pairing import pair_up
 from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude

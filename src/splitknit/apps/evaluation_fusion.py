@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.scores import Scores
 

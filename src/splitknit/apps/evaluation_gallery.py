@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import Progress, no_progress
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores
 from splitknit.io import file_hash

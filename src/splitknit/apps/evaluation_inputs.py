@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.evaluation.protocol import Exclusion
 from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_subjects
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores

@@ -22,7 +22,7 @@ from splitknit.apps.pictures import (
     upright_turn,
 )
 from splitknit.apps.shading import oblique_view, top_view, upright_surface
-from splitknit.types import FloatArray, Reconstruction
+from splitknit.model import FloatArray, Reconstruction
 
 __all__ = [
     "LONGEST_PX",

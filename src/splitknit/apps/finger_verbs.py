@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.verb import PRESETS, Outcome, Progress, add_settings, natural, new_verb, scale
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 
 def add_demo(verbs: Any) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from splitknit.apps.enrolling import gallery_facts
 from splitknit.apps.enrolling_sources import LARGEST_RAW
 from splitknit.apps.targets import check_target
-from splitknit.check import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.templates import encode_template, read_template

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 if TYPE_CHECKING:
     from splitknit.matching.gallery_key import Key

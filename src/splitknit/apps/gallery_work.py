@@ -9,7 +9,7 @@ from typing import Any
 from splitknit.apps.gallery_options import KEY_VARIABLE, NEW_KEY_VARIABLE
 from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.apps.verb import Refused
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching import unpack
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.gallery import Gallery

@@ -15,7 +15,7 @@ from splitknit.apps.enrolling import known_finger
 from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching import as_calibrated, false_match_rate, similarity_at
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, no_progress, read_side
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.matching import (
     RidgeBandSettings,
     RidgeMatchSettings,

@@ -20,7 +20,7 @@ from splitknit.apps.matching_inputs import (
     surface_images,
 )
 from splitknit.apps.targets import check_file
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.templates import MAGIC, write_template
 from splitknit.matching import VERSION, Template, pack, ridge_match, thesis_match
 from splitknit.settings import override

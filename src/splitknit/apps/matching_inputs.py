@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import read_capture, read_image, read_npz, read_print_png
 from splitknit.io.templates import read_template
 from splitknit.matching import VERSION, Template, make_template, print_band, unpack

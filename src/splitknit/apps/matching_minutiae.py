@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.fmr_tables import fmr_table
 from splitknit.apps.matching_inputs import Side, naming, read_print
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching import ridge_match
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_enhance import EnhanceSettings

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from splitknit.apps.matching_inputs import MatchingSettings, Side, Surface, naming
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.matching.minutiae3d import minutiae3d_match
 from splitknit.matching.surface_code_match import surface_code_match
 from splitknit.matching.tetrahedra import tetrahedra_match

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from splitknit.apps.matching_inputs import Side, naming
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture
 from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import Minutiae

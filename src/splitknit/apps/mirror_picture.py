@@ -11,7 +11,7 @@ import numpy as np
 from splitknit.apps.captioned import Picture
 from splitknit.apps.photo_figures import LONGEST_PX, mean_image, titled
 from splitknit.apps.pictures import BLUE, ORANGE, SKY, ColourArray
-from splitknit.types import Capture, Reconstruction
+from splitknit.model import Capture, Reconstruction
 
 
 def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.settings import flatten
 

@@ -36,8 +36,8 @@ from splitknit.io import (
 )
 from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import JsonValue
+from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.recipe.matchable import surface_print
-from splitknit.types import Capture, FloatArray, Reconstruction
 
 PRINT_PPI = 500.0
 FILES = (

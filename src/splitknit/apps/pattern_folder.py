@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.fields import Fields, as_number, inside, read_json
 from splitknit.separate import check_shifts
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.apps.pattern_folder import PatternFolder
+from splitknit.imaging import decode_table, linear_image
 from splitknit.io import image_size
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import StackReader
-from splitknit.radiance import decode_table, linear_image
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

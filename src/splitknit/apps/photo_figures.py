@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.captioned import Picture, captioned
 from splitknit.apps.pictures import BLUE, ORANGE, SKY, ColourArray
-from splitknit.types import Capture, Reconstruction
+from splitknit.model import Capture, Reconstruction
 
 LONGEST_PX = 700
 """Longer side of a picture."""

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
-from splitknit.types import BoolArray, FloatArray, Reconstruction
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray, FloatArray, Reconstruction
 
 ColourArray = NDArray[np.uint8]
 """(H, W, 3) red, green, blue."""

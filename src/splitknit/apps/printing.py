@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from splitknit.apps.printing_rolled import KINDS as ROLLED_KINDS
 from splitknit.apps.printing_rolled import laid_flat
 from splitknit.apps.printing_sources import Source
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 from splitknit.prints import (
     CurvatureSettings,
     Enhanced,
@@ -38,7 +39,6 @@ from splitknit.prints.unroll import KINDS
 from splitknit.recipe.rolled import Rolled
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.settings import override
-from splitknit.types import FloatArray
 
 METHODS = ("relief", "unroll", "curvature", "photo", "rolled")
 SURFACES = ("plane", *KINDS)

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from splitknit.apps.pictures import ColourArray, colour, on_paper
 from splitknit.apps.printing_sources import Source
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.finger_codes import FINGER_CODES
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.provenance import JsonValue
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.model import FloatArray
 from splitknit.prints import Enhanced, PrintMap, Unrolled, phase_minutiae
 from splitknit.prints.print_map import NOWHERE
 from splitknit.recipe.space_minutiae import in_space
-from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]
 AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3

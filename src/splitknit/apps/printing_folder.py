@@ -25,7 +25,7 @@ from splitknit.apps.printing_quality import nfiq2_of, quality_facts
 from splitknit.apps.printing_rolled import read_rolled, write_rolled
 from splitknit.apps.printing_sources import Source, read_source
 from splitknit.apps.targets import check_target
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
 from splitknit.prints import Enhanced, as_print, ridge_mask, thin
 from splitknit.recipe.rolled import Rolled

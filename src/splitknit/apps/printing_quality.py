@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.prints import PrintQuality
 
 MOST_SENTENCES = 3

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import LARGEST_MM, naming
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.imaging import has_colour, linear_channels
 from splitknit.io import file_hash, read_capture, read_npz
+from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.radiance import has_colour, linear_channels
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.types import BoolArray, Capture, FloatArray, Reconstruction
 
 Progress = Callable[[str, float], None]
 NEEDED = ("height_mm", "ridge_mm", "shape_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")

@@ -22,7 +22,7 @@ from splitknit.apps.mirror_picture import mirror_pictures
 from splitknit.apps.pages import render
 from splitknit.apps.pictures import upright_frame
 from splitknit.apps.words import EXPLAINED, label, sentence
-from splitknit.types import Capture, FloatArray, Reconstruction
+from splitknit.model import Capture, FloatArray, Reconstruction
 
 Truth = Mapping[str, NDArray[Any]]
 

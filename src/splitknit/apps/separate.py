@@ -22,9 +22,10 @@ from splitknit.apps.pattern_folder import ESTIMATE, PatternFolder, read_pattern_
 from splitknit.apps.pattern_light import PatternLight, read_light
 from splitknit.apps.separation_pictures import light_picture, phase_picture
 from splitknit.apps.targets import check_target
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import atomic_folder, plain_json, provenance, write_image
 from splitknit.io.light import write_light_tiff
+from splitknit.model import FloatArray
 from splitknit.separate import (
     PhaseSeparation,
     Separation,
@@ -36,7 +37,6 @@ from splitknit.separate import (
     sinusoid,
 )
 from splitknit.separate.patterns import by_symmetry
-from splitknit.types import FloatArray
 
 MARKER = "direct.tiff"
 LINEAR = "linear light, 1 = full scale of the images"

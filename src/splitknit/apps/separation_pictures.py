@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import FloatArray
 from splitknit.separate import PhaseSeparation
-from splitknit.types import FloatArray
 
 
 def light_picture(light: FloatArray) -> NDArray[np.uint8]:

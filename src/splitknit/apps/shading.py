@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.pictures import ColourArray, Frame, to_frame
-from splitknit.geometry import height_gradients, normals_from_gradients
-from splitknit.types import FloatArray, Reconstruction
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.model import FloatArray, Reconstruction
 
 _CLAY = np.array([0.90, 0.80, 0.70], dtype=np.float32)
 _KEY = np.array([-0.55, 0.55, 0.63], dtype=np.float32)

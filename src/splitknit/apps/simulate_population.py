@@ -22,7 +22,7 @@ from typing import Any
 from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment
-from splitknit.check import BadInput, refusing, require
+from splitknit.errors import BadInput, refusing, require
 from splitknit.io import atomic_file, atomic_folder, plain_json, provenance, write_capture
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import settings_hash

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 
 from splitknit.apps.verb import Outcome, Progress, natural
-from splitknit.check import require
+from splitknit.errors import require
 
 DEFAULT_WORKERS = 2
 _OPTIONS = ("subjects", "fingers", "sessions", "workers")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Rig
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.twin import TwinSettings
-from splitknit.types import Rig
 
 EXPOSURES = {"coloured": 2, "coloured9": 3}
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.fields import read_json
 from splitknit.io.png import SIGNATURE
 from splitknit.io.rig import RIG_FORMAT

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "lin", "xie")
 

@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import TypeVar
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.packages import load
-from splitknit.check import open_file, refusing, require
+from splitknit.errors import open_file, refusing, require
 from splitknit.io import atomic_file
 from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json

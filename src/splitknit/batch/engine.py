@@ -24,7 +24,7 @@ from splitknit.batch.solids import SOLIDS, extract_solids
 from splitknit.batch.stages import feature_tasks, minutiae_tasks, score_tasks, solid_tasks, voted_tasks
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.batch.voted import extract_voted
-from splitknit.check import require
+from splitknit.errors import require
 
 Progress = Callable[[str, float], None]
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from splitknit.batch.packages import load
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.evaluation.scores import Ids, Scores, ids_of
 from splitknit.io import atomic_file
 

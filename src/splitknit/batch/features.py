@@ -18,14 +18,14 @@ from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_solids
 from splitknit.batch.surfaces import pack_surface
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import canonical_json, provenance, read_capture, settings_hash
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.matching import pack
+from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
 from splitknit.recipe.memory import Memory
-from splitknit.types import Capture, Reconstruction
 
 PRINT_PPI = 500.0
 QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")

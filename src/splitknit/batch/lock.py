@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.atomic import private_modes
 
 _FILE = ".lock"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 def load(module: str, extra: str) -> Any:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splitknit.capture.enrolment import PLAN_FILE, Place, open_enrolment
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.fields import Fields, read_json
 
 _SIMULATED = "population.json"

@@ -13,7 +13,7 @@ import numpy as np
 from splitknit.batch.chunks import SUFFIX, column_type, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.png import decode_png
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae

@@ -13,7 +13,7 @@ from typing import Any
 
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.surfaces import unpack_surface
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.matching import FingerImages
 from splitknit.recipe.matchable import surface_images
 

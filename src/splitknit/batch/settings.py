@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.provenance import settings_hash
 from splitknit.pipeline import PipelineSettings, preset_settings
 from splitknit.recipe.matchable import MatchingSettings

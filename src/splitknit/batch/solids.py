@@ -18,7 +18,7 @@ from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.packages import load
 from splitknit.batch.prints import MinutiaeDone
 from splitknit.batch.surfaces import unpack_surface
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae3d_record import pack_space_minutiae
 from splitknit.matching.surface_code import pack_surface_code
 from splitknit.recipe.matchable import MatchingSettings, Surface

@@ -16,7 +16,7 @@ from splitknit.batch.reading import images_of, places_of
 from splitknit.batch.scores import score_schema
 from splitknit.batch.settings import BatchSettings
 from splitknit.batch.solids import SOLIDS
-from splitknit.check import BadInput, refusing, require
+from splitknit.errors import BadInput, refusing, require
 from splitknit.io import atomic_file, provenance
 from splitknit.io.atomic import make_folder
 from splitknit.io.fields import as_number, read_json

@@ -10,7 +10,7 @@ from splitknit.batch.chunks import SUFFIX, read_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.prints import MinutiaeDone, write_minutiae
 from splitknit.batch.settings import Case
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_capture
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.pipeline import PipelineSettings

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 Points = NDArray[np.float64]
 _WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")

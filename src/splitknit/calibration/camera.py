@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.board import Board
 from splitknit.calibration.lens_model import LensFit, LensSettings, fit_lens
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 Points = NDArray[np.float64]
 

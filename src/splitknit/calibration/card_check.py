@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from splitknit.calibration.card_images import card_images, led_name
 from splitknit.calibration.card_light import CardPlane, card_light
 from splitknit.calibration.radiometry import PROVENANCE, RadiometrySettings
-from splitknit.check import BadInput, require
-from splitknit.types import Capture, Rig
+from splitknit.errors import BadInput, require
+from splitknit.model import Capture, Rig
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.card_light import CardPlane, rays_to_led
 from splitknit.calibration.card_model import Answer, CardModel, Order
-from splitknit.types import Camera, Led
+from splitknit.model import Camera, Led
 
 Array = NDArray[np.float64]
 

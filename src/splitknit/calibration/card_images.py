@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.calibration.cells import CellSettings, cells_of
-from splitknit.check import require
-from splitknit.radiance import linear_image, pick_channel
-from splitknit.types import Band, Capture, Led, Rig
+from splitknit.errors import require
+from splitknit.imaging import linear_image, pick_channel
+from splitknit.model import Band, Capture, Led, Rig
 
 Array = NDArray[np.float64]
 

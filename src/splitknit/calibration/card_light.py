@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.radiance import shading_at
-from splitknit.types import Camera, Led
-from splitknit.view import plane_points
+from splitknit.errors import require
+from splitknit.imaging import shading_at
+from splitknit.imaging.view import plane_points
+from splitknit.model import Camera, Led
 
 Array = NDArray[np.float64]
 

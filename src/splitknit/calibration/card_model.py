@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.calibration.card_light import UNIT_MM2, CardPlane, rays_to_led, squared_radius
-from splitknit.check import require
-from splitknit.types import Camera, Led
+from splitknit.errors import require
+from splitknit.model import Camera, Led
 
 Array = NDArray[np.float64]
 _LEAST_EXPONENT = 0.02

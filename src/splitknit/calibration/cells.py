@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.radiance import linear_stack
-from splitknit.types import Band, FloatArray
+from splitknit.errors import require
+from splitknit.imaging import linear_stack
+from splitknit.model import Band, FloatArray
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.calibration.board import grey
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 Points = NDArray[np.float64]
 _STARTS = 8

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack, require
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from splitknit.calibration.card_fit import CardFit, fit_order
 from splitknit.calibration.card_gloss import card_gloss
 from splitknit.calibration.card_light import CardPlane
 from splitknit.calibration.card_model import LADDER, Answer, CardModel, Order
-from splitknit.check import require
-from splitknit.types import Camera, Led
+from splitknit.errors import require
+from splitknit.model import Camera, Led
 
 Array = NDArray[np.float64]
 

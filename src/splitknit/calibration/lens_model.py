@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 Points = NDArray[np.float64]
 TERMS = ("k1", "k2", "p1", "p2", "k3")

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, refusing, require
+from splitknit.errors import BadInput, refusing, require
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import Tip, pixels
-from splitknit.check import require
-from splitknit.types import Camera
-from splitknit.view import plane_points
+from splitknit.errors import require
+from splitknit.imaging.view import plane_points
+from splitknit.model import Camera
 
 Points = NDArray[np.float64]
 SHADOW_MM = 0.2

@@ -31,9 +31,9 @@ from splitknit.calibration.intervals import radius_95
 from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle, LedEstimate, by_circle, combine, nail_points
 from splitknit.calibration.nail_model import NailModel, NailSettings
-from splitknit.check import require
-from splitknit.types import Camera
-from splitknit.view import plane_points
+from splitknit.errors import require
+from splitknit.imaging.view import plane_points
+from splitknit.model import Camera
 
 Points = NDArray[np.float64]
 HIGHEST = 0.6

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import Tip, pixels
 from splitknit.calibration.lights import Circle
-from splitknit.check import require
-from splitknit.types import Camera
-from splitknit.view import pixels_of
+from splitknit.errors import require
+from splitknit.imaging.view import pixels_of
+from splitknit.model import Camera
 
 Points = NDArray[np.float64]
 

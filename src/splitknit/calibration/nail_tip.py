@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 
 
 def nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:

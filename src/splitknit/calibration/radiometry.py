@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from splitknit.calibration.card_images import CardImages, CardSettings, card_images, led_name
 from splitknit.calibration.card_light import CardPlane, card_light
 from splitknit.calibration.flat_field import FlatField, FlatFieldSettings, fit_flat_field
-from splitknit.check import require
-from splitknit.types import Capture, Rig
+from splitknit.errors import require
+from splitknit.model import Capture, Rig
 
 Array = NDArray[np.float64]
 PROVENANCE = "radiometry"

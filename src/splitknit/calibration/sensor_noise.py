@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import PixelArray
+from splitknit.errors import require
+from splitknit.model import PixelArray
 
 Array = NDArray[np.float64]
 

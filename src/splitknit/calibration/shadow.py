@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.nail_tip import nail_tip
 from splitknit.calibration.shadow_shape import Scale, Shape, fit_shape
-from splitknit.check import check_stack, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_stack, require
+from splitknit.model import BoolArray, FloatArray
 
 Points = NDArray[np.float64]
 _STRETCH = 1.12

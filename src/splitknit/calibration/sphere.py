@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, check_stack, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_mask, check_stack, require
+from splitknit.model import BoolArray, FloatArray
 
 Points = NDArray[np.float64]
 

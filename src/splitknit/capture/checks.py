@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from splitknit.capture.exposure import MEDIAN, clipped_share
 from splitknit.capture.focus import grey_light
-from splitknit.check import require
 from splitknit.devices import Frame
+from splitknit.errors import require
 from splitknit.finger.motion import MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import atomic_file
 from splitknit.io.fields import read_json
 

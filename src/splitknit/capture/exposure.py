@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
 from splitknit.devices import ExposureRange, Frame
-from splitknit.types import BoolArray
+from splitknit.errors import BadInput, require
+from splitknit.model import BoolArray
 
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""

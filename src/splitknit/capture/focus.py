@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, check_mask, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_image, check_mask, require
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,10 @@ from splitknit.capture.exposure import (
     survey,
     typical_level,
 )
-from splitknit.check import BadInput, require
 from splitknit.devices import Camera, Frame, LightBank
+from splitknit.errors import BadInput, require
 from splitknit.finger import finger_mask
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

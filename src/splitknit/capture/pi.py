@@ -9,8 +9,8 @@ from typing import Any
 from splitknit.capture.pi_camera import PiCamera, PiCameraSettings
 from splitknit.capture.pi_lights import PiLightBank
 from splitknit.capture.pins import pins_of
-from splitknit.check import BadInput
-from splitknit.types import Rig
+from splitknit.errors import BadInput
+from splitknit.model import Rig
 
 INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment "
 INSTALL += "with --system-site-packages"

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.capture.pi_linear import RAW_BITS, RAW_BLACK, developed, linear_tuning
-from splitknit.check import BadInput, require
 from splitknit.devices import ExposureRange, Frame
 from splitknit.devices.guard import Closing
+from splitknit.errors import BadInput, require
 
 SENSOR_SIZE = (2464, 3280)
 """Rows, columns of the IMX219."""

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from splitknit.check import require
-from splitknit.types import Rig
+from splitknit.errors import require
+from splitknit.model import Rig
 
 WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)
 """BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40)."""

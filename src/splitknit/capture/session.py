@@ -17,10 +17,10 @@ from splitknit.capture.focus import Focus, FocusSettings, FocusWatch, grey_light
 from splitknit.capture.metering import Metering, MeteringLimits, meter
 from splitknit.capture.pins import led_names
 from splitknit.capture.shots import Shooting, Shot
-from splitknit.check import require
 from splitknit.devices import Camera, LightBank
+from splitknit.errors import require
 from splitknit.finger.regions import bounding_box
-from splitknit.types import Band, Capture, Rig
+from splitknit.model import Band, Capture, Rig
 
 Progress = Callable[[str, float], None]
 WatchFocus = Callable[[Focus, FocusWatch], bool]

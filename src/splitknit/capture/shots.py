@@ -11,7 +11,7 @@ import numpy as np
 from splitknit.capture.checks import Examiner, Look
 from splitknit.capture.exposure import Exposure
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
-from splitknit.types import Band, PixelArray
+from splitknit.model import Band, PixelArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from splitknit.check import require
-from splitknit.types import PixelArray
+from splitknit.errors import require
+from splitknit.model import PixelArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

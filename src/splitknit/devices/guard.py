@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from types import FrameType, TracebackType
 from typing import Self
 
-from splitknit.check import require
+from splitknit.errors import require
 
 
 class Closing(ABC):

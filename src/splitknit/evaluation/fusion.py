@@ -14,7 +14,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.evaluation.fusion_models import (
     NORMALISATIONS,
     LinearModel,

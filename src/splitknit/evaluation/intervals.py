@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.evaluation import rates
 from splitknit.evaluation.cells import Cells, make_cells
 from splitknit.evaluation.few_errors import bounds

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.evaluation.error_bounds import rule_of_three
 from splitknit.evaluation.sides import Counting, Scores1D, sort_scores
 

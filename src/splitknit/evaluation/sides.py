@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 
 Scores1D = NDArray[np.float64]
 Counting = Literal["all", "made"]

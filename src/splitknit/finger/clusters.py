@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import BoolArray
+from splitknit.model import BoolArray
 
 
 def two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[BoolArray, float]:

@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, check_mask, require
+from splitknit.errors import check_image, check_mask, require
 from splitknit.finger.regions import bounding_box
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

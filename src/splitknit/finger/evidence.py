@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import dilate, erode, wide_blur
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 SAMPLES = 8000
 """The backdrop is fitted to about so many pixels."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.finger.clusters import two_means
 from splitknit.finger.evidence import SAMPLES, chromaticity, rise_at_edge, skin_evidence
 from splitknit.finger.regions import (
@@ -26,7 +26,7 @@ from splitknit.finger.regions import (
     remove_specks,
     remove_spurs,
 )
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

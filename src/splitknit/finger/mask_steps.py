@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.finger.mask import (
     NO_FINGER,
     MaskSettings,
@@ -15,7 +15,7 @@ from splitknit.finger.mask import (
     fine_outline,
 )
 from splitknit.finger.regions import blur, reduce_image, reduction
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 FEW_SAMPLES = 2000
 """Pixels to which the backdrop is fitted where time counts."""

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import blur, bounding_box, dilate, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import RegistrationSettings
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
+from splitknit.errors import check_mask, require
 from splitknit.finger.regions import reduce_mask
-from splitknit.geometry import rotation_about, warp
-from splitknit.types import BoolArray, FloatArray
+from splitknit.imaging.geometry import rotation_about, warp
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

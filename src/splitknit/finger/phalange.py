@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splitknit.check import check_image, check_mask, require
+from splitknit.errors import check_image, check_mask, require
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import largest_component, reduce_image, reduce_mask
 from splitknit.finger.valleys import Valley, transverse_valleys
-from splitknit.geometry import warp
-from splitknit.types import BoolArray, FloatArray
+from splitknit.imaging.geometry import warp
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

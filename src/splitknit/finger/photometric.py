@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import bounding_box, erode, fill_holes, largest_component
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, check_mask, check_stack, require
+from splitknit.errors import check_image, check_mask, check_stack, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.quality_specks import SpeckSettings, speck_shares
 from splitknit.finger.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask, reduction
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

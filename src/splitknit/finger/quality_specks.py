@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.finger.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 DIRECTIONS = 16
 _FINER = 2

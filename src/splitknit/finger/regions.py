@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 def reduction(shape: tuple[int, int], px_per_mm: float, working_px_per_mm: float, longest: int) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import dilate, erode
 from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
 from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
@@ -24,7 +24,7 @@ from splitknit.finger.registration_light import (
     lights_on,
     shown_by_surfaces,
 )
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 SETTLED_MM, SETTLED_PX = 5e-4, 0.02
 """Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import dilate, erode
 from splitknit.finger.registration import SETTLED_MM, SETTLED_PX, RegistrationSettings
 from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
 from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
 from splitknit.finger.registration_light import check_light_vectors, lights_on
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

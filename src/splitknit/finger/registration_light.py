@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.finger.registration_flow import Array
 from splitknit.finger.registration_level import Level, at_samples
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 def check_light_vectors(lights: Array, count: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 def ridge_band(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 0.32) -> FloatArray:

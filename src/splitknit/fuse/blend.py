@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.fuse.chart import Chart
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.fuse.reflection import Plane, reflect_points
-from splitknit.types import FloatArray, Led
+from splitknit.model import FloatArray, Led
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import Led, Mirror
+from splitknit.errors import require
+from splitknit.model import Led, Mirror
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from scipy import ndimage
 from splitknit.fuse.bands import evened
 from splitknit.fuse.chart import Chart
 from splitknit.fuse.sight import Sight
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
 

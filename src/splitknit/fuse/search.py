@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.fuse.chart import Chart
 from splitknit.fuse.register import shifts_by
 from splitknit.fuse.sight import Sight
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from splitknit.fuse.chart import Chart
 from splitknit.fuse.reflection import Plane, reflect_points, reflect_vectors
-from splitknit.types import Camera, FloatArray
+from splitknit.model import Camera, FloatArray
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from splitknit.integration.gradient_field import check_gradients, zero_mean
 from splitknit.integration.spectral import integrate_spectrum
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 def frankot_chellappa(gradient_x: Any, gradient_y: Any, mask: Any = None, padding: str = "zero") -> FloatArray:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_mask, require
+from splitknit.model import BoolArray, FloatArray
 
 
 def check_gradients(gradient_x: Any, gradient_y: Any, mask: Any) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, check_mask, require
-from splitknit.types import FloatArray
+from splitknit.errors import check_image, check_mask, require
+from splitknit.model import FloatArray
 
 METHODS = ("addition", "crossover", "none")
 

@@ -24,7 +24,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from splitknit.integration.edges import Floats
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
 _SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)

@@ -11,12 +11,12 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.integration.edges import difference, difference_adjoint, edge_weights, predicted_differences
 from splitknit.integration.gradient_field import check_gradients, zero_mean, zero_mean_by_component
 from splitknit.integration.multigrid import Grid, build_grids, padded_size
 from splitknit.integration.spectral import WORKERS
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 QUADRATURES = ("trapezoidal", "cubic")
 

@@ -25,10 +25,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.integration.gradient_field import check_gradients, zero_mean
 from splitknit.integration.spectral import PADDINGS, WORKERS, Transfer, integrate_spectrum, sample_radially
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 VARIANTS = ("slant_tilt", "ambiguous_tilt", "slant_only", "tilt_only")
 

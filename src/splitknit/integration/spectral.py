@@ -16,8 +16,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 Transfer = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Gain of the height as a function of the radial frequency in radians per pixel."""

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import struct
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.finger_codes import ANSI_2009_IMPRESSIONS, FINGER_CODES, code_of, name_of
 from splitknit.io.fmr_bytes import (
     ANSI_STEPS,

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, check_mask, require
+from splitknit.errors import BadInput, check_mask, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture_file import BANDS, CAPTURE_FORMAT, CAPTURE_VERSION, BandPlan, CapturePlan, read_plan
 from splitknit.io.content import ContentSettings, check_content, mask_from_image
@@ -22,7 +22,7 @@ from splitknit.io.images import ImageSettings, StackReader, encode_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
-from splitknit.types import Band, Capture, PixelArray, Rig
+from splitknit.model import Band, Capture, PixelArray, Rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
     Returns
     -------
     Capture
-        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.radiance.linear_stack` makes light of them.
+        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.imaging.linear_stack` makes light of them.
 
     Raises
     ------

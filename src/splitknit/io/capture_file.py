@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.content import check_light_list
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.rig import rig_from_json
-from splitknit.types import Rig
+from splitknit.model import Rig
 
 CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "nir")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, check_lights, require
-from splitknit.types import Band, BoolArray, PixelArray, Rig
+from splitknit.errors import BadInput, check_lights, require
+from splitknit.model import Band, BoolArray, PixelArray, Rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 
 MAX_JSON_BYTES = 16_000_000
 """A document of 16 MB takes up to 0.5 GB once parsed; the largest of ours, minutiae in space, have 10 MB."""

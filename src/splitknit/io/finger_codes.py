@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from splitknit.check import require
+from splitknit.errors import require
 
 FINGER_CODES = {
     "unknown": 0,

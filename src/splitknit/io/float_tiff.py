@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import read_bytes, refusing, require
+from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.images import DEFAULTS
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import SIGNATURES, decode_page, quiet_tifffile, tiff_page
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 def write_float_tiff(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.minutiae_record import MOST_MINUTIAE, FingerView, MinutiaeRecord
 
 _MAX_BYTES = 20_000_000

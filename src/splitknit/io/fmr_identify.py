@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 ISO_2005 = "ISO/IEC 19794-2:2005"
 ISO_2011 = "ISO/IEC 19794-2:2011"

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.finger_codes import FINGER_CODES, code_of, name_of
 from splitknit.io.fmr_bytes import Cursor, check_rest, decode_minutiae, encode_minutiae, make_view
 from splitknit.io.minutiae_record import FingerView

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import read_bytes, refusing, require
+from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT, _UBYTE = 5126, 5125, 5121

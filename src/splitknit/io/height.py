@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.float_tiff import read_float_tiff, write_float_tiff
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 def write_height_tiff(

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import jpeg, png, tiff
 from splitknit.io.atomic import atomic_file
-from splitknit.types import PixelArray
+from splitknit.model import PixelArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from __future__ import annotations
 import os
 import struct
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.finger_codes import ISO_2005_IMPRESSIONS
 from splitknit.io.fmr_bytes import (

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.minutiae_record import BIFURCATION, MOST_MINUTIAE, FingerView
 
 _NORMAL = np.dtype([("x", ">u2"), ("y", ">u2"), ("direction", "u1")])

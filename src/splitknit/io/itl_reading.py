@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.finger_codes import FINGER_CODES, ITL_IMPRESSIONS, name_of
 from splitknit.io.itl_transaction import COMPRESSIONS, Transaction, TransactionFacts, TransactionPrint, itl_package
 from splitknit.io.png import decode_png, png_header

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.finger_codes import FINGER_CODES, ITL_IMPRESSIONS, code_of
 from splitknit.io.prints import encode_print_png

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.png import check_size, copy_rgb
-from splitknit.types import PixelArray
+from splitknit.model import PixelArray
 
 SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 
 
 def surface_mesh(

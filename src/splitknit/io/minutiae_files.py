@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.ansi378 import decode_ansi378
 from splitknit.io.ansi378_2009 import decode_ansi378_2009
 from splitknit.io.fmr_bytes import read_record_bytes

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.finger_codes import FINGER_CODES, IMPRESSIONS
 
 OTHER, ENDING, BIFURCATION = 0, 1, 2

@@ -25,7 +25,7 @@ from typing import IO, Any, BinaryIO, Literal
 
 import numpy as np
 
-from splitknit.check import BadInput, open_file, refusing, require
+from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.io.atomic import atomic_file
 
 _BLOCK = 1 << 20

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, check_lights, read_bytes, require
+from splitknit.errors import BadInput, check_lights, read_bytes, require
 from splitknit.io.content import check_content, mask_from_image
 from splitknit.io.images import StackReader, image_size
-from splitknit.types import Band, Camera, Capture, Led, Rig
+from splitknit.model import Band, Camera, Capture, Led, Rig
 
 Background = float | str | os.PathLike[str] | None
 

@@ -18,9 +18,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 _VERTEX = np.dtype([("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")])
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json
 from splitknit.io.images import ImageSettings, decode_image

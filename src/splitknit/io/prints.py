@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.images import DEFAULTS, encode_image
 from splitknit.io.png import decode_png

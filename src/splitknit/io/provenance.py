@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, open_file, require
+from splitknit.errors import BadInput, open_file, require
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 

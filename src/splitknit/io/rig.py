@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
-from splitknit.types import Camera, Led, Mirror, Rig
+from splitknit.model import Camera, Led, Mirror, Rig
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _MAX_PIXELS = 200_000_000

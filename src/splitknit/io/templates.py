@@ -11,7 +11,7 @@ import hashlib
 import os
 import struct
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
 
 MAGIC = b"SKTMPL\r\n"

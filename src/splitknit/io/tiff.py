@@ -21,9 +21,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, refusing, require
+from splitknit.errors import BadInput, refusing, require
 from splitknit.io.png import DEFLATE_RATIO, check_size, copy_rgb
-from splitknit.types import PixelArray
+from splitknit.model import PixelArray
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT = 270, 282, 283, 296

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.prints import PrintFile
 from splitknit.io.wsq_structure import wsq_header

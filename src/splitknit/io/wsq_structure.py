@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 SIGNATURE = b"\xff\xa0"
 _END, _FRAME, _BLOCK = 0xA1, 0xA2, 0xA3

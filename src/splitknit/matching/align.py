@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splitknit.check import require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.code_field import ridge_field, sampled
 from splitknit.matching.code_model import FactorModel
 from splitknit.matching.template import Template
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 CODE_VERSION = 1
 """Of the code: codes of different versions cannot be compared. It rises with every change of field or model."""

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.template import Template
 from splitknit.matching.unroll import blur
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 COLUMNS, ROWS, STEP_MM = 17, 17, 1.0
 """The grid of a code: its first row lies one step below the finger's uppermost skin."""

@@ -18,8 +18,8 @@ from functools import cached_property
 
 import numpy as np
 
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

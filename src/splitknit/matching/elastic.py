@@ -15,8 +15,8 @@ import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 
 Affine = NDArray[np.float64]
 """(2, 3): place (column, row, 1) in B to place in A."""

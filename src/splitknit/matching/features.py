@@ -14,10 +14,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, require
+from splitknit.errors import check_image, require
 from splitknit.matching.lbp import REFERENCE_PX_PER_MM
 from splitknit.matching.unroll import AnyArray, blur
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 Vector = NDArray[np.float32]
 

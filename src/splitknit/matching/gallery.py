@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace as replace_field
 from pathlib import Path
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.gallery_entry import Enrolled, NewCapture, encode_entry
 from splitknit.matching.gallery_file import VERSION, WAIT_S, connect, create_file
 from splitknit.matching.gallery_key import Key, ScryptSettings, box_of, document_of, lock

@@ -8,7 +8,7 @@ import unicodedata
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 _STEP = 256
 """Names are padded to multiples of this, so that their length does not tell them."""

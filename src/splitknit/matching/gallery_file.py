@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, read_bytes, require, shown_path
+from splitknit.errors import BadInput, read_bytes, require, shown_path
 from splitknit.io.atomic import atomic_file
 
 APPLICATION_ID = 0x534B4741

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.matching.gallery_file import VERSION, damaged
 
 KEY_BYTES = 32

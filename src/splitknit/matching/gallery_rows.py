@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.matching.gallery_entry import Entry, decode_entry
 from splitknit.matching.gallery_file import (
     ROWS,

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, require
-from splitknit.types import FloatArray
+from splitknit.errors import check_image, require
+from splitknit.model import FloatArray
 
 Codes = NDArray[np.uint8]
 AnyArray = np.ndarray[Any, Any]

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae_edge import EDGE_MM, edge_distance, inside_by
 from splitknit.matching.minutiae_enhance import EnhanceSettings, enhance_print
 from splitknit.matching.minutiae_record import (

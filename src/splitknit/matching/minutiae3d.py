@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.minutiae3d_record import SpaceMinutiae
 from splitknit.matching.space_alignment import (
     AgreementSettings,

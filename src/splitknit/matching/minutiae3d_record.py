@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.minutiae_record import LEAST_MINUTIAE, MOST_MINUTIAE
 from splitknit.matching.packed import Packing
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.matching.minutiae_record import PPI, Minutiae
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 EDGE_MM = 0.6
 """Minutiae nearer to the outline are left out: about one and a third ridge periods."""

@@ -19,8 +19,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 _DIRECTIONS, _PERIODS = 64, 24
 _LEAST_PX, _MOST_PX = 4.5, 15.0

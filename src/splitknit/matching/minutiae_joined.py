@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 
 
 @dataclass(frozen=True, slots=True)

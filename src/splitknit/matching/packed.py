@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from splitknit.check import require
+from splitknit.errors import require
 
 
 @dataclass(frozen=True, slots=True)

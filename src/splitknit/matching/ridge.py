@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.elastic import (
     Affine,
     Agreement,
@@ -24,7 +24,7 @@ from splitknit.matching.elastic import (
 )
 from splitknit.matching.phase import PhaseSettings, Views, band_of, peaks, views
 from splitknit.matching.template import Template, pack
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

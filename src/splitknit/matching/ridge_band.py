@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
+from splitknit.errors import check_mask, require
 from splitknit.matching.unroll import AnyArray, GridSettings, band_places, blur, sample
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 
 
 def dissimilarity(ratio: float, distances: ArrayLike) -> float:

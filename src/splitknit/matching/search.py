@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.code import ProbeSettings, code_size, probe_codes
 from splitknit.matching.code_field import laid_on
 from splitknit.matching.elastic import compare_patches
 from splitknit.matching.ridge import Prepared, RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.template import Template
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 EXHAUSTIVE = 2000
 """In a gallery of no more fingers all are compared by their ridges (if it is asked for a sure answer)."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae
 
 Array = NDArray[np.float64]

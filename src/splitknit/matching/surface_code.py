@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
+from splitknit.errors import check_mask, require
 from splitknit.matching.packed import Packing
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 SURFACE_CODE_VERSION = 1
 """Of the packed bytes; a reader refuses others."""

@@ -16,9 +16,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.surface_code import PLANES, SurfaceCode, pack_surface_code, packed_planes
-from splitknit.types import BoolArray
+from splitknit.model import BoolArray
 
 Words = NDArray[np.uint64]
 

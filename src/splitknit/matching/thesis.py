@@ -9,13 +9,13 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
-from splitknit.geometry import warp
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import warp
 from splitknit.matching.align import align_masks, to_box
 from splitknit.matching.features import FeatureSettings, gabor_features, hog_features, shape_context_features
 from splitknit.matching.lbp import LbpSettings, lbp_features
 from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 NORMALS = ("normal_x", "normal_y", "normal_z")
 ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(

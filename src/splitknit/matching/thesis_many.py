@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.align import align_masks, to_box
 from splitknit.matching.lbp import LbpSettings, uniform_bins
 from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
 from splitknit.matching.thesis import ATTRIBUTES, FingerImages, ThesisMatch, ThesisSettings, finger_features
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 _STRIP = 128
 _UNIFORM = uniform_bins()

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.geometry import height_gradients
-from splitknit.types import BoolArray, FloatArray
+from splitknit.imaging.geometry import height_gradients
+from splitknit.model import BoolArray, FloatArray
 
 AnyArray = np.ndarray[Any, Any]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.matching.minutiae_record import PPI, Minutiae
 
 MM_PER_INCH = 25.4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from splitknit.types import FloatArray, Rig
+from splitknit.model import FloatArray, Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.metric import relief as fine
 from splitknit.metric.bands import BandImages
 from splitknit.metric.estimate import ReliefEstimate
 from splitknit.metric.facets import spread_of
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
+from splitknit.model import FloatArray
 from splitknit.separate import Diffusion, LocalWienerSettings
-from splitknit.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

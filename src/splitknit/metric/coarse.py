@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.errors import require
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.integration import poisson
 from splitknit.metric.bands import BandImages
 from splitknit.metric.facets import Facets, mean_glare
 from splitknit.metric.gloss import MOST_GLARE, glare_by_colour, glare_by_lights
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import lighting, predict, reached_by_all
+from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric import pseudo_normals
 from splitknit.separate import Diffusion, GlareFit, microfacet_glare, unmixing_weights
-from splitknit.types import BoolArray, FloatArray
 
 __all__ = [
     "BandImages",

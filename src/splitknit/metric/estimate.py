@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.grid import Grid, smooth_step
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separate import SpectralFit, microfacet_glare
-from splitknit.types import BoolArray, FloatArray
 
 RIDGES_PER_MM = (8.0, 64.0)
 """Angular frequencies (rad/mm) whose slopes belong to ridges."""

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
+from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric import pseudo_normals
-from splitknit.types import BoolArray, FloatArray, Rig
 
 RIDGE_BAND_MM = 0.3
 """Standard deviation of the Gaussian mean that the relief is free of."""

@@ -9,8 +9,8 @@ import numpy as np
 from splitknit.metric.bands import BandImages
 from splitknit.metric.facets import Facets, at, mean_glare
 from splitknit.metric.light import Lighting
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separate import GlareFit, fit_glare
-from splitknit.types import BoolArray, FloatArray
 
 MOST_GLARE = 1.0
 """Most glare that is predicted, over that of a clean boundary with the skin's refractive index. What is left over is

@@ -12,8 +12,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.types import BoolArray, FloatArray
-from splitknit.view import View
+from splitknit.imaging.view import View
+from splitknit.model import BoolArray, FloatArray
 
 WORKERS = 2
 
@@ -32,7 +32,7 @@ class Grid:
     cut: tuple[bool, bool, bool, bool]
     """Whether the finger goes on beyond the top, bottom, left and right side."""
     apex_mm: float | None = None
-    """Height of a perspective camera: heights are then those along its rays, see :mod:`splitknit.view`."""
+    """Height of a perspective camera: heights are then those along its rays, see :mod:`splitknit.imaging.view`."""
 
     @property
     def view(self) -> View:

@@ -14,8 +14,8 @@ from splitknit.metric.features import LEAST_LIGHTS, RIDGE_BAND_MM, azimuth_waves
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight, slant_of, trust_of
 from splitknit.metric.shape_features import shape_features
+from splitknit.model import FloatArray
 from splitknit.separate import Diffusion
-from splitknit.types import FloatArray
 
 Network = Callable[[FloatArray], FloatArray]
 """From (32, h, w) features to (9, h, w): relief, seven waves of the glare, logarithm of the relief's variance."""

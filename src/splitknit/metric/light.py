@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.grid import Grid, smooth_step
+from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric import light_vectors_at
 from splitknit.separate import fresnel_transmission
-from splitknit.types import BoolArray, FloatArray, Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)

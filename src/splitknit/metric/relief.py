@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid, smooth_step
 from splitknit.metric.light import FineLight, slant_of, trust_of
+from splitknit.model import FloatArray
 from splitknit.photometric import pseudo_normals
 from splitknit.separate import (
     Diffusion,
@@ -24,7 +25,6 @@ from splitknit.separate import (
     unmixing_weights,
     window_power,
 )
-from splitknit.types import FloatArray
 
 CROSSOVER_MM = 0.3
 """Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""

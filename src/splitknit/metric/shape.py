@@ -8,7 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.geometry import height_gradients
+from splitknit.imaging import bin_mean
+from splitknit.imaging.geometry import height_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.coarse import CoarsePrior, CoarseStep, compare, integrate, start_shape, unit
 from splitknit.metric.facets import Facets, ridged_normals
@@ -16,9 +17,8 @@ from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.metric.learned import Network, slopes_by_network
 from splitknit.metric.light import FineLight, fine_lighting
 from splitknit.metric.relief import mean_normals
-from splitknit.radiance import bin_mean
+from splitknit.model import FloatArray
 from splitknit.separate import Diffusion, SkinSettings, diffusion
-from splitknit.types import FloatArray
 
 
 class CoarseShape:

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.geometry import height_gradients
+from splitknit.imaging.geometry import height_gradients
 from splitknit.metric.bands import BandImages
 from splitknit.metric.coarse import lacking_coarse, unit
 from splitknit.metric.facets import Facets, facet_normals
 from splitknit.metric.features import beyond_matt
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import lighting, predict, reached_by_all
+from splitknit.model import FloatArray
 from splitknit.photometric import pseudo_normals
 from splitknit.separate import Diffusion
-from splitknit.types import FloatArray
 
 SHAPE_COUNT = 32
 """Fields of :func:`shape_features`."""

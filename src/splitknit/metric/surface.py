@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.metric.bands import BandImages
 from splitknit.metric.by_colour import ColourSettings, relief_by_colour
 from splitknit.metric.coarse import CoarsePrior
@@ -17,8 +17,8 @@ from splitknit.metric.grid import Grid
 from splitknit.metric.learned import Networks, can_learn, relief_by_network
 from splitknit.metric.relief import detail_of
 from splitknit.metric.shape import CoarseShape
+from splitknit.model import FloatArray
 from splitknit.separate import SkinSettings
-from splitknit.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

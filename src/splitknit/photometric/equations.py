@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 RIDGE = np.float32(1e-6)
 """Least pivot of M relative to its trace."""

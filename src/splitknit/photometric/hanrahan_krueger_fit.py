@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.photometric.equations import unit_normals
 from splitknit.photometric.levenberg import Array, LevenbergSettings, Minimum, NormalEquations, levenberg_marquardt
 from splitknit.photometric.skin_layers import SkinLayers, reflected

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import check_lights, check_mask, check_stack
+from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.model import FloatArray
 from splitknit.photometric.chunks import for_each_chunk
 from splitknit.photometric.equations import linear_map, unit_normals
-from splitknit.types import FloatArray
 
 
 def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:

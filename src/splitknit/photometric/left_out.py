@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import check_lights, check_mask, check_stack, require
+from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.model import FloatArray
 from splitknit.photometric.equations import linear_map, shading, unit_normals
-from splitknit.types import FloatArray
 
 LEAST_REST = 1e-3
 """Least share of a light's own direction that the other lights still determine; 1 minus its leverage."""

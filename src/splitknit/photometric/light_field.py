@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.imaging.view import View, view_of
+from splitknit.model import Camera, FloatArray, Led, Rig, Shade
 from splitknit.photometric.chunks import row_chunks
-from splitknit.types import Camera, FloatArray, Led, Rig, Shade
-from splitknit.view import View, view_of
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
@@ -47,7 +47,7 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
     """Light vectors (L, 3, ...) at points in mm: direction towards the light times its relative irradiance.
 
     Near LEDs follow the inverse square of the distance and the cosine lobe about their axes. LEDs
-    that share an exposure add. As in :meth:`splitknit.types.Rig.light_vectors`, the mean length at the origin is one.
+    that share an exposure add. As in :meth:`splitknit.model.Rig.light_vectors`, the mean length at the origin is one.
 
     Parameters
     ----------

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import check_lights, check_mask, check_stack, require
+from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.imaging.view import View
+from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.chunks import for_each_chunk, gather
 from splitknit.photometric.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
 from splitknit.photometric.light_field import light_vectors_at, seen_from, surface_array
 from splitknit.photometric.weights import RobustSettings, robust_fit
-from splitknit.types import BoolArray, FloatArray, Rig
-from splitknit.view import View
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def near_light(  # noqa: PLR0917
         from its matrix and distortion.
     view : View, optional
         Instead of `x_mm` and `y_mm`. If it is one along the rays, `surface_mm` is the height along them and the normals
-        are those of the pixels' own frames (:mod:`splitknit.view`).
+        are those of the pixels' own frames (:mod:`splitknit.imaging.view`).
 
     Returns
     -------

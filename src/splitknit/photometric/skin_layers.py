@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 
 Array = NDArray[Any]
 

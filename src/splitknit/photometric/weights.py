@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.photometric.equations import conditioning, linear_map, moment_matrix, shading, solve
-from splitknit.types import FloatArray
 
 _CLEAN = 0.5
 """A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""

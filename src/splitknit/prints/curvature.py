@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
+from splitknit.errors import check_mask, require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.resample import mask_box
-from splitknit.types import BoolArray, FloatArray
 
 AnyArray = np.ndarray[Any, Any]
 REFERENCE_PX_PER_MM = 75.7

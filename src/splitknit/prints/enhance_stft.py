@@ -19,11 +19,11 @@ import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.enhance import Enhanced, finished
 from splitknit.prints.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
 from splitknit.prints.ridges import MM_PER_INCH
-from splitknit.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 from splitknit.prints.ridges import MM_PER_INCH, PrintSettings
-from splitknit.types import FloatArray
 
 _EMPTY, _FULL = 0.1, 0.3
 """Local contrast, as a share of the finger's median, below which skin is paper and above which it is all ink."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 Array = NDArray[np.float64]
 

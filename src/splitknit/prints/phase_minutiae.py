@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.prints.enhance import Enhanced
-from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]
 ENDING, BIFURCATION = 1, 2

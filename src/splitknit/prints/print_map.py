@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.prints.lattice import cubic, inverted, linear, weights
 from splitknit.prints.ridges import MM_PER_INCH
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
-from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]
 NOWHERE = -1e6

@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.prints.print_quality_figures import QualityFigures, quality_figures
 from splitknit.prints.ridge_field import RidgeField
-from splitknit.types import FloatArray
 
 _LEAST_PART = 0.01
 """What the worst figure is worth: no single one makes the score 0."""

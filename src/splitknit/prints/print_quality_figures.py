@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.enhance import node_amplitudes
 from splitknit.prints.ridge_field import RidgeField
 from splitknit.prints.ridges import MM_PER_INCH
-from splitknit.types import BoolArray, FloatArray
 
 _SIGMA_PERIODS = 0.75
 """Standard deviation of the window in which a wave is fitted, in ridge periods."""

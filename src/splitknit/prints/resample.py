@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from splitknit.check import check_mask
+from splitknit.errors import check_mask
+from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.print_map import PrintMap
 from splitknit.prints.ridges import MM_PER_INCH
-from splitknit.types import BoolArray, FloatArray
 
 
 def resample(

@@ -14,9 +14,9 @@ import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.ridges import MM_PER_INCH
-from splitknit.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

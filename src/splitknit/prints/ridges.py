@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
-from splitknit.geometry import warp
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import warp
+from splitknit.model import BoolArray, FloatArray
 
 MM_PER_INCH = 25.4
 _PAPER = 255.0

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray
 from splitknit.prints.enhance import Enhanced
-from splitknit.types import BoolArray
 
 
 def ridge_mask(enhanced: Enhanced, least_px: int = 12) -> BoolArray:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.prints.unroll_distortion import Distortion, distortion
 from splitknit.prints.unroll_free import arc_lengths, relaxed
 from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid

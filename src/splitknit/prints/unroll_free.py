@@ -17,7 +17,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.prints.unroll_grid import SurfaceGrid
 
 Array = NDArray[np.float64]

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_mask, require
+from splitknit.model import BoolArray, FloatArray
 
 AnyArray = np.ndarray[Any, Any]
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.prints.unroll_grid import SurfaceGrid, slant_cos
 
 Array = NDArray[np.float64]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.recipe.compose import COMPOSED, composed
 from splitknit.recipe.presets import PipelineSettings
-from splitknit.types import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
 
 _ROUNDS = 200
 """At most: with LEDs of each colour all around the finger a handful is enough."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.radiance import linear_channels, saturation_levels
-from splitknit.types import COLOURS, Band, Capture, Rig
+from splitknit.errors import require
+from splitknit.imaging import linear_channels, saturation_levels
+from splitknit.model import COLOURS, Band, Capture, Rig
 
 COMPOSED = (
     "put together from images under white LEDs: broad bands instead of lines, and shots that were taken one after the "

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 FACTOR = 2
 

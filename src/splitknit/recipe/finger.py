@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.calibration.drift import drift_words, led_drift
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.finger import (
     Upright,
     capture_quality,
@@ -27,7 +27,7 @@ from splitknit.finger import (
     shot_motion,
 )
 from splitknit.finger.phalange import Crease
-from splitknit.radiance import (
+from splitknit.imaging import (
     Window,
     has_colour,
     linear_image,
@@ -36,11 +36,11 @@ from splitknit.radiance import (
     pick_channel,
     saturation_levels,
 )
+from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.recipe.coloured import colour_factors_of
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.shape import without_mirrors
-from splitknit.types import Band, BoolArray, Capture, FloatArray
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.imaging import linear_stack
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
+from splitknit.model import Capture, FloatArray
 from splitknit.photometric.left_out import left_out
 from splitknit.prints import PrintSettings, ink, plane_map, resample
-from splitknit.radiance import linear_stack
 from splitknit.recipe.coloured import as_lit, balanced
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rays import as_modelled
 from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.types import Capture, FloatArray
 
 PICTURES = ("x", "y", "z", "albedo")
 """Components of the normals in the upright frame, and the albedo."""

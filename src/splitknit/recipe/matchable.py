@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.matching import (
     FingerImages,
     RidgeBandSettings,
@@ -24,9 +24,9 @@ from splitknit.matching.surface_code import SurfaceCodeSettings
 from splitknit.matching.surface_code_match import SurfaceMatchSettings
 from splitknit.matching.tetrahedra import TetrahedraSettings
 from splitknit.matching.voted_minutiae import VoteSettings
+from splitknit.model import Reconstruction
 from splitknit.prints import relief_print
 from splitknit.recipe.leave_one_out import LeaveOneOutSettings
-from splitknit.types import Reconstruction
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
-from splitknit.check import require
-from splitknit.types import Capture
+from splitknit.errors import require
+from splitknit.model import Capture
 
 T = TypeVar("T")
 

@@ -10,13 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.finger import finger_outline, finger_region
 from splitknit.fuse import facing_share, led_image, mirrored_share
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging import Window, linear_survey
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
+from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
 from splitknit.photometric import pseudo_normals
-from splitknit.radiance import Window, linear_survey
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rays import unevenness
@@ -32,8 +34,6 @@ from splitknit.shape import (
     mirror_shape,
     view_binning,
 )
-from splitknit.types import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
-from splitknit.view import pixels_of, view_of
 
 SLOPES_MM = 0.25
 """Pitch of the images from which slopes are measured."""

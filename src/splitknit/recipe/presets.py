@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.finger import (
     ClaheSettings,
     CreaseSettings,

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.view import View, view_of
 from splitknit.integration import poisson
+from splitknit.model import BoolArray, Camera, Capture, FloatArray
 from splitknit.recipe.presets import PipelineSettings
-from splitknit.types import BoolArray, Camera, Capture, FloatArray
-from splitknit.view import View, view_of
 
 COARSE_MM = 0.2
 """Pitch at which the grid's unevenness, which is smooth, is accounted for."""
@@ -56,7 +56,8 @@ def place(  # noqa: PLR0917
 
     Parameters
     ----------
-    height_mm, shape_mm : (h, w) along the rays (:mod:`splitknit.view`), as if the pixels lay on a regular grid; finite
+    height_mm, shape_mm : (h, w) along the rays (:mod:`splitknit.imaging.view`), as if the pixels lay on a regular grid;
+    finite
         inside the mask
     mask : (h, w)
     camera : that saw them

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rays import place
 from splitknit.recipe.surfaces import SurfaceParts
-from splitknit.types import Capture, FloatArray, Reconstruction
 
 
 def assemble(capture: Capture, finger: Finger, surface: SurfaceParts, settings: PipelineSettings) -> Reconstruction:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.fuse import Blended, Chart, blend, surface_normals, view_weight
+from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_light import Glass
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.recipe.rolled_work import LEAST_MEETING, MirrorViews, Work
-from splitknit.types import BoolArray, Capture, FloatArray
 
 Array = NDArray[np.float64]
 

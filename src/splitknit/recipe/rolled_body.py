@@ -13,8 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.fuse import Chart
+from splitknit.imaging.view import pixels_of
+from splitknit.model import BoolArray, Camera, Mirror
 from splitknit.shape import MirrorShape, MirrorShapeSettings, Slopes, Views, mirror_outline
 from splitknit.shape.body import Body
 from splitknit.shape.first import cap, first_body, turn_of_tips
@@ -24,8 +26,6 @@ from splitknit.shape.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.shape.planes import MirrorPlane, Touching, touching
 from splitknit.shape.state import Fit, Pose, SeenIn
 from splitknit.shape.verdict import refuse_misfit
-from splitknit.types import BoolArray, Camera, Mirror
-from splitknit.view import pixels_of
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.finger import find_crease, find_upright, finger_mask
-from splitknit.radiance import linear_survey, pick_channel
+from splitknit.imaging import linear_survey, pick_channel
+from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.finger import BEYOND_CREASE_MM, enlarged
 from splitknit.recipe.mirrors import skin_slopes
 from splitknit.recipe.presets import PipelineSettings
@@ -20,7 +21,6 @@ from splitknit.recipe.rolled_light import glass_in
 from splitknit.recipe.rolled_work import MirrorView, MirrorViews
 from splitknit.shape import find_views, view_binning
 from splitknit.shape.planes import MirrorPlane
-from splitknit.types import BoolArray, Capture, FloatArray
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")

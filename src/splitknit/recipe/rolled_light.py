@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.fuse import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
-from splitknit.types import FloatArray, Led, Mirror, Rig, Shade
+from splitknit.model import FloatArray, Led, Mirror, Rig, Shade
 
 Array = NDArray[np.float64]
 EDGE_BAND_MM = 0.3

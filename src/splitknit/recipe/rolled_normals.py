@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 def held_normals(  # noqa: PLR0917

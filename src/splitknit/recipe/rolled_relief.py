@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.fuse import Chart, Sight, heights, read
-from splitknit.geometry import gradients_from_normals, height_gradients, normals_from_gradients
+from splitknit.imaging import Window, has_colour, linear_channels
+from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
+from splitknit.imaging.view import view_of
 from splitknit.integration import shapelets
 from splitknit.metric import can_learn
 from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.metric.learned import relief_by_network
 from splitknit.metric.light import FineLight, fine_lighting, slant_of, trust_of
+from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric import pseudo_normals
-from splitknit.radiance import Window, has_colour, linear_channels
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.rolled_light import Glass, skin_points, view_light
 from splitknit.recipe.rolled_normals import held_normals
 from splitknit.recipe.skin import shipped_networks
-from splitknit.types import BoolArray, Capture, FloatArray
-from splitknit.view import view_of
 
 Array = NDArray[np.float64]
 

@@ -7,18 +7,18 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from splitknit.imaging import Window, has_colour, linear_channels
+from splitknit.imaging.view import view_of
 from splitknit.metric import Networks, can_learn, reconstruct_skin
 from splitknit.metric.bands import BandImages
 from splitknit.metric.grid import Grid
-from splitknit.radiance import Window, has_colour, linear_channels
+from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.recipe.surfaces import SurfaceParts, facts_of, ridge_and_shape_bands
 from splitknit.separate.unet import load_network, run_network
-from splitknit.types import Band, BoolArray, Capture, FloatArray
-from splitknit.view import view_of
 
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from splitknit.types import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.geometry import height_gradients
+from splitknit.errors import require
+from splitknit.imaging.geometry import height_gradients
 from splitknit.io.minutiae3d import angles_of
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, no_space_minutiae
+from splitknit.model import FloatArray
 from splitknit.prints.print_map import PrintMap, plane_map
 from splitknit.recipe.matchable import Surface, surface_print
 from splitknit.recipe.smooth import smoothed
-from splitknit.types import FloatArray
 
 Array = NDArray[np.float64]
 SLOPE_SIGMA_MM = 0.2

@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.finger import Seen, register_band, register_shots, without_glare
 from splitknit.finger.registration_flow import Flow
-from splitknit.radiance import has_colour, linear_channels, linear_stack
+from splitknit.imaging import has_colour, linear_channels, linear_stack
+from splitknit.model import Band, Capture
 from splitknit.recipe.finger import Finger, find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.steady_images import around, lights_over, take
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.types import Band, Capture
 
 HELPS = 0.95
 """Undoing motion must bring what no surface explains below this share of what it was."""

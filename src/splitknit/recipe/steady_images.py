@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.registration_flow import Flow
+from splitknit.imaging import Window
+from splitknit.imaging.view import plane_points
+from splitknit.model import Band, Capture
 from splitknit.photometric import light_vectors_at
-from splitknit.radiance import Window
 from splitknit.recipe.finger import Finger
-from splitknit.types import Band, Capture
-from splitknit.view import plane_points
 
 MARGIN_MM = 2.0
 """Beyond the finger, images are left as they are."""

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from splitknit.finger import clahe
-from splitknit.geometry import gradients_from_normals
+from splitknit.imaging import Window, has_colour, linear_channels, linear_stack
+from splitknit.imaging.geometry import gradients_from_normals
+from splitknit.imaging.view import view_of
 from splitknit.integration import ShapeletSettings, frankot_chellappa, poisson, shapelet_response, shapelets
 from splitknit.integration.knit import add, crossover
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.photometric import NearLightSettings, hanrahan_krueger, lambertian, near_light, robust
-from splitknit.radiance import Window, has_colour, linear_channels, linear_stack
 from splitknit.recipe.coloured import balanced
 from splitknit.recipe.finger import Finger, finger_key
 from splitknit.recipe.memory import Memory
@@ -22,8 +24,6 @@ from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.smooth import smoothed
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.direct import direct_light, direct_of_enhanced
-from splitknit.types import Band, BoolArray, Capture, FloatArray, Rig
-from splitknit.view import view_of
 
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import RigDimensions
 

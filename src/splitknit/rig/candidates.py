@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.check import require
-from splitknit.types import Camera, Led, Rig
+from splitknit.errors import require
+from splitknit.model import Camera, Led, Rig
 
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.rig.circuit_parts import (
     BC337,
     NIR_LED,

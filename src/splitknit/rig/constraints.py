@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Led
 from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
 from splitknit.rig.photons import PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
-from splitknit.types import Led
 
 Array = NDArray[np.float64]
 

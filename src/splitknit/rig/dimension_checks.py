@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.rig.dimensions import RigDimensions
 from splitknit.rig.led_holes import LedHole
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from splitknit.model import Rig
 from splitknit.rig.dimensions import RigDimensions
 from splitknit.rig.led_holes import LedHole
 from splitknit.rig.mirror_shape import mirror_view
 from splitknit.rig.nail import shadow_tips
-from splitknit.types import Rig
 
 
 def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:

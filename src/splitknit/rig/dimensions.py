@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Rig
 from splitknit.rig.led_holes import LedHole, led_hole
 from splitknit.rig.nail import nail_height
 from splitknit.rig.part_settings import PartSettings
-from splitknit.types import Rig
 
 SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 """Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that parts fit one way."""

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray, Camera, FloatArray, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
 from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
 from splitknit.rig.constraints import Finding, Print, examine
@@ -22,7 +23,6 @@ from splitknit.rig.subject import grid_places, phalange, places, printed, truth,
 from splitknit.simulator.diffusion import WalkTable, load_walks
 from splitknit.simulator.skin import SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import BoolArray, Camera, FloatArray, Reconstruction, Rig
 
 BAND_SIGMA_MM = 0.32
 """Standard deviation of the Gaussian whose complement is the ridge band (``docs/conventions.md``)."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.check import require
+from splitknit.errors import require
 
 Array = NDArray[np.float64]
 

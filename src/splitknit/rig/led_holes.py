@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Led
 from splitknit.rig.part_settings import LedSettings
-from splitknit.types import Led
 
 
 @dataclass(frozen=True, slots=True, eq=False)

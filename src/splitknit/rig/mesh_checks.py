@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.rig.rays import first_hits
 from splitknit.rig.stl import Triangles, unit_normals
 

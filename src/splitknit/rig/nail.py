@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import Rig
+from splitknit.errors import require
+from splitknit.model import Rig
 
 _STEP_MM = 0.5
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from splitknit.capture.pins import led_names, pins_of
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Rig
 from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
-from splitknit.types import Rig
 
 HEADER_OF_GPIO: Mapping[int, int] = {
     2: 3, 3: 5, 4: 7, 5: 29, 6: 31, 7: 26, 8: 24, 9: 21, 10: 19, 11: 23, 12: 32, 13: 33, 14: 8, 15: 10, 16: 36,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 from splitknit.rig.pareto import OBJECTIVES, compare_with_best, pareto_front

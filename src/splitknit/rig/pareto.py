@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from splitknit.check import require
+from splitknit.errors import require
 
 Array = NDArray[np.float64]
 OBJECTIVES = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.rig.print_settings import JointSettings, PrinterSettings
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from splitknit.check import require
+from splitknit.errors import require
 
 POINTS_PER_MM = 72.0 / 25.4
 A4_MM = (210.0, 297.0)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.rig.photons import Exposure, PhotonSettings, electrons_per_s, plan_exposure, tremor_blur_mm
 from splitknit.simulator.defocus import blur_sigma_px, defocus
 from splitknit.simulator.diffusion import WalkTable
@@ -19,7 +20,6 @@ from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin_scene import finger_depth
-from splitknit.types import Band, BoolArray, Capture, FloatArray, Led, Rig
 
 W_PER_UNIT = 100.0
 """W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""

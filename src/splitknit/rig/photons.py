@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 
 PLANCK_LIGHT = 1.98645e-25
 """Planck's constant times the speed of light, J m."""

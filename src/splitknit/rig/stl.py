@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import read_bytes, require
+from splitknit.errors import read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.stl import HEADER_BYTES, RECORD
 

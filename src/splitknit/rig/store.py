@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit import __version__
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io import atomic_file, canonical_json, plain_json, settings_hash
 from splitknit.io.fields import read_json
 from splitknit.rig.candidates import Candidate

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import BoolArray, Camera
 from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.master_print import MasterPrint
 from splitknit.simulator.pose_ranges import PoseRanges
 from splitknit.simulator.surface import Surface
-from splitknit.types import BoolArray, Camera
 
 Array = NDArray[np.float64]
 FIELD_MM = (2200 / 75.7, 3200 / 75.7)

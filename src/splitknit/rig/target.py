@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.rig.pdf import A4_MM, Page, circle, rectangles
 
 RULER_MM = 100.0

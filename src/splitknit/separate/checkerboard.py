@@ -18,7 +18,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separate.stack_checks import check_contrast, check_repeats
 from splitknit.separate.stacks import (
     DEFAULTS,
@@ -30,7 +31,6 @@ from splitknit.separate.stacks import (
     mean_brightness,
 )
 from splitknit.separate.states import check_patterns, check_shifts
-from splitknit.types import BoolArray, FloatArray
 
 
 def checkerboard(

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 Float64Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.check import require
-from splitknit.radiance import GREY_WEIGHTS
+from splitknit.errors import require
+from splitknit.imaging import GREY_WEIGHTS
+from splitknit.model import FloatArray
 from splitknit.separate.unet import TILE, Network, load_network, run_network
-from splitknit.types import FloatArray
 
 DEFAULT_NETWORK = "direct"
 LEVEL_BLOCK_PX = 8

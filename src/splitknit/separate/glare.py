@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 INDEX = 1.42
 """Refractive index of the stratum corneum, about."""

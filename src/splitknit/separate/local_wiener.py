@@ -14,8 +14,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.separate.stack_checks import check_contrast
 from splitknit.separate.stacks import (
     DEFAULTS,
@@ -17,7 +18,6 @@ from splitknit.separate.stacks import (
     light_stack,
 )
 from splitknit.separate.states import check_patterns
-from splitknit.types import FloatArray
 
 KINDS = ("line", "mesh")
 

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, require
+from splitknit.errors import check_image, require
+from splitknit.model import FloatArray
 from splitknit.separate.stack_checks import check_contrast
 from splitknit.separate.stacks import (
     DEFAULTS,
@@ -19,7 +20,6 @@ from splitknit.separate.stacks import (
     light_stack,
     mean_brightness,
 )
-from splitknit.types import FloatArray
 
 
 def single_image(

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_image, require
+from splitknit.errors import check_image, require
+from splitknit.model import FloatArray
 from splitknit.separate.stack_checks import check_contrast, check_repeats
 from splitknit.separate.stacks import (
     DEFAULTS,
@@ -19,7 +20,6 @@ from splitknit.separate.stacks import (
     check_share,
     light_stack,
 )
-from splitknit.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separate.stacks import DEFAULTS, StackSettings, percent, thinned
-from splitknit.types import BoolArray, FloatArray
 
 
 def check_contrast(

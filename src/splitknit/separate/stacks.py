@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import check_mask, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import check_mask, require
+from splitknit.model import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

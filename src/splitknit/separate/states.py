@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 from splitknit.separate.stack_checks import odd_twins
 from splitknit.separate.stacks import DEFAULTS, LightStack, StackSettings, light_stack, percent
-from splitknit.types import FloatArray
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:

@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.separate.stack_checks import check_contrast, check_repeats
 from splitknit.separate.stacks import (
     DEFAULTS,
@@ -35,7 +36,6 @@ from splitknit.separate.stacks import (
     light_stack,
 )
 from splitknit.separate.states import check_shifts
-from splitknit.types import FloatArray
 
 
 def by_symmetry(

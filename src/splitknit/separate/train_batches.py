@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.separate.train_data import Photograph
 from splitknit.separate.train_settings import TrainSettings
-from splitknit.types import FloatArray
 
 SHIFT_PX = 8
 """Random translation of a patch, each way."""

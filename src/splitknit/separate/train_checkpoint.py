@@ -6,7 +6,7 @@ import io
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from splitknit.check import refusing, require
+from splitknit.errors import refusing, require
 
 NEEDED = ("settings", "curve", "network", "optimiser")
 

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
-from splitknit.radiance import GREY_WEIGHTS
+from splitknit.errors import BadInput, require
+from splitknit.imaging import GREY_WEIGHTS
+from splitknit.model import BoolArray, Camera, FloatArray, Led
 from splitknit.separate.checkerboard import checkerboard
 from splitknit.separate.direct import exposure_level, local_level
 from splitknit.separate.stacks import StackSettings
@@ -29,7 +30,6 @@ from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.separation import Separated, checkerboard_stack, separate_truth
 from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import BoolArray, Camera, FloatArray, Led
 
 FULL_PX_PER_MM = 75.7
 FINGER_PITCH_UM = 20.0

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 from splitknit.separate.train_checkpoint import opened_state, packed_state
 from splitknit.separate.train_fields_settings import FieldsSettings
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_relief_network import relief_network
-from splitknit.types import FloatArray
 
 FREE = ("threads", "device", "precision")
 """Settings of a training that may change on the way."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from splitknit.check import require
+from splitknit.errors import require
 
 
 @dataclass(frozen=True, slots=True)

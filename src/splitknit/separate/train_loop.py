@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 from splitknit.separate.train_batches import Batch, Patches
 from splitknit.separate.train_checkpoint import opened_state, packed_state
 from splitknit.separate.train_network import export_onnx, load_torch, unet
 from splitknit.separate.train_settings import MAY_CHANGE, TrainSettings
-from splitknit.types import FloatArray
 
 
 class Trainer:

@@ -14,7 +14,7 @@ import io
 import warnings
 from typing import Any
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate.train_settings import TrainSettings
 
 OPSET = 17

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splitknit.model import FloatArray
 from splitknit.separate.train_relief_settings import ReliefSettings
 from splitknit.separate.train_samples import TRIES, Sample, check_channels, one_scale, too_little_skin
 from splitknit.separate.train_turns import Turns, cut_out
-from splitknit.types import FloatArray
 
 FIELDS = 32
 """Fields that the network is given, the first of a sample."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.separate.train_fields_loop import FieldsTrainer
 from splitknit.separate.train_relief_batches import (
     FIELDS,
@@ -23,7 +24,6 @@ from splitknit.separate.train_relief_batches import (
 from splitknit.separate.train_relief_loss import VARIANCE_LIMITS, relief_losses, total_loss
 from splitknit.separate.train_relief_settings import ReliefSettings
 from splitknit.separate.train_samples import Sample
-from splitknit.types import FloatArray
 
 JUDGED_PX = 512
 """Side of the middle part of a finger on which it is judged."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_relief_batches import FIELDS, OUTPUTS
 

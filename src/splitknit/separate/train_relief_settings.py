@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.separate.train_fields_settings import FieldsSettings
 
 

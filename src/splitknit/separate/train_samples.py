@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
-from splitknit.types import FloatArray
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 
 Sample = NDArray[np.floating[Any]]
 """(channels, h, w), any float type."""

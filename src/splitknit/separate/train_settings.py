@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.skin import SkinRanges
 
 MAY_CHANGE = ("threads", "device", "precision", "epochs", "decay")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from splitknit.model import FloatArray
 from splitknit.separate.train_fields_loop import FieldsTrainer
 from splitknit.separate.train_samples import Sample
 from splitknit.separate.train_shape_batches import OUTPUTS, check_samples, draw_batch, field_scale
 from splitknit.separate.train_shape_loss import judge_whole, shape_losses
 from splitknit.separate.train_shape_settings import ShapeSettings
-from splitknit.types import FloatArray
 
 
 class ShapeTrainer(FieldsTrainer):

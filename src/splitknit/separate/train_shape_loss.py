@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_samples import Sample
 from splitknit.separate.train_shape_batches import FIELDS, SLOPES, WEIGHT
-from splitknit.types import FloatArray
 
 PARTS = ("slope", "wide")
 LEAST_SHARE = 0.05

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 Pairs = tuple[tuple[int, int], ...]
 

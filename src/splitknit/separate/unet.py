@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
 from splitknit.separate.tiles import Tile, padded_index, plan_tiles
 from splitknit.separate.weights import Card, read_network
-from splitknit.types import FloatArray
 
 TILE = 512
 """Longest side of a tile in pixels. A network of width 12 then needs about 0.2 GB a thread, of width 64 1 GB."""

@@ -16,7 +16,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, read_bytes, refusing, require
 
 FORMAT = "splitknit-network"
 _MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000

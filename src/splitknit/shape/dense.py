@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.imaging.view import view_of
+from splitknit.model import BoolArray, Camera, FloatArray
 from splitknit.shape.body import Body
 from splitknit.shape.state import Slopes
-from splitknit.types import BoolArray, Camera, FloatArray
-from splitknit.view import view_of
 
 Array = NDArray[np.float64]
 

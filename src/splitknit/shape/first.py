@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import BoolArray, Camera
 from splitknit.shape.body import Body
 from splitknit.shape.outline import Rows, rows_of
 from splitknit.shape.planes import MirrorPlane
 from splitknit.shape.settings import MirrorShapeSettings
 from splitknit.shape.state import Pose, SeenIn
-from splitknit.types import BoolArray, Camera
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.imaging.view import pixels_of
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 from splitknit.shape.body import Body
 from splitknit.shape.dense import heights_on, nearest
 from splitknit.shape.first import cap, first_body, turn_of_tips
@@ -21,8 +23,6 @@ from splitknit.shape.state import Fit, Pose, SeenIn, Slopes, touched
 from splitknit.shape.thesis import Ellipses, ellipses
 from splitknit.shape.verdict import facts_of, refuse_misfit
 from splitknit.shape.views import Views
-from splitknit.types import BoolArray, Camera, FloatArray, Mirror
-from splitknit.view import pixels_of
 
 Array = NDArray[np.float64]
 

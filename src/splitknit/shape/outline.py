@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import BoolArray, Camera, Mirror
-from splitknit.view import pixels_of, plane_points
+from splitknit.errors import require
+from splitknit.imaging.view import pixels_of, plane_points
+from splitknit.model import BoolArray, Camera, Mirror
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import Camera, Mirror
+from splitknit.model import Camera, Mirror
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.imaging.view import view_of
+from splitknit.model import Camera, FloatArray
 from splitknit.shape.outline import Rows, medial_line
-from splitknit.types import Camera, FloatArray
-from splitknit.view import view_of
 
 Array = NDArray[np.float64]
 

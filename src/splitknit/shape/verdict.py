@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.shape.settings import MirrorShapeSettings
 from splitknit.shape.state import Fit, SeenIn, Slopes
 

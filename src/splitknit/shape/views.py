@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.imaging.view import pixels_of
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 from splitknit.shape.areas import around, bin_image, blanked, enlarged_box, filled, grown
 from splitknit.shape.settings import ViewSettings
-from splitknit.types import BoolArray, Camera, FloatArray, Mirror
-from splitknit.view import pixels_of
 
 Array = NDArray[np.float64]
 SEARCH_PX_PER_MM = 4.0

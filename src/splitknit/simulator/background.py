@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import Camera, FloatArray
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led, PixelArray
 from splitknit.simulator.bench_flat import Board, BoardScene, CardScene, DiscScene
 from splitknit.simulator.bench_nail import NailScene
 from splitknit.simulator.bench_poses import BoardPose, HandRanges, board_poses
@@ -19,7 +20,6 @@ from splitknit.simulator.bench_scene import BenchSettings, switched_on
 from splitknit.simulator.bench_sphere import SphereScene
 from splitknit.simulator.device import Scene
 from splitknit.simulator.sensor import RESPONSE, SensorSettings, binning_scale, record
-from splitknit.types import Camera, FloatArray, Led, PixelArray
 
 __all__ = [
     "BenchSettings",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.bench_scene import GroundScene
 from splitknit.simulator.bench_sight import Array, Plane, Steps, base_plane, inside, plane_of, seen_at, steps
 

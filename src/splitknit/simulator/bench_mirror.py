@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Led
 from splitknit.simulator.bench_sight import Array, Sight, steps
 from splitknit.simulator.lighting import UNIT
-from splitknit.types import Led
 
 FINER = 12
 """A pixel near a mirrored LED's rim is this many samples wide."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Led
 from splitknit.simulator.bench_scene import GroundScene, Window, disc_points, irradiance, positions_of
 from splitknit.simulator.bench_sight import Array, Plane, base_plane, inside, seen_at
-from splitknit.types import Led
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import Camera
 from splitknit.simulator.bench_flat import Board
 from splitknit.simulator.bench_sight import plane_of, seen_at
 from splitknit.simulator.lens import px_per_mm_at
-from splitknit.types import Camera
 
 TRIES = 200
 

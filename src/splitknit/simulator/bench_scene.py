@@ -10,12 +10,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.bench_sight import Array, Plane, Sight, sight
 from splitknit.simulator.defocus import blur_sigma_px, defocus
 from splitknit.simulator.lens import fall_off, px_per_mm_at
 from splitknit.simulator.lighting import towards
-from splitknit.types import Camera, FloatArray, Led
 
 Window = tuple[slice, slice]
 """Rows and columns."""

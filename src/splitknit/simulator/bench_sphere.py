@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Led
 from splitknit.simulator.bench_mirror import Lines, directions, finer_lines, led_face, mirrored, unit
 from splitknit.simulator.bench_scene import GroundScene, Window, card_radiance, disc_points, irradiance, positions_of
 from splitknit.simulator.bench_sight import Array, Plane, Sight, Steps, base_plane, inside, seen_at, steps
-from splitknit.types import Led
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera, Led, Rig
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Camera, Led, Rig
 
 HALF_ANGLE_DEG = {"white": 30.0, "nir": 20.0}
 """Where a data sheet's LED of 60 (40) deg viewing angle has half its light."""

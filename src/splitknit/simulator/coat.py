@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 WATER = 1.333
 """Refractive index of water (Hale and Querry 1973)."""

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit.simulator.master_print import MasterPrint
 from splitknit.simulator.skin_map import SkinMap
 from splitknit.simulator.surface import Surface
-from splitknit.types import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
 

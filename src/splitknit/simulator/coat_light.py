@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.coat import WATER, Coat, Film, Grains
 from splitknit.simulator.coat_gloss import Values, Vectors, dot, reflected
 from splitknit.simulator.diffusion import REFRACTIVE_INDEX, WalkTable, diffuse_transmittance, fresnel
@@ -16,7 +17,6 @@ from splitknit.simulator.lighting import Patch, cut_out, towards
 from splitknit.simulator.renderer import BandLight, Diffusion, RenderSettings, relief_gains
 from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 
 def render_coated(

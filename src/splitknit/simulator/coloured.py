@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import COLOURS, Band, FloatArray, Led, PixelArray, Rig
 from splitknit.simulator.lighting import white_card
 from splitknit.simulator.renderer import BandLight, render_band
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import BAND_CHANNELS
-from splitknit.types import COLOURS, Band, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulator.twin_scene import Scene

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera
 from splitknit.simulator.coat import Coat, Film
 from splitknit.simulator.coat_directions import bend_within_pixels, on_chart, ridges_in_space
 from splitknit.simulator.diffusion import diffusion_profile, load_walks
@@ -21,7 +22,6 @@ from splitknit.simulator.skin_map import SkinMap, skin_map
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.water import water_level, water_of
 from splitknit.simulator.weathered import Weathered, dried, ridge_angle, scarred
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]

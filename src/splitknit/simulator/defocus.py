@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 LEVELS_PER_DOUBLING = 2
 

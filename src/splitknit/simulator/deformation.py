@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.master_print import MasterPrint
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from splitknit.check import require
 from splitknit.devices import ExposureRange, Frame
 from splitknit.devices.guard import Closing, GuardedLights
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.sensor import RESPONSE, SensorSettings, binning_scale, record
-from splitknit.types import Camera, FloatArray, Led
 
 
 class Scene(Protocol):

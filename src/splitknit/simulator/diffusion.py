@@ -16,8 +16,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import j1
 
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 REFRACTIVE_INDEX = 1.42
 LONGEST_WALK = 3000.0

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.device import Scene
-from splitknit.types import Camera, FloatArray, Led
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera
 from splitknit.simulator.finger_shape import FingerBody, FingerShape
 from splitknit.simulator.landmarks import find_landmarks
 from splitknit.simulator.lens import picture_on_plane
@@ -16,7 +17,6 @@ from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, m
 from splitknit.simulator.raycast import NOTHING_SEEN, Placement, above, cast_block, hits
 from splitknit.simulator.skin_map import Crease, SkinMap, SkinSettings, skin_map
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 

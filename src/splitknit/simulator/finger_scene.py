@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led, Rig
 from splitknit.simulator.background import background_albedo, hand_shadow
 from splitknit.simulator.defocus import defocus
 from splitknit.simulator.diffusion import WalkTable, load_walks
@@ -22,7 +23,6 @@ from splitknit.simulator.surface import Surface
 from splitknit.simulator.truth import optics_truth, surface_truth
 from splitknit.simulator.twin import TwinSettings, lay_down
 from splitknit.simulator.twin_scene import finger_blur, room_level, room_light
-from splitknit.types import Camera, FloatArray, Led, Rig
 
 HalfArray = NDArray[np.float16]
 

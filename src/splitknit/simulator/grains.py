@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import BoolArray, Camera, FloatArray
 from splitknit.simulator.coat import Grains
-from splitknit.types import BoolArray, Camera, FloatArray
 
 MOST_MG_PER_CM2 = 0.64
 """Most outdoor dust that adheres to the skin of young adults (Changchun, China; indoor dust: 0.35)."""

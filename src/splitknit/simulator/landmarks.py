@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from splitknit.model import BoolArray, Camera
 from splitknit.simulator.master_print import MasterPrint
 from splitknit.simulator.skin_map import SkinMap
-from splitknit.types import BoolArray, Camera
 
 if TYPE_CHECKING:
     from splitknit.simulator.finger import Finger, Pose

@@ -1,7 +1,7 @@
 """The twin's lens: which way every pixel looks, and where a point appears.
 
-Written apart from the code that undoes it (:mod:`splitknit.view`). The distortion is the usual one of five coefficients
-k1, k2, p1, p2, k3 on normalised coordinates (Brown 1966; OpenCV's order), rows running down.
+Written apart from the code that undoes it (:mod:`splitknit.imaging.view`). The distortion is the usual one of five
+coefficients k1, k2, p1, p2, k3 on normalised coordinates (Brown 1966; OpenCV's order), rows running down.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import Camera, FloatArray
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.float64] | NDArray[np.intp]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.diffusion import fresnel
 from splitknit.simulator.lens import px_per_mm_at, slopes_of_pixels
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera, FloatArray, Led
 
 UNIT = 1e4
 """Irradiance of an LED of intensity one at 100 mm."""

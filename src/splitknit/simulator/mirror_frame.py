@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror
 from splitknit.simulator.background import BackgroundSettings, background_albedo
 from splitknit.simulator.mirror_light import irradiance
 from splitknit.simulator.mirror_parts import HolderProfile
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.mirror_view import Coverage, View, outline_coverage
-from splitknit.types import BoolArray, Camera, FloatArray, Led, Mirror
 
 Array = NDArray[np.float64]
 

@@ -8,13 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.diffusion import WalkTable, diffuse_transmittance
 from splitknit.simulator.lighting import UNIT, Patch, cut_out, light_on
 from splitknit.simulator.mirrors import Light
 from splitknit.simulator.renderer import BandLight, Diffusion, RenderSettings, relief_gains
 from splitknit.simulator.skin import ChannelOptics, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 Array = NDArray[np.float64]
 

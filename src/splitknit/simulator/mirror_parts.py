@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Camera, Mirror, Rig
 from splitknit.simulator.mirror_settings import MirrorParts, MirrorViews
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Camera, Mirror, Rig
 
 Array = NDArray[np.float64]
 

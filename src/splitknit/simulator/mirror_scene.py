@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Band, FloatArray, Led, PixelArray, Rig
 from splitknit.simulator.defocus import blur_sigma_px
 from splitknit.simulator.diffusion import WalkTable
 from splitknit.simulator.lens import px_per_mm_at
@@ -22,7 +23,6 @@ from splitknit.simulator.renderer import BandLight
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin_scene import Scene, brightest, finger_depth, room_level
-from splitknit.types import Band, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulator.twin import TwinSettings

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 
 SIDES = ("left", "right", "tip")
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import BoolArray
 from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.mirror_view import View
 from splitknit.simulator.raycast import Placement
 from splitknit.simulator.skin_map import SkinMap
-from splitknit.types import BoolArray
 
 Array = NDArray[np.float64]
 _PROXIMAL_MM = 6.0

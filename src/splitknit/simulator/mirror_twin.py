@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera, Capture, Mirror, Rig
 from splitknit.simulator.diffusion import load_walks
 from splitknit.simulator.finger import Finger, Pose, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
@@ -23,7 +24,6 @@ from splitknit.simulator.raycast import Placement
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.skin_map import SkinMap, skin_map
 from splitknit.simulator.truth import optics_truth, surface_truth
-from splitknit.types import Camera, Capture, Mirror, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulator.twin import TwinSettings

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.lens import pixels_of_points
 from splitknit.simulator.mirrors import Reflection
@@ -17,7 +18,6 @@ from splitknit.simulator.raycast import EMPTY, Placement, cast_rays, meets
 from splitknit.simulator.rays import rays_of
 from splitknit.simulator.skin_map import SkinMap
 from splitknit.simulator.surface import Surface
-from splitknit.types import BoolArray, Camera, FloatArray, Mirror
 
 Array = NDArray[np.float64]
 

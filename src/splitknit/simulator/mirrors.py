@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Led, Mirror
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.raycast import Placement
-from splitknit.types import Led, Mirror
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Camera
 from splitknit.simulator.deformation import Deformation, deformed, draw_deformation
 from splitknit.simulator.finger import Finger, Pose, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
@@ -17,7 +18,6 @@ from splitknit.simulator.master_print import MasterPrint
 from splitknit.simulator.motion import HandMotion, MotionPath, draw_path
 from splitknit.simulator.raycast import Placement
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 TRUTH_STEP_MM = 0.5

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Band, Capture, FloatArray, Led, PixelArray, Rig
 from splitknit.simulator.coloured import brightest_of, exposed, exposures_of
 from splitknit.simulator.diffusion import WalkTable, load_walks
 from splitknit.simulator.moving import MovingFinger
@@ -17,7 +18,6 @@ from splitknit.simulator.renderer import BandLight, render_band
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.truth import optics_truth, surface_truth
 from splitknit.simulator.twin_scene import Scene, brightest
-from splitknit.types import Band, Capture, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulator.twin import TwinSettings

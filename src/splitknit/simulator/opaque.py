@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.lighting import UNIT, Patch, cut_out
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 
 def render_opaque(surface: Surface, leds: Sequence[Led], albedo: float = 0.5) -> tuple[tuple[slice, slice], FloatArray]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from splitknit.check import require
+from splitknit.errors import require
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]

@@ -15,7 +15,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera
 from splitknit.simulator.master_print import MasterPrintSettings, ridge_profile, twice_as_fine
 from splitknit.simulator.orientation_field import smooth_noise
 from splitknit.simulator.palm_lines import PalmLine, draw_lines, groove_map
@@ -24,7 +25,6 @@ from splitknit.simulator.palm_shape import PalmShape, draw_shape
 from splitknit.simulator.pores import scatter_pores
 from splitknit.simulator.ridge_growth import grow_ridges
 from splitknit.simulator.surface import Surface
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

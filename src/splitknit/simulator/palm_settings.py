@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from splitknit.check import require
+from splitknit.errors import require
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.finger import Finger
 from splitknit.simulator.finger_shape import FingerShape
 from splitknit.simulator.hand_traits import TRAITS

@@ -12,7 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Capture, Rig
 from splitknit.simulator.background import BackgroundSettings
 from splitknit.simulator.deformation import deformed, draw_deformation
 from splitknit.simulator.finger import Finger, finger_surface
@@ -25,7 +26,6 @@ from splitknit.simulator.sensor import SensorSettings
 from splitknit.simulator.sessions import Impression, SessionRanges, draw_impression
 from splitknit.simulator.skin import SkinSettings
 from splitknit.simulator.twin import TwinSettings, photograph
-from splitknit.types import Capture, Rig
 
 DRAWS = 1
 """Version of the draws: it rises when the same settings give other captures."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera
 from splitknit.simulator.finger import Pose
 from splitknit.simulator.lens import picture_on_plane
-from splitknit.types import Camera
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.deformation import Deformation, deformed, draw_deformation
 from splitknit.simulator.finger import Finger, Pose
 from splitknit.simulator.finger_shape import FingerBody

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.lighting import Patch, cut_out
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera
 from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.rays import Rays, rays_of
 from splitknit.simulator.rootfind import first_root, polish
 from splitknit.simulator.skin_map import SkinMap
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

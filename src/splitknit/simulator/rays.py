@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Camera
 from splitknit.simulator.lens import slopes_of_pixels
-from splitknit.types import Camera
 
 Array = NDArray[np.float64]
 Triple = tuple[Array, Array, Array]

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.diffusion import REFRACTIVE_INDEX, diffuse_transmittance
 from splitknit.simulator.reference_gloss import reflect
 from splitknit.simulator.reference_scene import ReferenceScene, build, see
 from splitknit.simulator.reference_walk import walk
 from splitknit.simulator.skin import ChannelOptics
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 LLVM = ("lib/*/libLLVM.so.19*", "lib/llvm-19/lib/libLLVM.so*", "lib64/libLLVM.so.19*")
 """Where LLVM 19 is, below /usr."""

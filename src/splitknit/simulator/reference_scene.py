@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Led
 from splitknit.simulator.diffusion import fresnel
 from splitknit.simulator.reference_mesh import Mesh, skin_mesh
 from splitknit.simulator.surface import Surface
-from splitknit.types import Led
 
 Array = NDArray[np.float64]
 UNIT = 1e4

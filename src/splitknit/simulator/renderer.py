@@ -16,12 +16,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.diffusion import WalkTable, diffuse_transmittance, diffusion_profile, fresnel
 from splitknit.simulator.lighting import Patch, cut_out, light_on
 from splitknit.simulator.skin import ChannelOptics
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.check import require
-from splitknit.types import Camera, Led, Rig
+from splitknit.errors import require
+from splitknit.model import Camera, Led, Rig
 
 LEDS_PER_BAND = 7
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import Camera, FloatArray, PixelArray
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, PixelArray
 
 RESPONSE: Mapping[str, tuple[float, float, float]] = {
     "white": (0.90, 1.00, 0.47),

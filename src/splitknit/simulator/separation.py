@@ -15,14 +15,14 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.diffusion import WalkTable, load_walks
 from splitknit.simulator.lighting import cut_out, light_on
 from splitknit.simulator.projector import Checkerboard, check_camera, projected, square_wave
 from splitknit.simulator.renderer import Diffusion, RenderSettings, relief_gains
 from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import FloatArray, Led
 
 Phases = Literal["all", "centred"]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Camera
 from splitknit.simulator.finger import Pose
 from splitknit.simulator.lens import picture_on_plane
 from splitknit.simulator.people import FINGERS, OwnFinger
-from splitknit.types import Camera
 
 Range = tuple[float, float]
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from splitknit.check import require
+from splitknit.errors import require
 
 Channel = Literal["red", "green", "blue", "nir"]
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue", "nir")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.master_print import MasterPrint
 from splitknit.simulator.orientation_field import smooth_noise
 

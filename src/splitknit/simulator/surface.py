@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import BoolArray, Camera, FloatArray
 from splitknit.simulator.coat import Coat
-from splitknit.types import BoolArray, Camera, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Capture, Rig
 from splitknit.simulator.background import BackgroundSettings
 from splitknit.simulator.conditions import Condition, conditioned_surface
 from splitknit.simulator.diffusion import WalkTable, load_walks
@@ -26,7 +27,6 @@ from splitknit.simulator.skin import BAND_CHANNELS, SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.truth import optics_truth, surface_truth
 from splitknit.simulator.twin_scene import Scene
-from splitknit.types import Capture, Rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.model import Band, Camera, FloatArray, Led, PixelArray, Rig
 from splitknit.simulator.background import background_albedo, hand_shadow
 from splitknit.simulator.coloured import photograph_coloured
 from splitknit.simulator.defocus import blur_sigma_px, defocus
@@ -20,7 +21,6 @@ from splitknit.simulator.renderer import BandLight, RenderSettings, render_ambie
 from splitknit.simulator.sensor import binning_scale, record
 from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.types import Band, Camera, FloatArray, Led, PixelArray, Rig
 
 if TYPE_CHECKING:
     from splitknit.simulator.twin import TwinSettings

@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.apps.viewer.guard import POLICY, new_token, refusal
 from splitknit.apps.viewer.paths import open_below, read_below
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 TOKEN, PORT = "t0ken", 8123
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from splitknit.apps.outputs import write_results
 from splitknit.apps.viewer.measure import locate, pick, section
 from splitknit.apps.viewer.surface import Surface, read_surface
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 @pytest.fixture(scope="module")

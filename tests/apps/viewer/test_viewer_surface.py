@@ -15,7 +15,7 @@ from handmade import capture_of, finger
 from splitknit.apps.outputs import upright_mesh, write_results
 from splitknit.apps.viewer.surface import Surface, read_members, read_surface
 from splitknit.apps.viewer.tiles import TILE, filled_tiles, first_view, root_stride, strides, tile_bytes
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import read_npz, read_ply, write_npz
 
 

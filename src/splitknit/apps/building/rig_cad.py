@@ -14,8 +14,9 @@ from typing import Any
 
 from splitknit.apps.building.rig_pictures import write_pictures
 from splitknit.apps.targets import check_target
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io import atomic_folder, file_hash, plain_json, provenance, read_rig
+from splitknit.model import Rig
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts, require_build123d
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimension_table import dimension_table
@@ -26,7 +27,6 @@ from splitknit.rig.part_settings import PartSettings
 from splitknit.rig.stl import read_stl, write_stl
 from splitknit.settings import override
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Rig
 
 Progress = Callable[[str, float], None]
 

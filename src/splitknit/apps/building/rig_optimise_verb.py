@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.verb import Outcome, Progress, natural, new_verb
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 BUDGETS: dict[str, dict[str, Any]] = {
     "quick": {

@@ -56,7 +56,7 @@ def add_radiometry(kinds: Any) -> None:
 def run_radiometry(options: argparse.Namespace) -> Outcome:
     """Calibrate, or check."""
     from splitknit.apps.calibration.radiometry import calibrate_to_file, check_folder  # noqa: PLC0415 - only this verb pays for it
-    from splitknit.check import require  # noqa: PLC0415
+    from splitknit.errors import require  # noqa: PLC0415
 
     with Progress(options) as progress:
         if options.check is not None:

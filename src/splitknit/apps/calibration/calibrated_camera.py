@@ -16,10 +16,10 @@ from splitknit.calibration import Board
 from splitknit.calibration.camera import CameraCalibration, CameraSettings, calibrate_camera
 from splitknit.calibration.depth_of_field import DepthOfField, depth_of_field
 from splitknit.calibration.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import file_hash, read_rig, write_rig
+from splitknit.model import Camera, Rig
 from splitknit.simulator.rig import default_rig
-from splitknit.types import Camera, Rig
 
 Progress = Callable[[str, float], None]
 _SENSOR_COLUMNS = 3280

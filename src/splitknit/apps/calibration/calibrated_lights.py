@@ -13,8 +13,8 @@ from splitknit.calibration.light_verdicts import Judged, LightLimits, check_nail
 from splitknit.calibration.lights import Circle, LedEstimate, by_circle
 from splitknit.calibration.nail import JointFit, by_joint_fit
 from splitknit.calibration.nail_model import NailSettings
-from splitknit.check import BadInput, require
-from splitknit.types import Camera, Led, Rig
+from splitknit.errors import BadInput, require
+from splitknit.model import Camera, Led, Rig
 
 METHODS = ("circle", "joint")
 LedName = tuple[str, int]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from splitknit.calibration import Board, find_board, size_in_view
 from splitknit.calibration.disc import find_disc
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.images import DEFAULTS, decode_image
-from splitknit.types import PixelArray
+from splitknit.model import PixelArray
 
 Points = NDArray[np.float64]
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")

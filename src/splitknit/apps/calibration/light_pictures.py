@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.calibration.shadow import NailView
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 Points = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ from splitknit.apps.targets import check_rig_file
 from splitknit.apps.verb import Outcome
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND
 from splitknit.calibration.lights import Circle, combine
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.imaging.view import plane_points
 from splitknit.io import plain_json, provenance, read_rig, write_rig
+from splitknit.model import Camera, Rig
 from splitknit.settings import override
-from splitknit.types import Camera, Rig
-from splitknit.view import plane_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)

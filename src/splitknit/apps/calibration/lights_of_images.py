@@ -17,11 +17,11 @@ from splitknit.apps.targets import check_file, check_picture
 from splitknit.apps.verb import Outcome, Refused
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit.calibration.shadow import NailView, find_nail
-from splitknit.check import BadInput, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import atomic_file, write_image
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.images import DEFAULTS, decode_image
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 LISTING = "nails.json"
 FOUND_SD_MM = 0.05

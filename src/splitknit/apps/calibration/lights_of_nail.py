@@ -12,7 +12,7 @@ from splitknit.apps.calibration.lights_inputs import RigInputs, write_lights
 from splitknit.apps.verb import Outcome, Refused
 from splitknit.calibration.light_table import Tip, read_tips
 from splitknit.calibration.lights import Circle
-from splitknit.check import BadInput, read_bytes
+from splitknit.errors import BadInput, read_bytes
 from splitknit.io import plain_json, provenance
 
 Report = Callable[[str, float], None]

@@ -15,9 +15,9 @@ from splitknit.apps.calibration.lights_of_images import SUFFIXES, read_stack
 from splitknit.apps.verb import Outcome
 from splitknit.calibration.light_table import BANDS
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io import file_hash, image_size, plain_json, provenance, read_image
-from splitknit.types import Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,9 @@ from splitknit.calibration.radiometry import (
     RadiometrySettings,
     calibrate_radiometry,
 )
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import provenance, read_capture, read_rig, write_image, write_rig
-from splitknit.types import FloatArray, Rig
+from splitknit.model import FloatArray, Rig
 
 _MOST_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0

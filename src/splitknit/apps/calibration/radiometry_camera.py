@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from splitknit.apps.calibration.radiometry_folder import DOCUMENT, RadiometryPlan
 from splitknit.calibration.response import Response, ResponseSettings, fit_response
 from splitknit.calibration.sensor_noise import Dark, NoiseModel, dark_frames, noise_model, noise_samples
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io import file_hash, read_image
-from splitknit.types import Capture, PixelArray
+from splitknit.model import Capture, PixelArray
 
 _PATCHES_ACROSS = 40
 _MOST_TEXTURE = 0.04

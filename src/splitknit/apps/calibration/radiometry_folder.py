@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splitknit.calibration.response import ResponseSettings
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.io.fields import Fields, inside, read_json
 
 DOCUMENT = "radiometry.json"

@@ -14,7 +14,7 @@ from splitknit.apps.training.scene_ranges import (
     draw_finger_of,
     moved_rig,
 )
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings

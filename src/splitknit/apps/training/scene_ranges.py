@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import Capture, Rig
 from splitknit.simulator.finger import Finger, draw_finger, finger_surface
 from splitknit.simulator.pose_ranges import PoseRanges
 from splitknit.simulator.skin import SkinRanges, SkinSettings
 from splitknit.simulator.twin import TwinSettings, photograph
-from splitknit.types import Capture, Rig
 
 Range = tuple[float, float]
 

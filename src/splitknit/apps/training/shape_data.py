@@ -16,21 +16,21 @@ from numpy.typing import NDArray
 from splitknit.apps.training.relief_data import TRUTH_SHARE, TruthOnGrid
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
-from splitknit.check import require
-from splitknit.geometry import height_gradients
+from splitknit.errors import require
+from splitknit.imaging import bin_mean
+from splitknit.imaging.geometry import height_gradients
 from splitknit.metric.features import RIDGE_BAND_MM
 from splitknit.metric.grid import Grid, coarsen
 from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
 from splitknit.metric.light import slant_of, trust_of
 from splitknit.metric.surface import reconstruct_skin
+from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.pipeline import preset_settings
-from splitknit.radiance import bin_mean
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.skin import skin_images
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.separate.train_shape import FIELDS
-from splitknit.types import BoolArray, Capture, FloatArray
 
 MOST_MISSING = 3.0
 """Slopes that are missing beyond this are cut off."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splitknit.apps.training.scene_ranges import Range, Scene, SceneRanges, draw_base, draw_finger_of, moved_rig
-from splitknit.check import require
+from splitknit.errors import require
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings

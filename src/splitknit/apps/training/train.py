@@ -28,10 +28,11 @@ from splitknit.apps.training.training_folder import (
     read_file,
     write_file,
 )
-from splitknit.check import refusing, require
+from splitknit.errors import refusing, require
 from splitknit.finger import clahe
 from splitknit.io.fields import parse_json
 from splitknit.io.npz import map_npy
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separate.train import (
     MAY_CHANGE,
     DataSettings,
@@ -46,7 +47,6 @@ from splitknit.separate.train import (
 )
 from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import card_bytes, read_network
-from splitknit.types import BoolArray, FloatArray
 
 NETWORK = "direct"
 HELD_OUT_FROM = 1_000_000

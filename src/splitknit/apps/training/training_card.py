@@ -11,12 +11,12 @@ import numpy as np
 
 from splitknit import __version__
 from splitknit.apps.training.training_folder import plain, write_file
-from splitknit.check import require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit.separate.train_network import load_torch
 from splitknit.separate.train_relief_network import network_from
 from splitknit.separate.unet import network_of, run_network
 from splitknit.separate.weights import read_network
-from splitknit.types import FloatArray
 
 Packed = Callable[[Mapping[str, Any], Mapping[str, Any], str], tuple[bytes, bytes]]
 

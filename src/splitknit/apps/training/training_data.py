@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.training.training_folder import read_file, write_file
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.fields import parse_json
 from splitknit.io.npz import map_npy
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.apps.charts import Line, line_chart
-from splitknit.check import read_bytes, refusing, require
+from splitknit.errors import read_bytes, refusing, require
 from splitknit.io import atomic_file
 from splitknit.io.fields import parse_json
 

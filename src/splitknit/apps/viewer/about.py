@@ -10,7 +10,7 @@ from splitknit.apps.viewer.catalogue import Entry
 from splitknit.apps.viewer.prints import print_of
 from splitknit.apps.viewer.surface import Surface
 from splitknit.apps.viewer.tiles import TILE, filled_tiles, strides
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 _TURNING = dict.fromkeys(
     (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)), "\N{REPLACEMENT CHARACTER}"

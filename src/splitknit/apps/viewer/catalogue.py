@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.viewer.paths import read_below
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 _DEEPEST = 6
 _MOST = 5000

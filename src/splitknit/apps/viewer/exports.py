@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from splitknit.apps.viewer.catalogue import Entry
 from splitknit.apps.viewer.paths import Pieces, open_below, read_below
 from splitknit.apps.viewer.surface import Surface, read_members
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io import surface_mesh, write_ply
 from splitknit.io.glb import glb_chunks
 from splitknit.io.images import decode_image
 from splitknit.io.stl import stl_chunks, stl_size
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 KINDS = {"ply": "application/octet-stream", "stl": "model/stl", "glb": "model/gltf-binary"}
 STEPS = (1, 2, 4, 8)

@@ -15,7 +15,7 @@ from urllib.parse import parse_qsl
 
 from splitknit.apps.viewer.guard import HEADERS, refusal
 from splitknit.apps.viewer.service import Answer, Service
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_PATH = 2000

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.viewer.surface import Surface
-from splitknit.check import require
-from splitknit.types import FloatArray
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 _RIDGE_SIGMA_MM = 0.32
 _MOST_SAMPLES = 20_000

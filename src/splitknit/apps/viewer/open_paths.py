@@ -7,7 +7,7 @@ from pathlib import Path
 
 from splitknit.apps.viewer.catalogue import Catalogue, make_catalogue
 from splitknit.apps.viewer.service import Service
-from splitknit.check import require
+from splitknit.errors import require
 
 _DATABASE = b"SQLite format 3\0"
 

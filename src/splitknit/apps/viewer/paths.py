@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 _PIECE = 1 << 20
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.images import encode_image
 from splitknit.matching.gallery import Gallery
 from splitknit.matching.gallery_key import Key

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit.apps.viewer.catalogue import Entry
 from splitknit.apps.viewer.paths import read_below
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 from splitknit.io.capture_file import read_plan
 from splitknit.io.images import decode_image
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from splitknit.apps.viewer.guard import new_token
 from splitknit.apps.viewer.handler import ViewerServer
 from splitknit.apps.viewer.service import Service
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 
 
 def start(service: Service, port: int) -> ViewerServer:

@@ -21,7 +21,7 @@ from splitknit.apps.viewer.catalogue import Catalogue, Entry
 from splitknit.apps.viewer.paths import Pieces, open_below, read_below
 from splitknit.apps.viewer.surface import Surface, read_surface
 from splitknit.apps.viewer.tiles import first_view, tile_bytes
-from splitknit.check import BadInput, require
+from splitknit.errors import BadInput, require
 
 if TYPE_CHECKING:
     from splitknit.apps.viewer.marks import Marks

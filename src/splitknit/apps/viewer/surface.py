@@ -18,8 +18,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput, require
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import BadInput, require
+from splitknit.model import BoolArray, FloatArray
 
 _LONGEST = 20_000
 _MOST_BYTES = 600_000_000

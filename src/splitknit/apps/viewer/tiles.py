@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.viewer.surface import Surface
-from splitknit.check import require
+from splitknit.errors import require
 
 TILE = 96
 _FIRST_VIEW = 70_000

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
+from splitknit.errors import BadInput
 from splitknit.io.rig import rig_from_json, rig_to_json
-from splitknit.types import Camera, Led, Mirror, Rig
+from splitknit.model import Camera, Led, Mirror, Rig
 
 
 def rig_of(*leds: Led) -> Rig:

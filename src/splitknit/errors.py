@@ -49,7 +49,7 @@ def refusing(message: str) -> Iterator[None]:
     ...     {}["rows"]
     Traceback (most recent call last):
     ...
-    splitknit.check.BadInput: the table is damaged; write it again.
+    splitknit.errors.BadInput: the table is damaged; write it again.
     """
     try:
         yield
@@ -108,7 +108,7 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     >>> read_bytes("/dev/zero", 1000)
     Traceback (most recent call last):
     ...
-    splitknit.check.BadInput: /dev/zero is not a file.
+    splitknit.errors.BadInput: /dev/zero is not a file.
     """
     with open_file(path, max_bytes) as (stream, size):
         data = stream.read(size + 1)

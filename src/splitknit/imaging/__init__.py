@@ -4,7 +4,7 @@ A stored value v becomes (decode(v) - decode(black)) / exposure, less the ambien
 are relative to the full scale of the file (255 or 65535), so an unscaled image lies in [0, 1].
 """
 
-from splitknit.radiance.band import (
+from splitknit.imaging.band import (
     Window,
     has_colour,
     linear_channels,
@@ -12,8 +12,8 @@ from splitknit.radiance.band import (
     linear_survey,
     saturation_levels,
 )
-from splitknit.radiance.image import CHANNELS, GREY_WEIGHTS, bin_mean, decode_table, linear_image, pick_channel
-from splitknit.radiance.lens import lens_shading, shading_at
+from splitknit.imaging.image import CHANNELS, GREY_WEIGHTS, bin_mean, decode_table, linear_image, pick_channel
+from splitknit.imaging.lens import lens_shading, shading_at
 
 __all__ = [
     "CHANNELS",

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.types import FloatArray, PixelArray
+from splitknit.errors import require
+from splitknit.model import FloatArray, PixelArray
 
 CHANNELS = {"red": 0, "green": 1, "blue": 2}
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import BadInput
-from splitknit.types import BoolArray, FloatArray
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray, FloatArray
 
 
 def gradients_from_normals(

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
-from splitknit.radiance import (
+from splitknit.errors import BadInput
+from splitknit.imaging import (
     GREY_WEIGHTS,
     bin_mean,
     decode_table,
@@ -15,7 +15,7 @@ from splitknit.radiance import (
     pick_channel,
     saturation_levels,
 )
-from splitknit.types import Band
+from splitknit.model import Band
 
 
 def band_of(pixels: np.ndarray, **changes: object) -> Band:

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit.check import require
-from splitknit.types import Camera, FloatArray
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray
 
 Points = NDArray[np.float64]
 Axis = NDArray[np.float64]

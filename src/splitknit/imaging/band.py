@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.check import require
-from splitknit.radiance.image import CHANNELS, decode_table, linear_image, pick_channel
-from splitknit.radiance.lens import lens_shading
-from splitknit.types import Band, FloatArray
+from splitknit.errors import require
+from splitknit.imaging.image import CHANNELS, decode_table, linear_image, pick_channel
+from splitknit.imaging.lens import lens_shading
+from splitknit.model import Band, FloatArray
 
 Window = tuple[slice, slice]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.radiance import image, linear_channels, linear_image, linear_stack, linear_survey
-from splitknit.types import Band
+from splitknit.imaging import image, linear_channels, linear_image, linear_stack, linear_survey
+from splitknit.model import Band
 
 
 def band(channels: int, count: int, ambient: bool) -> Band:

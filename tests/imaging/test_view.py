@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
-from splitknit.geometry import height_gradients
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.view import pixels_of, plane_points, view_of
+from splitknit.model import Camera
 from splitknit.recipe.rays import place
-from splitknit.types import Camera
-from splitknit.view import pixels_of, plane_points, view_of
 
 SIZE = (180, 240)
 LENS = (-0.15, 0.02, 0.001, -0.0015, 0.0)

@@ -3,16 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.check import BadInput
-from splitknit.geometry import (
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import (
     gradients_from_normals,
     height_gradients,
     normals_from_gradients,
     rotation_about,
     warp,
 )
-from splitknit.types import Camera
-from splitknit.view import pixel_axes_mm
+from splitknit.imaging.view import pixel_axes_mm
+from splitknit.model import Camera
 
 
 @pytest.mark.parametrize("size", [(4, 6), (5, 7)])

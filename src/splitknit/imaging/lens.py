@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.types import FloatArray
+from splitknit.model import FloatArray
 
 
 def lens_shading(  # noqa: PLR0917
@@ -22,7 +22,7 @@ def lens_shading(  # noqa: PLR0917
 
     Parameters
     ----------
-    shading : a, b, ... of :class:`splitknit.types.Camera`
+    shading : a, b, ... of :class:`splitknit.model.Camera`
     image_size : rows, columns of the whole image; r is the distance from its centre over half its diagonal
     first_row, first_column : where the window starts
     binning : pixels a side of a block of the window
@@ -38,7 +38,7 @@ def lens_shading(  # noqa: PLR0917
 
 
 def shading_at(shading: Sequence[float], squared: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.types.Camera`."""
+    """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.model.Camera`."""
     brightness = np.ones_like(squared)
     for k, coefficient in enumerate(shading):
         brightness += coefficient * squared ** (k + 1)
