@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.key import Key
 from splitknit.matching.code import CODE_VERSION, code_size
-from splitknit.matching.gallery import Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry
-from splitknit.matching.gallery_key import Key
 
 
 def main() -> None:

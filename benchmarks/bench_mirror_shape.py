@@ -18,9 +18,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from splitknit.mirrors import mirror_shape, view_binning
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.mirrors import views_in
-from splitknit.shape import mirror_shape, view_binning
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.mirror_parts import mirror_rig

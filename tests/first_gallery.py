@@ -10,9 +10,9 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from splitknit.matching.gallery import NewCapture
-from splitknit.matching.gallery_entry import encode_entry
-from splitknit.matching.gallery_key import Key
+from splitknit.gallery.entry import encode_entry
+from splitknit.gallery.gallery import NewCapture
+from splitknit.gallery.key import Key
 
 
 def of_version_1(path: Path, captures: list[NewCapture], key: Key | None, settings_sha256: str) -> None:

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from enrolled import facts_of, refusal_of, words_of
-
 from first_gallery import of_version_1
+
 from splitknit.apps.cli import main
 from splitknit.errors import BadInput
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import NewCapture
 from splitknit.io import read_print_png
-from splitknit.matching.gallery import NewCapture
-from splitknit.matching.gallery_entry import Entry
 
 PHRASE, OTHER = "a phrase for tests", "another phrase for tests"
 
@@ -28,9 +28,9 @@ PHRASE, OTHER = "a phrase for tests", "another phrase for tests"
 @pytest.fixture(autouse=True)
 def cheap_passphrases(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keys in half a millisecond instead of half a second; none from outside."""
-    from splitknit.matching.gallery_key import ScryptSettings, lock
+    from splitknit.gallery.key import ScryptSettings, lock
 
-    monkeypatch.setattr("splitknit.matching.gallery.lock", lambda key, scrypt: lock(key, ScryptSettings(log2_n=10)))
+    monkeypatch.setattr("splitknit.gallery.gallery.lock", lambda key, scrypt: lock(key, ScryptSettings(log2_n=10)))
     monkeypatch.delenv("SPLITKNIT_GALLERY_KEY", raising=False)
     monkeypatch.delenv("SPLITKNIT_GALLERY_NEW_KEY", raising=False)
 
@@ -395,7 +395,7 @@ def test_a_gallery_of_version_1_is_migrated_by_one_command(tmp_path: Path, peopl
 
 
 def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
-    from splitknit.matching.gallery import Gallery
+    from splitknit.gallery.gallery import Gallery
 
     with Gallery.open(gallery) as opened:
         opened.set_codes({2: b"an older one", 3: b"another"}, 99)

@@ -12,8 +12,8 @@ from enrolled import facts_of, refusal_of
 
 from splitknit.apps import evaluation_gallery
 from splitknit.apps.cli import main
+from splitknit.gallery.gallery import Gallery
 from splitknit.matching import ridge_match, unpack
-from splitknit.matching.gallery import Gallery
 
 QUICK = ("--replicates", 40)
 

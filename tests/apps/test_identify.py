@@ -10,7 +10,7 @@ from enrolled import facts_of, refusal_of, words_of
 
 from splitknit.apps.cli import main
 from splitknit.apps.matching import false_match_rate, similarity_at
-from splitknit.matching.gallery import Gallery
+from splitknit.gallery.gallery import Gallery
 
 
 @pytest.fixture(scope="module")

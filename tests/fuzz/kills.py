@@ -26,10 +26,10 @@ from tests.batch.batch_stores import EA, chunks
 from splitknit.apps.simulate_population import simulate_population
 from splitknit.batch import run_batch
 from splitknit.errors import BadInput
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.key import Key
 from splitknit.matching import Template, pack
-from splitknit.matching.gallery import Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry
-from splitknit.matching.gallery_key import Key
 from splitknit.simulator.population import PopulationSettings
 
 KEYS = [Key(bytes([k] * 32), raw=True) for k in range(2)]

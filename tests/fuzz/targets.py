@@ -66,6 +66,9 @@ from splitknit.batch.surfaces import pack_surface, unpack_surface
 from splitknit.calibration.light_table import COLUMNS, check_tips, read_tips
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.errors import BadInput
+from splitknit.gallery.entry import Entry, decode_entry, encode_entry
+from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.key import Key, ScryptSettings
 from splitknit.io import (
     capture_from_plain_images,
     image_size,
@@ -101,9 +104,6 @@ from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq, read_print_wsq
 from splitknit.matching import VERSION, Template, make_template, pack, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.gallery import Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry, decode_entry, encode_entry
-from splitknit.matching.gallery_key import Key, ScryptSettings
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import ridge_band

@@ -10,9 +10,9 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
-from splitknit.fuse import SearchSettings, coverage_deg, ridge_band
 from splitknit.metric.grid import Grid
 from splitknit.metric.light import FineLight
+from splitknit.mirrors.rolled import SearchSettings, coverage_deg, ridge_band
 from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled import Rolled, _apart, _base, rolled_finger

@@ -23,10 +23,10 @@ import tempfile
 import time
 from pathlib import Path
 
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_file
-from splitknit.matching.gallery import Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry
-from splitknit.matching.gallery_key import Key
 
 IMAGE_BYTES = 48 * 2**20
 PIECE = 16

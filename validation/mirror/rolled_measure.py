@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.apps.printing_rolled import laid_flat, rolled_facts
-from splitknit.fuse import Blended, read, ridge_band, seam_lines, seam_steps
 from splitknit.io import read_capture
+from splitknit.mirrors.rolled import Blended, read, ridge_band, seam_lines, seam_steps
 from splitknit.pipeline import preset_settings
 from splitknit.prints import UnrollSettings, ink, resample
 from splitknit.recipe.rolled import Rolled, rolled_finger

@@ -24,11 +24,11 @@ import numpy as np
 
 from splitknit.errors import BadInput
 from splitknit.imaging import linear_survey
+from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Views, mirror_shape
 from splitknit.model import Capture, Mirror
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.mirrors import found_views, skin_slopes
 from splitknit.settings import override
-from splitknit.shape import MirrorShape, MirrorShapeSettings, Views, mirror_shape
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

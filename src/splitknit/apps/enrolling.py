@@ -14,11 +14,11 @@ from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, no_progress
 from splitknit.capture.enrolment import FINGERS
 from splitknit.errors import require
+from splitknit.gallery.entry import Entry, check_person, check_session
+from splitknit.gallery.gallery import Enrolled, Gallery, NewCapture
+from splitknit.gallery.key import Key
 from splitknit.matching import unpack
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.gallery import Enrolled, Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry, check_person, check_session
-from splitknit.matching.gallery_key import Key
 
 
 @dataclass(frozen=True, slots=True)

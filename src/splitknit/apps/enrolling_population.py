@@ -16,9 +16,9 @@ from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.apps.verb import Refused
 from splitknit.apps.workers import run_jobs
 from splitknit.errors import require
-from splitknit.matching.gallery import Gallery
-from splitknit.matching.gallery_entry import check_session, session_order
-from splitknit.matching.gallery_key import Key
+from splitknit.gallery.entry import check_session, session_order
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
 
 _SESSION = "session_"
 

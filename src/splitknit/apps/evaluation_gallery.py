@@ -15,11 +15,11 @@ from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.errors import BadInput
 from splitknit.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores
+from splitknit.gallery.entry import session_order
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
 from splitknit.io import file_hash
 from splitknit.matching import Prepared, ridge_match, unpack
-from splitknit.matching.gallery import Gallery
-from splitknit.matching.gallery_entry import session_order
-from splitknit.matching.gallery_key import Key
 
 _BLOCK = 128
 """Fingers kept ready at a time: 2 MB each."""

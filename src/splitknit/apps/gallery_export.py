@@ -13,14 +13,14 @@ from splitknit.apps.enrolling import gallery_facts
 from splitknit.apps.enrolling_sources import LARGEST_RAW
 from splitknit.apps.targets import check_target
 from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.key import Key
 from splitknit.io import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.templates import encode_template, read_template
 from splitknit.matching import VERSION, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.gallery import Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry
-from splitknit.matching.gallery_key import Key
 
 TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
 _FORMAT, _VERSION = "splitknit-gallery-export", 1

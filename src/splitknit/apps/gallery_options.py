@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from splitknit.errors import BadInput
 
 if TYPE_CHECKING:
-    from splitknit.matching.gallery_key import Key
+    from splitknit.gallery.key import Key
     from splitknit.recipe.matchable import MatchingSettings
 
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
@@ -45,7 +45,7 @@ def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
     BadInput
         If the file cannot be read, or what it holds is no key.
     """
-    from splitknit.matching.gallery_key import key_from_bytes  # noqa: PLC0415 - verbs import what they need
+    from splitknit.gallery.key import key_from_bytes  # noqa: PLC0415 - verbs import what they need
 
     if file is not None:
         try:

@@ -10,12 +10,12 @@ from splitknit.apps.gallery_options import KEY_VARIABLE, NEW_KEY_VARIABLE
 from splitknit.apps.matching_inputs import Progress, no_progress
 from splitknit.apps.verb import Refused
 from splitknit.errors import require
+from splitknit.gallery.entry import check_person, session_order
+from splitknit.gallery.file import describe
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
 from splitknit.matching import unpack
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.gallery import Gallery
-from splitknit.matching.gallery_entry import check_person, session_order
-from splitknit.matching.gallery_file import describe
-from splitknit.matching.gallery_key import Key
 
 
 def list_gallery(gallery: Path, person: str | None, *, key: Key | None = None) -> dict[str, Any]:

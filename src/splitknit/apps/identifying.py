@@ -16,6 +16,9 @@ from splitknit.apps.gallery_options import templates_hash
 from splitknit.apps.matching import as_calibrated, false_match_rate, similarity_at
 from splitknit.apps.matching_inputs import MatchingSettings, Progress, no_progress, read_side
 from splitknit.errors import BadInput, require
+from splitknit.gallery.entry import check_person, session_order
+from splitknit.gallery.gallery import Enrolled, Gallery
+from splitknit.gallery.key import Key
 from splitknit.matching import (
     RidgeBandSettings,
     RidgeMatchSettings,
@@ -26,9 +29,6 @@ from splitknit.matching import (
     unpack,
 )
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.gallery import Enrolled, Gallery
-from splitknit.matching.gallery_entry import check_person, session_order
-from splitknit.matching.gallery_key import Key
 from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
 
 MERGES = ("person", "finger", "none")

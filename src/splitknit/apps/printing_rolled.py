@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from splitknit.apps.matching_inputs import naming
 from splitknit.apps.printing_sources import Source
 from splitknit.errors import require
-from splitknit.fuse import coverage_deg, seam_lines, seam_steps
 from splitknit.io import read_capture
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.ply import write_ply
+from splitknit.mirrors.rolled import coverage_deg, seam_lines, seam_steps
 from splitknit.model import FloatArray
 from splitknit.prints import PrintMap, SurfaceGrid, Unrolled, UnrollSettings, unroll, unrolled_map
 from splitknit.prints.unroll_grid import extrapolated

@@ -36,11 +36,11 @@ from splitknit.imaging import (
     pick_channel,
     saturation_levels,
 )
+from splitknit.mirrors import without_mirrors
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.recipe.coloured import colour_factors_of
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.shape import without_mirrors
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""

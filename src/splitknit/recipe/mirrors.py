@@ -12,19 +12,11 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger import finger_outline, finger_region
-from splitknit.fuse import facing_share, led_image, mirrored_share
 from splitknit.imaging import Window, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
-from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
-from splitknit.photometric import pseudo_normals
-from splitknit.recipe.finger import Finger
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rays import unevenness
-from splitknit.recipe.rolled_light import Glass, glass_in
-from splitknit.recipe.surfaces import SurfaceParts
-from splitknit.shape import (
+from splitknit.mirrors import (
     MirrorShape,
     Slopes,
     Views,
@@ -34,6 +26,14 @@ from splitknit.shape import (
     mirror_shape,
     view_binning,
 )
+from splitknit.mirrors.rolled import facing_share, led_image, mirrored_share
+from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
+from splitknit.photometric import pseudo_normals
+from splitknit.recipe.finger import Finger
+from splitknit.recipe.presets import PipelineSettings
+from splitknit.recipe.rays import unevenness
+from splitknit.recipe.rolled_light import Glass, glass_in
+from splitknit.recipe.surfaces import SurfaceParts
 
 SLOPES_MM = 0.25
 """Pitch of the images from which slopes are measured."""
@@ -159,7 +159,7 @@ def found_views(capture: Capture, settings: PipelineSettings) -> Views:
     Raises
     ------
     BadInput
-        See :func:`splitknit.shape.find_views`.
+        See :func:`splitknit.mirrors.find_views`.
     """
     return _views_and_images(capture, settings)[0]
 

@@ -1,6 +1,6 @@
 """The smooth finger between its mirrors, and where these lie: outlines of all views, also of those that are cut.
 
-The parts are those of :mod:`splitknit.shape`; what is added here is that a view which the border of the picture or of
+The parts are those of :mod:`splitknit.mirrors`; what is added here is that a view which the border of the picture or of
 its mirror cuts still tells what the rest of its outline shows.
 """
 
@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.fuse import Chart
 from splitknit.imaging.view import pixels_of
+from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Slopes, Views, mirror_outline
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.first import cap, first_body, turn_of_tips
+from splitknit.mirrors.fit import fit_body
+from splitknit.mirrors.mirror import TURN_DEG
+from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
+from splitknit.mirrors.planes import MirrorPlane, Touching, touching
+from splitknit.mirrors.rolled import Chart
+from splitknit.mirrors.state import Fit, Pose, SeenIn
+from splitknit.mirrors.verdict import refuse_misfit
 from splitknit.model import BoolArray, Camera, Mirror
-from splitknit.shape import MirrorShape, MirrorShapeSettings, Slopes, Views, mirror_outline
-from splitknit.shape.body import Body
-from splitknit.shape.first import cap, first_body, turn_of_tips
-from splitknit.shape.fit import fit_body
-from splitknit.shape.mirror import TURN_DEG
-from splitknit.shape.outline import Rows, finger_axis, is_cut, pad_side, rows_of
-from splitknit.shape.planes import MirrorPlane, Touching, touching
-from splitknit.shape.state import Fit, Pose, SeenIn
-from splitknit.shape.verdict import refuse_misfit
 
 Array = NDArray[np.float64]
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.finger import find_crease, find_upright, finger_mask
 from splitknit.imaging import linear_survey, pick_channel
+from splitknit.mirrors import find_views, view_binning
+from splitknit.mirrors.planes import MirrorPlane
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.finger import BEYOND_CREASE_MM, enlarged
 from splitknit.recipe.mirrors import skin_slopes
@@ -19,8 +21,6 @@ from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_body import body_between_mirrors
 from splitknit.recipe.rolled_light import glass_in
 from splitknit.recipe.rolled_work import MirrorView, MirrorViews
-from splitknit.shape import find_views, view_binning
-from splitknit.shape.planes import MirrorPlane
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.fuse import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
+from splitknit.mirrors.rolled import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
 from splitknit.model import FloatArray, Led, Mirror, Rig, Shade
 
 Array = NDArray[np.float64]

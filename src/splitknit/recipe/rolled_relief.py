@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.fuse import Chart, Sight, heights, read
 from splitknit.imaging import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
@@ -20,6 +19,7 @@ from splitknit.metric.coarse import BandImages
 from splitknit.metric.grid import Grid, coarsen, refine
 from splitknit.metric.learned import relief_by_network
 from splitknit.metric.light import FineLight, fine_lighting, slant_of, trust_of
+from splitknit.mirrors.rolled import Chart, Sight, heights, read
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric import pseudo_normals
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from splitknit.errors import require
-from splitknit.fuse import BlendSettings, SearchSettings
+from splitknit.mirrors.rolled import BlendSettings, SearchSettings
 
 
 def _wider() -> SearchSettings:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.fuse import Chart, chart_over
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.rolled import Chart, chart_over
 from splitknit.recipe.rolled_body import radius_of, rolled_pad
-from splitknit.shape.body import Body
 
 Array = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.fuse import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.rolled import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_light import Glass
 from splitknit.recipe.rolled_relief import ViewRelief, view_relief
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.recipe.rolled_shape import Shape, shape_of
-from splitknit.shape.body import Body
 
 Array = NDArray[np.float64]
 SEARCH_PITCH_MM = 0.1

@@ -19,10 +19,10 @@ from viewer_server import started
 
 from splitknit.apps.cli import main
 from splitknit.apps.viewer.serve import opened_page
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import Gallery, NewCapture
 from splitknit.io import write_npz
 from splitknit.matching import Template, pack
-from splitknit.matching.gallery import Gallery, NewCapture
-from splitknit.matching.gallery_entry import Entry
 
 Captured = pytest.CaptureFixture[str]
 

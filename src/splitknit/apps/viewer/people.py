@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import BadInput, require
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
 from splitknit.io.images import encode_image
-from splitknit.matching.gallery import Gallery
-from splitknit.matching.gallery_key import Key
 from splitknit.matching.template import unpack
 
 _GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)

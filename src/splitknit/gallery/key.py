@@ -1,0 +1,303 @@
+"""How a gallery's contents are wrapped: AES-256-GCM under a key of 32 bytes or a passphrase, or a digest only.
+
+The only place that knows a cipher.
+
+References
+----------
+NIST SP 800-38D (GCM; unique nonces of 96 bits); RFC 7914 (scrypt); RFC 5869 (HKDF); RFC 2104 (HMAC); RFC 7693
+(keyed BLAKE2). Clarke et al., "Incremental multiset hash functions and their application to memory integrity checking",
+ASIACRYPT 2003 (MSet-Add-Hash).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import hmac
+import json
+import os
+import re
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from splitknit.errors import BadInput, require
+from splitknit.gallery.file import VERSION, damaged
+
+KEY_BYTES = 32
+SALT_BYTES = 16
+TAG_BYTES = 16
+DIGEST_BYTES = 32
+_NONCE_BYTES, _SEAL_BYTES = 12, 16
+_LEAST_PASSPHRASE = 8
+_MOST_CONTENT = 4096
+_MOST_MEMORY, _MOST_WORK = 2**30, 2**32
+"""Bytes that scrypt may take, and may go through in all its rounds (about 10 s), whatever a gallery asks for."""
+_CHECK = b"splitknit gallery"
+
+
+class Damaged(Exception):  # noqa: N818 - a statement about the content
+    """A wrapped content cannot be opened: a byte was changed, it lies in another place, or the key is another."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScryptSettings:
+    """What a guess at a passphrase costs; it takes 128 * r * 2^log2_n bytes, p times one after another."""
+
+    log2_n: int = 17
+    """2^17 with r = 8 takes 128 MB and a third of a second a guess (the usual advice for stored passwords)."""
+    r: int = 8
+    """scrypt's size of a block, 1 to 32."""
+    p: int = 1
+    """scrypt's number of rounds, 1 to 16."""
+
+    def __post_init__(self) -> None:
+        ranges = {"log2_n": (10, 20), "r": (1, 32), "p": (1, 16)}
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            sound = type(value) is int and low <= value <= high
+            require(sound, f"scrypt's {name} must be an integer from {low} to {high}, but it is {str(value)[:20]!a}.")
+        memory = 128 * self.r * 2**self.log2_n
+        require(
+            memory <= _MOST_MEMORY and memory * self.p <= _MOST_WORK,
+            f"scrypt with log2_n = {self.log2_n}, r = {self.r} and p = {self.p} takes {memory / 2**20:.0f} MB {self.p} "
+            f"times; at most {_MOST_MEMORY / 2**20:.0f} MB, and {_MOST_WORK / 2**20:.0f} MB in all, are allowed.",
+        )
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Key:
+    """What a user holds: 32 bytes, or a passphrase. Is never shown."""
+
+    secret: bytes
+    raw: bool
+    """True: `secret` is 32 bytes of chance; false: a passphrase in UTF-8."""
+    counter: Path | None = None
+    """File that remembers the last change of every gallery of this key, so that an older copy of one is refused."""
+
+    def __repr__(self) -> str:
+        return f"Key(raw={self.raw})"
+
+
+def key_from_bytes(content: bytes, where: str) -> Key:
+    """Read a key: 64 hexadecimal digits or 32 bytes that are no text are a key, any other text is a passphrase.
+
+    Parameters
+    ----------
+    content : of a key file or of an environment variable; line ends after it do not count
+    where : for errors
+
+    Raises
+    ------
+    BadInput
+        If it is empty, larger than 4096 bytes, no text, or a passphrase of fewer than 8 characters.
+
+    Examples
+    --------
+    >>> key_from_bytes(b"correct horse battery staple", "the key file")
+    Key(raw=False)
+    """
+    require(len(content) <= _MOST_CONTENT, f"{where} holds {len(content)} bytes, which is no key (4096 at most).")
+    try:
+        text = content.decode("utf-8").rstrip("\r\n")
+        readable = all(character.isprintable() for character in text)
+    except UnicodeDecodeError:
+        text, readable = "", False
+    if readable and re.fullmatch(r"[0-9A-Fa-f]{64}", text):
+        return Key(bytes.fromhex(text), raw=True)
+    if not readable:
+        expected = "a passphrase, 64 hexadecimal digits or 32 bytes are expected"
+        require(len(content) == KEY_BYTES, f"{where} holds {len(content)} bytes that are no text; {expected}.")
+        return Key(content, raw=True)
+    phrase = unicodedata.normalize("NFC", text)
+    require(
+        len(phrase) >= _LEAST_PASSPHRASE,
+        f"{where} holds a passphrase of {len(phrase)} characters; {_LEAST_PASSPHRASE} at least are expected, or 64 "
+        "hexadecimal digits.",
+    )
+    return Key(phrase.encode("utf-8"), raw=False)
+
+
+class Box(Protocol):
+    """Wraps contents; each belongs to one place (`context`) and cannot be opened as that of another."""
+
+    overhead: int
+    """Bytes that wrapping adds."""
+    gallery: str
+    """Name of the gallery in a counter file: its salt; blank where nothing is encrypted."""
+
+    def seal(self, content: bytes, context: bytes) -> bytes:
+        """Wrap."""
+
+    def open(self, sealed: bytes, context: bytes) -> bytes:
+        """Unwrap; raises :class:`Damaged`."""
+
+    def tag(self, names: bytes) -> bytes:
+        """16 bytes that are equal for equal names, to find them without opening every row."""
+
+    def leaf(self, row: bytes) -> int:
+        """Hash of a row, below 2^256; their sum is the gallery's root."""
+
+    def version(self, change: int) -> bytes:
+        """16 bytes for a row that is written in this change."""
+
+
+class PlainBox:
+    """Nothing is hidden: a SHA-256 of content and place in front of the content."""
+
+    overhead = DIGEST_BYTES
+    gallery = ""
+
+    def seal(self, content: bytes, context: bytes) -> bytes:
+        """Digest and content."""
+        return _digest(content, context) + content
+
+    def open(self, sealed: bytes, context: bytes) -> bytes:
+        """Content, if the digest fits."""
+        content = sealed[DIGEST_BYTES:]
+        if not hmac.compare_digest(sealed[:DIGEST_BYTES], _digest(content, context)):
+            raise Damaged
+        return content
+
+    def tag(self, names: bytes) -> bytes:
+        """Begin of the names' SHA-256."""
+        return hashlib.sha256(b"splitknit gallery, names\0" + names).digest()[:TAG_BYTES]
+
+    def leaf(self, row: bytes) -> int:
+        """SHA-256: finds mistakes and damage, but anyone can compute it."""
+        return int.from_bytes(hashlib.sha256(row).digest(), "little")
+
+    def version(self, change: int) -> bytes:
+        """The change's number, so that equal enrolments give equal files."""
+        return change.to_bytes(TAG_BYTES, "big")
+
+
+def _digest(content: bytes, context: bytes) -> bytes:
+    return hashlib.sha256(len(context).to_bytes(4, "little") + context + content).digest()
+
+
+class SealedBox:
+    """AES-256-GCM with a nonce of chance for every content, bound to its place."""
+
+    overhead = _NONCE_BYTES + _SEAL_BYTES
+
+    def __init__(self, key: Key, salt: bytes, scrypt: ScryptSettings, version: int = VERSION) -> None:
+        """Derive the keys of one gallery, which its salt and the version of its format make its own."""
+        from cryptography.hazmat.primitives.ciphers.aead import AESGCM  # noqa: PLC0415 - few need it
+        from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
+        from cryptography.hazmat.primitives.kdf.hkdf import HKDF  # noqa: PLC0415
+
+        require(len(salt) == SALT_BYTES, f"a salt has {SALT_BYTES} bytes, not {len(salt)}.")
+        secret = key.secret if key.raw else _stretched(key.secret, salt, scrypt)
+        derived = HKDF(SHA256(), 3 * KEY_BYTES, salt, b"splitknit gallery %d" % version).derive(secret)
+        self.gallery = salt.hex()
+        self._cipher: Any = AESGCM(derived[:KEY_BYTES])
+        self._tag_key, self._leaf_key = derived[KEY_BYTES : 2 * KEY_BYTES], derived[2 * KEY_BYTES :]
+
+    def seal(self, content: bytes, context: bytes) -> bytes:
+        """Nonce, ciphertext, authentication tag."""
+        nonce = os.urandom(_NONCE_BYTES)
+        return nonce + bytes(self._cipher.encrypt(nonce, content, context))
+
+    def open(self, sealed: bytes, context: bytes) -> bytes:
+        """Content, if key and place are those it was sealed with and no byte was changed."""
+        from cryptography.exceptions import InvalidTag  # noqa: PLC0415
+
+        if len(sealed) < self.overhead:
+            raise Damaged
+        try:
+            return bytes(self._cipher.decrypt(sealed[:_NONCE_BYTES], sealed[_NONCE_BYTES:], context))
+        except InvalidTag as error:
+            raise Damaged from error
+
+    def tag(self, names: bytes) -> bytes:
+        """Begin of the names' HMAC: says nothing without the key."""
+        return hmac.digest(self._tag_key, names, "sha256")[:TAG_BYTES]
+
+    def leaf(self, row: bytes) -> int:
+        """Keyed BLAKE2: without the key nobody makes rows of a given sum (MSet-Add-Hash, its result being sealed)."""
+        return int.from_bytes(hashlib.blake2b(row, digest_size=32, key=self._leaf_key).digest(), "little")
+
+    def version(self, change: int) -> bytes:
+        """16 bytes of chance: of two copies of a gallery that were changed apart, no rows have the same."""
+        return os.urandom(TAG_BYTES)
+
+
+def _stretched(phrase: bytes, salt: bytes, settings: ScryptSettings) -> bytes:
+    from cryptography.hazmat.primitives.kdf.scrypt import Scrypt  # noqa: PLC0415
+
+    return bytes(Scrypt(salt, KEY_BYTES, 2**settings.log2_n, settings.r, settings.p).derive(phrase))
+
+
+def lock(key: Key | None, scrypt: ScryptSettings | None) -> dict[str, Any]:
+    """What a gallery says of how it is wrapped, under a new salt."""
+    if key is None:
+        return {"box": "plain"}
+    chosen = scrypt or ScryptSettings()
+    salt = os.urandom(SALT_BYTES)
+    check = SealedBox(key, salt, chosen).seal(_CHECK, _check_context(VERSION))
+    cost = {} if key.raw else {"log2_n": chosen.log2_n, "r": chosen.r, "p": chosen.p}
+    return {
+        "box": "aes-256-gcm",
+        "key": "raw" if key.raw else "scrypt",
+        "salt": salt.hex(),
+        "check": check.hex(),
+        **cost,
+    }
+
+
+def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VERSION) -> Box:
+    """Box of a gallery.
+
+    Raises
+    ------
+    BadInput
+        If the key is missing, wrong, of the other kind, or not wanted, what the gallery says is damaged, or its
+        passphrase would take too much memory or time to try.
+    """
+    wrong = damaged(path, "what it says of itself cannot be read")
+    known = all(isinstance(about.get(name), kind) for name, kind in _ABOUT.items())
+    require(known and about["box"] in ("plain", "aes-256-gcm"), wrong)
+    if about["box"] == "plain":
+        require(
+            key is None,
+            f"a key was given, but the gallery '{path}' is not encrypted; leave the key out, or encrypt it with "
+            "'splitknit gallery rekey'.",
+        )
+        return PlainBox()
+    if key is None:
+        raise BadInput(f"the gallery '{path}' is encrypted; give its key with --key-file or in SPLITKNIT_GALLERY_KEY.")
+    try:
+        salt, check = bytes.fromhex(about["salt"]), bytes.fromhex(about["check"])
+        raw = {"raw": True, "scrypt": False}[about["key"]]
+        cost = () if raw else (about["log2_n"], about["r"], about["p"])
+        require(len(salt) == SALT_BYTES, wrong)
+    except (KeyError, ValueError, TypeError) as error:
+        raise BadInput(wrong) from error
+    try:
+        scrypt = ScryptSettings(*cost)
+    except BadInput as error:
+        raise BadInput(damaged(path, str(error).rstrip("."))) from error
+    kinds = "32 bytes (64 hexadecimal digits)", "a passphrase"
+    require(
+        key.raw == raw,
+        f"the key does not fit: that of the gallery '{path}' is {kinds[not raw]}, but {kinds[not key.raw]} was given.",
+    )
+    box = SealedBox(key, salt, scrypt, version)
+    with contextlib.suppress(Damaged):
+        if box.open(check, _check_context(version)) == _CHECK:
+            return box
+    raise BadInput(f"the key is not that of the gallery '{path}'; give the one it was encrypted with.")
+
+
+def document_of(about: dict[str, Any]) -> str:
+    """As it is stored."""
+    return json.dumps(about, sort_keys=True)
+
+
+def _check_context(version: int) -> bytes:
+    return b"splitknit gallery %d\0check\0" % version
+
+
+_ABOUT = {"box": str, "settings_sha256": str, "template_version": int}

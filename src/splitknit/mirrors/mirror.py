@@ -1,0 +1,223 @@
+"""From views to a shape: outlines, a first guess, the fit, and heights on the pixels of the front view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.imaging.view import pixels_of
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.dense import heights_on, nearest
+from splitknit.mirrors.first import cap, first_body, turn_of_tips
+from splitknit.mirrors.fit import fit_body
+from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
+from splitknit.mirrors.planes import MirrorPlane, Touching, touching
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes, touched
+from splitknit.mirrors.thesis import Ellipses, ellipses
+from splitknit.mirrors.verdict import facts_of, refuse_misfit
+from splitknit.mirrors.views import Views
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+
+Array = NDArray[np.float64]
+
+
+TURN_DEG = 0.2
+"""Standard deviation of a mirror's turn as the views' tips tell it."""
+
+
+EVERY = 2
+"""Of the rows, that many make one point of an outline in the fit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorShape:
+    """A finger's shape from its outlines."""
+
+    camera: Camera
+    model: Body | Ellipses
+    facts: Mapping[str, Any]
+    """What was found: mirrors' poses, misfits, the sections' form."""
+    outlines: Mapping[str, tuple[Rows, ...]] = field(default_factory=dict)
+    """Measured outlines of ``front`` and every mirror."""
+    fit: Fit | None = None
+    touching: Mapping[str, Touching] = field(default_factory=dict)
+    """As the camera sees them: of ``front`` and every mirror beside the finger."""
+
+    def plane(self, mirror: Mirror) -> tuple[Array, float]:
+        """Normal (3,) of a mirror where it was found, and its distance from the origin along it."""
+        plane = MirrorPlane.nominal(mirror)
+        if self.fit is not None and mirror.name in self.fit.poses:
+            pose = self.fit.poses[mirror.name]
+            plane = plane.moved(pose.turn_rad, pose.lean_rad, pose.shift_mm, mirror.point_mm)
+        return plane.normal, plane.offset_mm
+
+    def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y and z (h, w), mm, of the surface that the pixels of a window of the front view see; NaN beside it.
+
+        With `binning`, of blocks of so many pixels a side.
+        """
+        if isinstance(self.model, Ellipses):
+            return self.model.heights(self.camera, rows, columns, binning)
+        x, y, z, inside, _ = heights_on(self.model, self.camera, rows, columns, binning)
+        return x, y, np.where(inside, z, np.float32(np.nan))
+
+    def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
+        """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and which are known."""
+        if isinstance(self.model, Ellipses):
+            _, _, z = self.model.heights(self.camera, rows, columns)
+            known = np.isfinite(z)
+            return nearest(z, known), known
+        _, _, z, _, known = heights_on(self.model, self.camera, rows, columns)
+        return z, known
+
+    def drawn(self, mirrors: Mapping[str, Mirror]) -> dict[str, Array]:
+        """Outline (n, 2), columns and rows of the camera's image, of the fitted body in every view beside it."""
+        if self.fit is None or not isinstance(self.model, Body):
+            return {}
+        found = {}
+        for name, planes in self.touching.items():
+            plane = None if name == "front" else MirrorPlane(*self.plane(mirrors[name]))
+            points = touched(self.model, planes if plane is None else plane.reflect(planes))
+            if plane is not None:
+                points = points - 2.0 * np.outer(points @ plane.normal - plane.offset_mm, plane.normal)
+            found[name] = pixels_of(self.camera, points)
+        return found
+
+
+def mirror_shape(
+    views: Views,
+    camera: Camera,
+    mirrors: Mapping[str, Mirror],
+    settings: MirrorShapeSettings | None = None,
+    *,
+    tip_direction_deg: float = 0.0,
+    slopes: Slopes | None = None,
+) -> MirrorShape:
+    """Find the finger's shape.
+
+    Parameters
+    ----------
+    views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.find_views`
+    camera : that sees them
+    mirrors : by name, where they nominally are
+    settings : MirrorShapeSettings, optional
+    tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
+    slopes : of the skin in the front view, optional: they tell the sections' form and roll
+
+    Raises
+    ------
+    BadInput
+        If the views do not fit one finger.
+
+    References
+    ----------
+    The thesis, section 3.3.2.3. Cipolla and Giblin 2000, Visual Motion of Curves and Surfaces (frontier points).
+    """
+    settings = settings or MirrorShapeSettings()
+    used = {name: mirrors[name] for name in sorted(views.mirrors)}
+    require(bool(used), "no mirror shows the finger; the shape needs one beside it at least.")
+    hint = np.array([-np.sin(np.deg2rad(tip_direction_deg)), np.cos(np.deg2rad(tip_direction_deg))])
+    axis, front = finger_axis(views.front, camera, views.binning, hint, settings.row_mm)
+    sides = {name: mirror for name, mirror in used.items() if not _from_tip(mirror, axis)}
+    require(bool(sides), "only the mirror beyond the tip shows the finger; the shape needs one beside it.")
+    if settings.method == "thesis":
+        return _by_thesis(views, camera, sides, settings, axis, front)
+    return _by_outlines(views, camera, used, settings, axis, front, slopes)
+
+
+def _from_tip(mirror: Mirror, axis: Array) -> bool:
+    """Whether a mirror looks along the finger rather than across it."""
+    level = mirror.normal[:2] / np.hypot(*mirror.normal[:2])
+    return bool(abs(float(level @ axis)) > np.sqrt(0.5))
+
+
+def _by_thesis(  # noqa: PLR0917
+    views: Views,
+    camera: Camera,
+    sides: Mapping[str, Mirror],
+    settings: MirrorShapeSettings,
+    axis: Array,
+    front: Rows,
+) -> MirrorShape:
+    """The thesis's method on the first lateral view."""
+    name, mirror = next(iter(sides.items()))
+    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, settings.row_mm)
+    side = pad_side(mirror, lateral)
+    require(
+        not is_cut(lateral, side),
+        f"the view in the {name} mirror is cut off at the mirror's edge: lay the finger in "
+        "the middle, so that the mirror shows all of its pad.",
+    )
+    outward = 1.0 if side == "right" else -1.0
+    model = ellipses(front, lateral, outward)
+    facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}
+    return MirrorShape(camera, model, facts, {"front": (front,), name: (lateral,)})
+
+
+def _by_outlines(  # noqa: PLR0917
+    views: Views,
+    camera: Camera,
+    used: Mapping[str, Mirror],
+    settings: MirrorShapeSettings,
+    axis: Array,
+    front: Rows,
+    slopes: Slopes | None,
+) -> MirrorShape:
+    """Body and mirrors' poses together."""
+    outlines: dict[str, tuple[Rows, ...]] = {"front": (front,)}
+    seen: dict[str, SeenIn] = {}
+    lateral: dict[str, Rows] = {}
+    cut: list[str] = []
+    for name, mirror in used.items():
+        plane = MirrorPlane.nominal(mirror)
+        tip = _from_tip(mirror, axis)
+        mask = views.mirrors[name]
+        if tip:
+            rows = rows_of(mask, camera, views.binning, np.array([axis[1], -axis[0]]), settings.row_mm, trust_ends=True)
+            parts = _touching(camera, rows, ("left",))
+        else:
+            rows = rows_of(mask, camera, views.binning, plane.image_axis(axis), settings.row_mm)
+            lateral[name] = rows
+            parts = _touching(camera, rows, ("left", "right"))
+        if is_cut(rows, pad_side(mirror, rows), from_tip=tip):
+            cut.append(name)
+            lateral.pop(name, None)
+            continue
+        outlines[name] = (rows,)
+        seen[name] = SeenIn(parts, plane, mirror.point_mm, tip)
+    require(
+        bool(lateral),
+        f"the view in the {' and the '.join(cut)} mirror is cut off at the mirror's edge or the picture's: "
+        "lay the finger in the middle, so that the mirror shows all of its pad.",
+    )
+    poses = {name: Pose() for name in seen}
+    for name in lateral:
+        caps = [cap(mask, camera, views.binning, axis, settings) for mask in (views.front, views.mirrors[name])]
+        turn = turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
+        if turn is None:
+            raise BadInput(
+                f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the one in front; "
+                "check that the rig file's mirrors are those in the picture and that one finger alone is in view."
+            )
+        poses[name] = Pose(turn_rad=turn)
+        seen[name] = replace(seen[name], turn_rad=turn, turn_sd_rad=np.deg2rad(TURN_DEG))
+    body = first_body(front, lateral, seen, poses, settings)
+    front = front.beyond(body.tip_mm - body.length_mm)
+    front_planes = _touching(camera, front, ("left", "right"))
+    fit = fit_body(body, front_planes, seen, poses, settings, slopes)
+    refuse_misfit(fit, seen, settings)
+    beside = {"front": front_planes, **{name: seen[name].touching for name in lateral}}
+    return MirrorShape(
+        camera, fit.body, {**facts_of(fit, settings, slopes), "views_cut_off": cut}, outlines, fit, beside
+    )
+
+
+def _touching(camera: Camera, rows: Rows, sides: tuple[str, ...]) -> Touching:
+    parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in sides]
+    return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))

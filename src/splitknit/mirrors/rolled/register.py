@@ -1,0 +1,257 @@
+"""What makes two views' ridges meet: the finger's shape between its outlines, and the mirror's pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from splitknit.mirrors.rolled.bands import evened
+from splitknit.mirrors.rolled.chart import Chart
+from splitknit.mirrors.rolled.sight import Sight
+from splitknit.model import BoolArray, FloatArray
+
+Array = NDArray[np.float64]
+
+KNOT_MM = 2.5
+"""Distance of the knots of the correction of the surface."""
+POSE_PRIOR = (0.004, 0.002, 0.05)
+"""Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
+DEPTH_PRIOR_MM = 0.15
+"""Standard deviation of the surface against where it is taken to be."""
+UNSEEN_PRIOR_MM = 0.03
+"""The same where no two views show it."""
+OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
+"""The same where the front's outline tells the surface, this near to a right angle from the front."""
+BEND_PRIOR_MM = 0.04
+"""Standard deviation of the correction's second difference from knot to knot."""
+ALIKE_MM = 0.3
+"""Ridges say something new at about this distance."""
+ROBUST = 1.0
+"""Difference of two views' ridges, of unit contrast, from which it counts less and less."""
+ROUNDS = 12
+FEW = 500
+"""Pixels that both views show; with fewer a mirror is left as it is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What moves the surface and the mirrors."""
+
+    radius_mm: Array
+    """(n, m) to be added to the surface on the chart."""
+    poses: tuple[tuple[float, float, float], ...]
+    """Of each mirror two turns (rad) and a shift (mm), see :meth:`splitknit.mirrors.rolled.reflection.Plane.moved`."""
+    before: tuple[float, ...]
+    """Correlation of each mirror's ridges with the front's where both see them, as it was."""
+    after: tuple[float, ...]
+
+
+def shifts_by(
+    sight: Sight, chart: Chart, points: Array, rays: Array, steps: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """How a view's ridges move on the chart when the surface or the mirror does.
+
+    Parameters
+    ----------
+    points : (K, 3) on the surface
+    rays : (K, 3) directions along which the surface moves
+    steps : (K, 3) by one column and by one row of the chart, along the surface
+
+    Returns
+    -------
+    by_radius : (K, 2) columns and rows for each mm of the surface
+    by_pose : (K, 2, 3) for the mirror's turns (rad) and shift (mm); zero for the front
+    """
+    here = _pixels(sight, points)
+    across, down = (_pixels(sight, points + 0.5 * s) - _pixels(sight, points - 0.5 * s) for s in steps)
+    jacobian = np.stack([across, down], axis=-1)  # (K, 2 pixel, 2 chart)
+    inverse = np.linalg.pinv(jacobian, rcond=0.05)
+    small = 1e-2
+    by_radius = np.einsum("kij,kj->ki", inverse, (_pixels(sight, points + small * rays) - here) / small)
+    by_pose = np.zeros((len(points), 2, 3))
+    if sight.plane is not None:
+        for k in range(3):
+            change = [0.0, 0.0, 0.0]
+            change[k] = 1e-3
+            moved = replace(sight, plane=sight.plane.moved((change[0], change[1]), change[2]))
+            by_pose[:, :, k] = np.einsum("kij,kj->ki", inverse, (_pixels(moved, points) - here) / 1e-3)
+    return by_radius, by_pose
+
+
+def _pixels(sight: Sight, points: Array) -> Array:
+    """(K, 2) columns and rows, in double precision."""
+    seen = sight.to_view(points) * sight.camera.px_per_mm
+    return np.stack([seen[..., 0], -seen[..., 1]], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A mirror's ridges on the chart."""
+
+    sight: Sight
+    band: FloatArray
+    """(n, m) ridge band, zero where not seen."""
+    both: BoolArray
+    """(n, m) where the front sees the finger, too."""
+
+
+def align(  # noqa: PLR0917
+    chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, mirrors: Sequence[Seen], pose_free: bool = True
+) -> Correction:
+    """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at once.
+
+    Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
+    correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
+    within a quarter of a period to begin with: see :mod:`splitknit.mirrors.rolled.search`.
+
+    Parameters
+    ----------
+    chart, radius_mm : the surface (n, m)
+    first : (n, m) ridge band of the front, zero where not seen
+    mirrors : the views that are brought onto it
+    pose_free : whether mirrors may move
+
+    References
+    ----------
+    Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
+    """
+    every = max(2, round(KNOT_MM / chart.pitch_mm))
+    knots = (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
+    count = knots[0] * knots[1]
+    parts = [
+        _Part(chart, radius_mm, front, first, one, every, knots) if int(one.both.sum()) >= FEW else None
+        for one in mirrors
+    ]
+    weight = (chart.pitch_mm / ALIKE_MM) ** 2  # neighbouring pixels say the same
+    seen = np.any([one.both for one in mirrors], axis=0)
+    prior = _priors(knots, _depth_prior(chart, seen, every, knots), pose_free, len(mirrors))
+    values = np.zeros(count + 3 * len(mirrors))
+    scores: list[tuple[float, list[float], Array]] = []
+    for _ in range(ROUNDS):
+        normal, right, alike = prior.copy(), -prior @ values, []
+        for k, part in enumerate(parts):
+            if part is None:
+                alike.append(0.0)
+                continue
+            own = slice(count + 3 * k, count + 3 * k + 3)
+            matrix, left, score = part.linearised(values[:count], values[own])
+            alike.append(score)
+            matrix = scipy.sparse.hstack(
+                [
+                    matrix[:, :count],
+                    scipy.sparse.csr_array((matrix.shape[0], 3 * k)),
+                    matrix[:, count:],
+                    scipy.sparse.csr_array((matrix.shape[0], 3 * (len(parts) - k - 1))),
+                ]
+            ).tocsr()
+            trust = scipy.sparse.diags_array(weight / (1.0 + (left / ROBUST) ** 2))
+            normal = normal + matrix.T @ trust @ matrix
+            right = right + matrix.T @ (trust @ left)
+        scores.append((float(np.mean(alike)) if alike else 0.0, alike, values))
+        values = values + scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), right)
+    _, after, values = max(scores, key=lambda item: item[0])
+    grid = values[:count].reshape(knots).astype(np.float32)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / every for n in chart.shape[::-1]))
+    smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
+    poses = [(float(a), float(b), float(c)) for a, b, c in values[count:].reshape(-1, 3)]
+    return Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
+
+
+class _Part:
+    """One mirror's share in the equations."""
+
+    def __init__(  # noqa: PLR0917
+        self, chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, seen: Seen, every: int,
+        knots: tuple[int, int],
+    ) -> None:  # fmt: skip
+        self.rows, self.columns = np.nonzero(seen.both)
+        self.modes = _modes(chart, radius_mm, (front, seen.sight), (self.rows, self.columns))
+        self.spread = _hats(self.columns / every, self.rows / every, knots)
+        one, other = (evened(band, seen.both, chart.pitch_mm) for band in (first, seen.band))
+        self.fields = other, np.gradient(other, axis=1), np.gradient(other, axis=0)
+        self.target = one[self.rows, self.columns]
+
+    def linearised(self, depths: Array, pose: Array) -> tuple[Any, Array, float]:
+        """Derivatives (K, knots + 3) of the mirror's ridges, what they lack (K,), and the correlation."""
+        by_depth = self.spread @ depths
+        moved = self.modes[..., 0] * by_depth[:, None] + self.modes[..., 1:] @ pose
+        column, row = self.columns + moved[:, 0], self.rows + moved[:, 1]
+        seen, across, down = (_read(field, column, row) for field in self.fields)
+        score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
+        jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
+        matrix: Any = scipy.sparse.hstack(
+            [scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread, scipy.sparse.csr_array(jacobian[:, 1:])]
+        ).tocsr()
+        return matrix, self.target - seen, score
+
+
+def _modes(
+    chart: Chart, radius_mm: Array, sights: tuple[Sight, Sight], at: tuple[NDArray[np.intp], NDArray[np.intp]]
+) -> Array:
+    """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of surface, by pose."""
+    points = chart.points(radius_mm)
+    _, rays = chart.rays()
+    right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    (of_front, _), (of_mirror, by_pose) = (
+        shifts_by(sight, chart, points[at], rays[at], (right[at], down[at])) for sight in sights
+    )
+    return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
+
+
+def _read(field: FloatArray, columns: Array, rows: Array) -> Array:
+    """(K,) values at places, zero outside."""
+    return np.asarray(ndimage.map_coordinates(field, [rows, columns], order=1, mode="constant"), dtype=np.float64)
+
+
+def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.csr_array:
+    """(K, knots) bilinear weights of the knots at places given in knots."""
+    row0 = np.clip(np.floor(rows).astype(int), 0, knots[0] - 2)
+    column0 = np.clip(np.floor(columns).astype(int), 0, knots[1] - 2)
+    down, right = rows - row0, columns - column0
+    entries, places = [], []
+    for di, wi in ((0, 1 - down), (1, down)):
+        for dj, wj in ((0, 1 - right), (1, right)):
+            entries.append(wi * wj)
+            places.append((row0 + di) * knots[1] + column0 + dj)
+    lines = np.tile(np.arange(len(columns)), 4)
+    shape = (len(columns), knots[0] * knots[1])
+    return scipy.sparse.coo_array((np.concatenate(entries), (lines, np.concatenate(places))), shape=shape).tocsr()
+
+
+def _depth_prior(chart: Chart, seen: BoolArray, every: int, knots: tuple[int, int]) -> Array:
+    """(knots) standard deviation of the surface at the knots, mm: away from what two views show it stays as it is."""
+    step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
+    degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(knots[1]))
+    near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
+    told = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
+    reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
+    row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in zip(knots, seen.shape, strict=True))
+    return np.where(reach[np.ix_(row, column)] > 0, told[None], UNSEEN_PRIOR_MM)
+
+
+def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirrors: int) -> Any:
+    """Inverse covariance of knots and poses; `deviation_mm` (knots) of the surface."""
+    rows, columns = knots
+
+    def bends(count: int) -> Any:
+        if count < 3:
+            return scipy.sparse.csr_array((0, count))
+        return scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)).tocsr()
+
+    down = scipy.sparse.kron(bends(rows), scipy.sparse.eye_array(columns))
+    across = scipy.sparse.kron(scipy.sparse.eye_array(rows), bends(columns))
+    smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
+    near = scipy.sparse.diags_array(1.0 / deviation_mm.ravel() ** 2)
+    spreads = np.array(POSE_PRIOR) if pose_free else np.full(3, 1e-9)
+    return scipy.sparse.block_diag(
+        [smooth + near, scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))]
+    ).tocsr()

@@ -1,0 +1,87 @@
+"""The chart around a finger, and how views see it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.mirrors.rolled import (
+    Chart,
+    Plane,
+    Sight,
+    chart_over,
+    heights,
+    read,
+    sampled,
+    surface_normals,
+)
+from splitknit.model import Camera
+
+CAMERA = Camera(12.0, (420, 900))
+A, B, CAP = 8.0, 6.5, 8.0
+LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
+RIGHT = Sight("right", CAMERA, Plane(np.array([20.0, 0.0, -8.0]), LEAN))
+FRONT = Sight("front", CAMERA)
+
+
+def capsule_chart(pitch: float = 0.25) -> Chart:
+    return chart_over(np.zeros(3), np.eye(3), (-170.0, 170.0), (-14.0, 10.0), CAP, pitch, A)
+
+
+def capsule_radius(chart: Chart) -> np.ndarray:
+    """Distance of x^2/A^2 + max(y,0)^2/CAP^2 + z^2/B^2 = 1 along the rays."""
+    _, rays = chart.rays()
+    fan = rays * np.where(chart.length_mm[:, None, None] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
+    return 1.0 / np.sqrt((fan[..., 0] / A) ** 2 + (fan[..., 1] / CAP) ** 2 + (fan[..., 2] / B) ** 2)
+
+
+def test_points_are_found_where_they_were_put() -> None:
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    axes = turn * np.sign(np.linalg.det(turn))
+    chart = chart_over(np.array([3.0, -2.0, 1.0]), axes, (-120.0, 120.0), (-12.0, 9.0), 8.0, 0.5, 8.0)
+    radius = np.random.default_rng(0).uniform(5, 8, chart.shape)
+    angle, length, distance = chart.locate(chart.points(radius))
+    assert np.allclose(angle, chart.angle_rad[None], atol=1e-9)
+    assert np.allclose(length, chart.length_mm[:, None], atol=1e-9)
+    assert np.allclose(distance, radius)
+    column, row = chart.places(angle, length)
+    assert np.allclose(column, np.arange(chart.shape[1])[None], atol=1e-3)
+    assert np.allclose(row, np.arange(chart.shape[0])[:, None], atol=1e-3)
+
+
+def test_normals_point_outwards() -> None:
+    chart = capsule_chart()
+    points = chart.points(capsule_radius(chart))
+    expected = points / np.array([A, CAP, B]) ** 2 * np.where(points[..., 1:2] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
+    expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
+    assert np.abs(surface_normals(points) - expected)[2:-2, 2:-2].max() < 0.02
+
+
+def test_a_surface_goes_from_chart_to_chart() -> None:
+    coarse, fine = capsule_chart(0.5), chart_over(np.zeros(3), np.eye(3), (-90.0, 90.0), (-14.0, 10.0), CAP, 0.1, A)
+    got = sampled(coarse, capsule_radius(coarse), fine)
+    # the second derivative jumps where the cap begins
+    assert np.abs(got - capsule_radius(fine)).max() < 5e-3
+
+
+def test_reading_holds_or_ends_at_the_border() -> None:
+    field = np.arange(12.0, dtype=np.float32).reshape(3, 4)
+    x, y = np.array([[1.5, -3.0]], np.float32), np.array([[1.0, 0.0]], np.float32)
+    assert read(field, x, y)[0, 0] == pytest.approx(5.5)
+    assert np.isnan(read(field, x, y)[0, 1])
+    assert read(field, x, y, held=True, cubic=True)[0, 1] == pytest.approx(0.0)
+
+
+def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:
+    chart = capsule_chart()
+    radius = capsule_radius(chart)
+    x, y = np.linspace(-6, 6, 25), np.linspace(4, -10, 29)
+    seen = heights(FRONT, chart, radius, x, y)
+    cap = np.maximum(y, 0)[:, None] / CAP
+    expected = B * np.sqrt(1 - (x[None] / A) ** 2 - cap**2)
+    assert np.abs(seen - expected).max() < 0.02
+    # (x, y, z) is seen at (z + 28, y, x - 28): the side of +x
+    z = np.linspace(-5, 5, 21)
+    side = heights(RIGHT, chart, radius, z + 28.0, y)
+    assert np.abs(side - (A * np.sqrt(1 - (z[None] / B) ** 2 - cap**2) - 28.0)).max() < 0.02
+    assert np.isnan(heights(FRONT, chart, radius, np.array([9.0, 30.0]), y)).all()
