@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from cases import shadow_case
-from splitknit.separate.direct import direct_light
-from splitknit.separate.unet import Network, load_network, network_of, run_network
-from splitknit.separate.weights import card_bytes, read_network
+from splitknit.networks.unet import Network, load_network, network_of, run_network
+from splitknit.networks.weights import card_bytes, read_network
+from splitknit.separation.direct import direct_light
 from timing import machine, print_table, race
 
 
@@ -59,7 +59,7 @@ def main() -> None:
 
 def thesis(image: np.ndarray, device: str) -> None:
     """Cost of the network as wide as the thesis's."""
-    from splitknit.separate.train import Trainer, TrainSettings, unet_reach  # noqa: PLC0415
+    from splitknit.training.train import Trainer, TrainSettings, unet_reach  # noqa: PLC0415
 
     settings = TrainSettings(device=device, threads=2)
     trainer = Trainer(settings)

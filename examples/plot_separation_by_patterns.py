@@ -18,7 +18,7 @@ import numpy as np
 
 from splitknit.io import write_image
 from splitknit.model import Camera
-from splitknit.separate import Separation, StackSettings, checkerboard, single_image
+from splitknit.separation import Separation, StackSettings, checkerboard, single_image
 from splitknit.simulator.palm import draw_palm, palm_surface
 from splitknit.simulator.palm_settings import PalmSettings
 from splitknit.simulator.projector import Checkerboard, pattern_states

@@ -10,8 +10,8 @@ from splitknit.apps.training.relief_crops import TRIM_PX, training_crops
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.errors import BadInput
 from splitknit.imaging.view import pixel_axes_mm
-from splitknit.separate.train_relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT
 from splitknit.simulator.renderer import BandLight
+from splitknit.training.relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT
 
 SMALL = ReliefData(scale=0.15, crop_usual_share=1.0, crop_px=180, crops=3)
 SIDE = 180 - 2 * TRIM_PX

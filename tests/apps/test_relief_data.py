@@ -11,16 +11,16 @@ from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on
 from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.errors import BadInput
-from splitknit.metric.bands import BandImages
-from splitknit.metric.features import COUNT, features
-from splitknit.metric.grid import Grid
-from splitknit.metric.learned import GLARE as GLARE_UNIT
-from splitknit.metric.learned import RELIEF_MM
 from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import preset_settings
-from splitknit.separate.train_relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT, mirrored, transposed
 from splitknit.simulator import twin
 from splitknit.simulator.rig import default_rig
+from splitknit.skin.bands import BandImages
+from splitknit.skin.features import COUNT, features
+from splitknit.skin.grid import Grid
+from splitknit.skin.learned import GLARE as GLARE_UNIT
+from splitknit.skin.learned import RELIEF_MM
+from splitknit.training.relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT, mirrored, transposed
 
 PITCH_MM = 0.04
 SIDE = 96

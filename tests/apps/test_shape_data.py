@@ -13,17 +13,16 @@ from splitknit.apps.training.shape_data import assembled_shape, drawn_relief, sh
 from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients
-from splitknit.metric import learned
-from splitknit.metric.bands import BandImages
-from splitknit.metric.facets import Facets
-from splitknit.metric.grid import Grid
-from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE
-from splitknit.metric.shape_features import shape_features
 from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import preset_settings
-from splitknit.separate import SkinSettings, diffusion
-from splitknit.separate.train_shape import CHANNELS, FIELDS, SLOPES, TURNS, WEIGHT, without_nir
-from splitknit.separate.train_shape_batches import OF_NIR
+from splitknit.skin import SkinSettings, diffusion, learned
+from splitknit.skin.bands import BandImages
+from splitknit.skin.facets import Facets
+from splitknit.skin.grid import Grid
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE
+from splitknit.skin.shape_features import shape_features
+from splitknit.training.shape import CHANNELS, FIELDS, SLOPES, TURNS, WEIGHT, without_nir
+from splitknit.training.shape_batches import OF_NIR
 
 PITCH_MM = 0.106
 SIDE = 64

@@ -15,8 +15,8 @@ from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.train_relief import train_relief
 from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.errors import BadInput
-from splitknit.separate.train_relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network
-from splitknit.separate.unet import load_network, run_network
+from splitknit.networks.unet import load_network, run_network
+from splitknit.training.relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network
 
 torch = pytest.importorskip("torch")
 

@@ -15,8 +15,8 @@ from splitknit.apps.training.shape_scenes import ShapeData
 from splitknit.apps.training.train_shape import train_shape
 from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.errors import BadInput
-from splitknit.separate.train_shape import CHANNELS, SLOPES, WEIGHT, ShapeSettings, relief_network
-from splitknit.separate.unet import load_network, run_network
+from splitknit.networks.unet import load_network, run_network
+from splitknit.training.shape import CHANNELS, SLOPES, WEIGHT, ShapeSettings, relief_network
 
 
 def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:

@@ -11,8 +11,8 @@ from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train
 from splitknit.apps.training.train_verb import command_of
 from splitknit.errors import BadInput
-from splitknit.separate import train_network
-from splitknit.separate.unet import load_network
+from splitknit.networks.unet import load_network
+from splitknit.separation import train_network
 
 Captured = pytest.CaptureFixture[str]
 TINY = [
@@ -29,7 +29,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Photographs of noise in the place of skin."""
     import numpy as np
 
-    from splitknit.separate.train import Photograph
+    from splitknit.training.train import Photograph
 
     def shoot(kind: str, index: int, seed: int, settings: Any, enhance: Any) -> list[Photograph]:
         rng = np.random.default_rng([kind == "finger", index, seed])

@@ -109,15 +109,15 @@ from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_m
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
 from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.networks.unet import load_network
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.matchable import MatchingSettings, Surface
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.stl import read_stl, write_stl
 from splitknit.rig.store import SweepFolder
 from splitknit.rig.study import Study
-from splitknit.separate.train_settings import DataSettings, TrainSettings
-from splitknit.separate.unet import load_network
 from splitknit.settings import override
+from splitknit.training.settings import DataSettings, TrainSettings
 
 TINY_NETWORK = Path(__file__).resolve().parents[1] / "separate" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)

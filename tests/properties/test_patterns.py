@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.separate import checkerboard, checkerboard_patterns, occluder, sinusoid
+from splitknit.separation import checkerboard, checkerboard_patterns, occluder, sinusoid
 
 quick = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -10,8 +10,6 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
-from splitknit.metric.grid import Grid
-from splitknit.metric.light import FineLight
 from splitknit.mirrors.rolled import SearchSettings, coverage_deg, ridge_band
 from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
@@ -19,6 +17,8 @@ from splitknit.recipe.rolled import Rolled, _apart, _base, rolled_finger
 from splitknit.recipe.rolled_capture import _notes, check_mirrors
 from splitknit.recipe.rolled_relief import _lit
 from splitknit.recipe.rolled_settings import RolledSettings
+from splitknit.skin.grid import Grid
+from splitknit.skin.light import FineLight
 
 QUICK = RolledSettings(pitch_mm=0.07, search=SearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3))
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.metric.grid import Grid
-from splitknit.metric.light import FineLight
 from splitknit.recipe.rolled_normals import held_normals
+from splitknit.skin.grid import Grid
+from splitknit.skin.light import FineLight
 
 SHAPE, PITCH = (24, 24), 0.05
 

@@ -1,4 +1,4 @@
-"""Make `splitknit/separate/diffusion_table.npz`: how skin blurs light, for any scattering and absorption.
+"""Make `splitknit/separation/diffusion_table.npz`: how skin blurs light, for any scattering and absorption.
 
 Random walks in a half space with isotropic scattering (the reduced problem), diffuse entry, Fresnel reflection inside
 with a rough boundary (reflected light leaves the boundary diffusely). Lengths are in units of the mean free path, and

@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _networks(needed: set[str], options: Any) -> dict[str, str]:
     """Hashes of the networks that the rows need, by name. Refuses if one is missing, before anything is measured."""
-    from splitknit.separate.weights import read_network  # noqa: PLC0415
+    from splitknit.networks.weights import read_network  # noqa: PLC0415
 
     return {name: read_network(getattr(options, name))[0].sha256 for name in sorted(needed)}
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
 
-import splitknit.metric.surface as metric_surface
+import splitknit.skin.surface as metric_surface
 from splitknit.apps.compare import compare
 from splitknit.errors import BadInput, require
 from splitknit.imaging import linear_channels
@@ -25,7 +25,7 @@ from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.result import assemble
 from splitknit.recipe.skin import metric_skin
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.separate.direct import direct_of_enhanced
+from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
 
 FIGURES = (

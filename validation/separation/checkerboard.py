@@ -44,7 +44,7 @@ from patches import (
 from summary import summary
 
 from splitknit.model import Camera, Led
-from splitknit.separate.patterns import Separation, StackSettings, by_symmetry, checkerboard, estimate_patterns
+from splitknit.separation.patterns import Separation, StackSettings, by_symmetry, checkerboard, estimate_patterns
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.palm import draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard

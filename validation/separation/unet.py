@@ -31,15 +31,15 @@ import numpy as np
 
 from splitknit.apps.training.train import HELD_OUT_FROM, enhance
 from splitknit.model import Led
-from splitknit.separate.direct import direct_light, direct_of_enhanced
-from splitknit.separate.patterns import single_image
-from splitknit.separate.stacks import StackSettings
-from splitknit.separate.train import DataSettings, Photograph, photographs, surface_of
-from splitknit.separate.unet import Network, load_network
+from splitknit.networks.unet import Network, load_network
+from splitknit.separation.direct import direct_light, direct_of_enhanced
+from splitknit.separation.patterns import single_image
+from splitknit.separation.stacks import StackSettings
 from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.separation import checkerboard_images, separate_truth
 from splitknit.simulator.skin import SkinSettings
+from splitknit.training.train import DataSettings, Photograph, photographs, surface_of
 
 HERE = Path(__file__).resolve().parent
 FIRST = HELD_OUT_FROM + 1000

@@ -21,12 +21,12 @@ from inversion import CHANNELS, PIXEL_MM, likeness
 from measure import drift_mm, lights
 from scipy import ndimage
 
-from splitknit.metric import MetricSettings, reconstruct_skin
-from splitknit.metric.bands import BandImages
-from splitknit.metric.grid import Grid
-from splitknit.separate import SkinSettings as AssumedSkin
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import SkinSettings
+from splitknit.skin import MetricSettings, reconstruct_skin
+from splitknit.skin import SkinSettings as AssumedSkin
+from splitknit.skin.bands import BandImages
+from splitknit.skin.grid import Grid
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

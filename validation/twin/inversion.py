@@ -5,7 +5,7 @@
 
 Ridged crops under the seven white LEDs are rendered by the reference (diffuse boundary) and kept, with their height,
 in ``validation/out/twin/inversion``. Each channel then goes the simple way: near-light photometric stereo with known
-lights, slopes divided by the transfer function of :mod:`splitknit.separate.diffusion`, integration; the ridge band is
+lights, slopes divided by the transfer function of :mod:`splitknit.skin.diffusion`, integration; the ridge band is
 compared with the truth, for the reference's light without and with glare and, to tell what the way itself leaves, for
 the fast twin's. Results go to ``validation/twin/inversion.json``.
 """
@@ -31,12 +31,12 @@ from patches import PITCH_MM, middle, ridged_patch
 from run import HERE, OUT, source_hash
 
 from splitknit.errors import BadInput
-from splitknit.separate import diffusion
 from splitknit.simulator.diffusion import load_walks
 from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume
 from splitknit.simulator.renderer import render_band
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import Channel, SkinSettings
+from splitknit.skin import diffusion
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
 REGULARISED = 0.05

@@ -26,7 +26,7 @@ from splitknit.errors import BadInput, require
 from splitknit.io import atomic_folder, plain_json, provenance, write_image
 from splitknit.io.light import write_light_tiff
 from splitknit.model import FloatArray
-from splitknit.separate import (
+from splitknit.separation import (
     PhaseSeparation,
     Separation,
     StackSettings,
@@ -36,7 +36,7 @@ from splitknit.separate import (
     single_image,
     sinusoid,
 )
-from splitknit.separate.patterns import by_symmetry
+from splitknit.separation.patterns import by_symmetry
 
 MARKER = "direct.tiff"
 LINEAR = "linear light, 1 = full scale of the images"

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import FloatArray
-from splitknit.separate import PhaseSeparation
+from splitknit.separation import PhaseSeparation
 
 
 def light_picture(light: FloatArray) -> NDArray[np.uint8]:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.metric.bands import BandImages
-from splitknit.metric.grid import Grid
 from splitknit.model import FloatArray
+from splitknit.skin.bands import BandImages
+from splitknit.skin.grid import Grid
 
 FACTOR = 2
 

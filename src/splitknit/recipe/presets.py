@@ -16,10 +16,9 @@ from splitknit.finger import (
 )
 from splitknit.integration import PoissonSettings, ShapeletSettings
 from splitknit.integration.knit import KnitSettings
-from splitknit.metric import MetricSettings
 from splitknit.mirrors import MirrorShapeSettings
 from splitknit.photometric import HanrahanKruegerSettings, RobustSettings
-from splitknit.separate import SkinSettings
+from splitknit.skin import MetricSettings, SkinSettings
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives its sizes in pixels."""

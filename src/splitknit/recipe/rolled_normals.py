@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.metric.grid import Grid
-from splitknit.metric.light import FineLight
 from splitknit.model import FloatArray
+from splitknit.skin.grid import Grid
+from splitknit.skin.light import FineLight
 
 
 def held_normals(  # noqa: PLR0917

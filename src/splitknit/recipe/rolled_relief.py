@@ -14,11 +14,6 @@ from splitknit.imaging import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration import shapelets
-from splitknit.metric import can_learn
-from splitknit.metric.coarse import BandImages
-from splitknit.metric.grid import Grid, coarsen, refine
-from splitknit.metric.learned import relief_by_network
-from splitknit.metric.light import FineLight, fine_lighting, slant_of, trust_of
 from splitknit.mirrors.rolled import Chart, Sight, heights, read
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric import pseudo_normals
@@ -27,6 +22,11 @@ from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.rolled_light import Glass, skin_points, view_light
 from splitknit.recipe.rolled_normals import held_normals
 from splitknit.recipe.skin import shipped_networks
+from splitknit.skin import can_learn
+from splitknit.skin.coarse import BandImages
+from splitknit.skin.grid import Grid, coarsen, refine
+from splitknit.skin.learned import relief_by_network
+from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
 
 Array = NDArray[np.float64]
 

@@ -9,16 +9,16 @@ import numpy as np
 
 from splitknit.imaging import Window, has_colour, linear_channels
 from splitknit.imaging.view import view_of
-from splitknit.metric import Networks, can_learn, reconstruct_skin
-from splitknit.metric.bands import BandImages
-from splitknit.metric.grid import Grid
 from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.networks.unet import load_network, run_network
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.recipe.finger import Finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.recipe.surfaces import SurfaceParts, facts_of, ridge_and_shape_bands
-from splitknit.separate.unet import load_network, run_network
+from splitknit.skin import Networks, can_learn, reconstruct_skin
+from splitknit.skin.bands import BandImages
+from splitknit.skin.grid import Grid
 
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
@@ -31,7 +31,7 @@ HOW = {
 
 
 def metric_skin(capture: Capture, finger: Finger, settings: PipelineSettings, watch: Stopwatch) -> SurfaceParts:
-    """Near lights, glare told by its colour, the skin's blur undone: see :mod:`splitknit.metric`."""
+    """Near lights, glare told by its colour, the skin's blur undone: see :mod:`splitknit.skin`."""
     white, nir, warnings = ridge_and_shape_bands(capture, settings)
     with watch("light"):
         grid, bands, binning = skin_images(capture, finger, settings)

@@ -23,7 +23,7 @@ from splitknit.recipe.memory import Memory
 from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
 from splitknit.recipe.smooth import smoothed
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.separate.direct import direct_light, direct_of_enhanced
+from splitknit.separation.direct import direct_light, direct_of_enhanced
 
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.training.training_card import mean_figures, rounded, runner_of, stride_of, write_files
-from splitknit.metric.learned import RELIEF_MM
-from splitknit.separate.train_relief import JUDGED_PX, NAME, Sample, judge_middle, packed
+from splitknit.skin.learned import RELIEF_MM
+from splitknit.training.relief import JUDGED_PX, NAME, Sample, judge_middle, packed
 
 UNIT_UM = 1000.0 * float(RELIEF_MM)
 """Unit of the network's relief, micrometres."""
@@ -29,7 +29,7 @@ def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> 
 
     Returns
     -------
-    dict with the figures of each finger, see :func:`splitknit.separate.train_relief.judged`, and their means
+    dict with the figures of each finger, see :func:`splitknit.training.relief.judged`, and their means
     """
     run, stride = runner_of(state), stride_of(state)
     figures = {number: judge_middle(run, sample, stride) for number, sample in samples.items()}

@@ -16,11 +16,8 @@ from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.scene_ranges import draw_base, draw_finger_of, moved_rig
 from splitknit.errors import require
-from splitknit.metric.bands import BandImages
-from splitknit.metric.grid import Grid
 from splitknit.model import FloatArray, Rig
 from splitknit.pipeline import preset_settings
-from splitknit.separate.train_relief import WEIGHT
 from splitknit.simulator.diffusion import WalkTable, load_walks
 from splitknit.simulator.finger import finger_surface
 from splitknit.simulator.pose_ranges import PoseRanges
@@ -29,6 +26,9 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
+from splitknit.skin.bands import BandImages
+from splitknit.skin.grid import Grid
+from splitknit.training.relief import WEIGHT
 
 TRIM_PX = 60
 """Rim of a piece that is rendered but not kept: light from beyond the piece is missing there."""

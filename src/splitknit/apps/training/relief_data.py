@@ -18,18 +18,18 @@ from scipy import ndimage
 from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.imaging import Window, bin_mean
-from splitknit.metric.bands import BandImages
-from splitknit.metric.features import RIDGE_BAND_MM, azimuth_waves, features
-from splitknit.metric.grid import Grid, coarsen
-from splitknit.metric.learned import GLARE, RELIEF_MM
-from splitknit.metric.light import FineLight, fine_lighting, slant_of, trust_of
-from splitknit.metric.surface import first_shape
 from splitknit.model import BoolArray, Capture, FloatArray, Rig
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.skin import skin_images
 from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.skin.bands import BandImages
+from splitknit.skin.features import RIDGE_BAND_MM, azimuth_waves, features
+from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.learned import GLARE, RELIEF_MM
+from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
+from splitknit.skin.surface import first_shape
 
 MOST_RELIEF = np.float32(10.0)
 """Relief beyond this many units (0.2 mm) is none."""

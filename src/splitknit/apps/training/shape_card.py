@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.training.training_card import mean_figures, rounded, runner_of, stride_of, write_files
-from splitknit.metric.learned import SHAPE_SLOPE
-from splitknit.separate.train_shape import JUDGED_WIDE_PX, NAME, Sample, judge_whole, packed
+from splitknit.skin.learned import SHAPE_SLOPE
+from splitknit.training.shape import JUDGED_WIDE_PX, NAME, Sample, judge_whole, packed
 
 UNIT = float(SHAPE_SLOPE)
 """Unit of the network's slopes."""
@@ -29,7 +29,7 @@ def shape_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> di
 
     Returns
     -------
-    dict with the figures of each finger, see :func:`splitknit.separate.train_shape.judged`, as slopes, and their means
+    dict with the figures of each finger, see :func:`splitknit.training.shape.judged`, as slopes, and their means
     """
     run, stride = runner_of(state), stride_of(state)
     figures = {

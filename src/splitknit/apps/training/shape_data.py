@@ -19,18 +19,18 @@ from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.errors import require
 from splitknit.imaging import bin_mean
 from splitknit.imaging.geometry import height_gradients
-from splitknit.metric.features import RIDGE_BAND_MM
-from splitknit.metric.grid import Grid, coarsen
-from splitknit.metric.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
-from splitknit.metric.light import slant_of, trust_of
-from splitknit.metric.surface import reconstruct_skin
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.skin import skin_images
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.separate.train_shape import FIELDS
+from splitknit.skin.features import RIDGE_BAND_MM
+from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
+from splitknit.skin.light import slant_of, trust_of
+from splitknit.skin.surface import reconstruct_skin
+from splitknit.training.shape import FIELDS
 
 MOST_MISSING = 3.0
 """Slopes that are missing beyond this are cut off."""
@@ -122,7 +122,7 @@ def assembled_shape(
 
     Parameters
     ----------
-    fields : (32, h, w) of :func:`splitknit.metric.shape_features.shape_features`
+    fields : (32, h, w) of :func:`splitknit.skin.shape_features.shape_features`
     true_mm : (H, W) true shape on the fine grid
     known : (H, W) where it means something
     low : coarse grid

@@ -33,7 +33,9 @@ from splitknit.finger import clahe
 from splitknit.io.fields import parse_json
 from splitknit.io.npz import map_npy
 from splitknit.model import BoolArray, FloatArray
-from splitknit.separate.train import (
+from splitknit.networks.unet import network_of, run_network
+from splitknit.networks.weights import card_bytes, read_network
+from splitknit.training.train import (
     MAY_CHANGE,
     DataSettings,
     Patches,
@@ -45,8 +47,6 @@ from splitknit.separate.train import (
     photographs,
     unet_reach,
 )
-from splitknit.separate.unet import network_of, run_network
-from splitknit.separate.weights import card_bytes, read_network
 
 NETWORK = "direct"
 HELD_OUT_FROM = 1_000_000

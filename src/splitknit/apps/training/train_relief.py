@@ -22,8 +22,8 @@ from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.training_data import HELD_OUT_FROM, load_data, make_data, require_fingers
 from splitknit.apps.training.training_folder import Progress, files_of, open_folder
 from splitknit.apps.training.training_stretches import DATA_PART, train_in_stretches
-from splitknit.separate.train_network import load_torch
-from splitknit.separate.train_relief import CHANNELS, NAME, ReliefSettings, ReliefTrainer
+from splitknit.training.network import load_torch
+from splitknit.training.relief import CHANNELS, NAME, ReliefSettings, ReliefTrainer
 
 FILES = files_of(NAME, "fingers")
 

@@ -64,7 +64,7 @@ def run_relief(options: argparse.Namespace, progress: Progress) -> tuple[dict[st
     """Train, and say what came out."""
     from splitknit.apps.training.relief_scenes import ReliefData  # noqa: PLC0415 - only this verb pays for it
     from splitknit.apps.training.train_relief import FILES, train_relief  # noqa: PLC0415
-    from splitknit.separate.train_relief import ReliefSettings  # noqa: PLC0415
+    from splitknit.training.relief import ReliefSettings  # noqa: PLC0415
 
     names = ("fingers", "crops", "whole_fingers", "held_out", "first", "first_whole")
     data = ReliefData(**{name: getattr(options, name) for name in names})

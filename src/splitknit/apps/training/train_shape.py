@@ -21,8 +21,8 @@ from splitknit.apps.training.shape_scenes import ShapeData
 from splitknit.apps.training.training_data import HELD_OUT_FROM, load_data, make_data, require_fingers
 from splitknit.apps.training.training_folder import Progress, files_of, open_folder
 from splitknit.apps.training.training_stretches import DATA_PART, train_in_stretches
-from splitknit.separate.train_network import load_torch
-from splitknit.separate.train_shape import CHANNELS, NAME, ShapeSettings, ShapeTrainer
+from splitknit.training.network import load_torch
+from splitknit.training.shape import CHANNELS, NAME, ShapeSettings, ShapeTrainer
 
 FILES = files_of(NAME, "fingers")
 

@@ -34,7 +34,7 @@ def run_shape(options: argparse.Namespace, progress: Progress) -> tuple[dict[str
     """Train, and say what came out."""
     from splitknit.apps.training.shape_scenes import ShapeData  # noqa: PLC0415 - only this verb pays for it
     from splitknit.apps.training.train_shape import FILES, train_shape  # noqa: PLC0415
-    from splitknit.separate.train_shape import ShapeSettings  # noqa: PLC0415
+    from splitknit.training.shape import ShapeSettings  # noqa: PLC0415
 
     data = ShapeData(fingers=options.fingers, held_out=options.held_out, first=options.first)
     settings = ShapeSettings(**training_settings(options))

@@ -51,7 +51,7 @@ def add_separation_options(verb: argparse.ArgumentParser) -> None:
 def run_separation(options: argparse.Namespace, progress: Progress) -> tuple[dict[str, Any], list[str]]:
     """Train, and say what came out."""
     from splitknit.apps.training.train import FILES, train_separation  # noqa: PLC0415 - only this verb pays for it
-    from splitknit.separate.train import DataSettings, TrainSettings  # noqa: PLC0415
+    from splitknit.training.train import DataSettings, TrainSettings  # noqa: PLC0415
 
     data = DataSettings(
         palms=options.palms,

@@ -13,10 +13,10 @@ from splitknit import __version__
 from splitknit.apps.training.training_folder import plain, write_file
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.separate.train_network import load_torch
-from splitknit.separate.train_relief_network import network_from
-from splitknit.separate.unet import network_of, run_network
-from splitknit.separate.weights import read_network
+from splitknit.networks.unet import network_of, run_network
+from splitknit.networks.weights import read_network
+from splitknit.training.network import load_torch
+from splitknit.training.relief_network import network_from
 
 Packed = Callable[[Mapping[str, Any], Mapping[str, Any], str], tuple[bytes, bytes]]
 

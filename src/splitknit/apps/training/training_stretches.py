@@ -12,8 +12,8 @@ import numpy as np
 from splitknit.apps.charts import Line
 from splitknit.apps.training.training_card import mean_figures
 from splitknit.apps.training.training_folder import Progress, curve_chart, curve_table, read_file, write_file
-from splitknit.separate.train_fields_loop import FieldsTrainer
-from splitknit.separate.train_fields_settings import FieldsSettings
+from splitknit.training.fields_loop import FieldsTrainer
+from splitknit.training.fields_settings import FieldsSettings
 
 DATA_PART = 0.4
 """Of the progress bar."""

@@ -1,0 +1,1 @@
+"""Trained networks: their files and cards, and the one module that runs onnxruntime."""

@@ -1,0 +1,207 @@
+"""Running a trained network on images: of any size, in tiles, the same result whatever the number of threads.
+
+Works for every network that turns an image of C channels into one of D channels and the same size: the U-Net that
+separates direct light (thesis, section 3.3.1.4), and others of the library. The files are those of
+:mod:`splitknit.networks.weights`.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splitknit.errors import BadInput, require
+from splitknit.model import FloatArray
+from splitknit.networks.tiles import Tile, padded_index, plan_tiles
+from splitknit.networks.weights import Card, read_network
+
+TILE = 512
+"""Longest side of a tile in pixels. A network of width 12 then needs about 0.2 GB a thread, of width 64 1 GB."""
+
+NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
+"""Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """A network that is ready to run; threads may share it."""
+
+    card: Card
+    session: Any
+    """onnxruntime.InferenceSession on one thread."""
+    input_name: str
+    output_name: str
+
+
+def load_network(name: str | os.PathLike[str]) -> Network:
+    """Load a network, check its hash and prepare it for running.
+
+    Parameters
+    ----------
+    name
+        Name of a network in the package (loaded once a process), or path of an ``.onnx`` file with its card beside it.
+
+    Raises
+    ------
+    BadInput
+        If weights or card are missing or damaged, or onnxruntime is not installed.
+    """
+    text = os.fspath(name)
+    return _load(text) if text.endswith(".onnx") else _load_shipped(text)
+
+
+@functools.lru_cache(maxsize=8)
+def _load_shipped(name: str) -> Network:
+    return _load(name)
+
+
+def _load(name: str) -> Network:
+    card, weights = read_network(name)
+    return network_of(card, weights)
+
+
+def network_of(card: Card, weights: bytes) -> Network:
+    """Prepare weights that are in memory."""
+    onnxruntime = _onnxruntime()
+    options = onnxruntime.SessionOptions()
+    # one thread a session: sums are then always formed in the same order, and our own threads take a tile each
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        # without enable_fallback=0 it prints what it could not load, and tries the same once more
+        session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        (source,), (result,) = session.get_inputs(), session.get_outputs()
+    except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
+        raise BadInput(
+            f"the weights of network '{card.name}' are not a network from one image to one image "
+            f"that onnxruntime can run ({_first_line(error)}); train it again."
+        ) from error
+    return Network(card, session, source.name, result.name)
+
+
+def _onnxruntime() -> Any:
+    """Import onnxruntime with its telemetry off; every use of it in splitknit goes through here.
+
+    Version 1.31 writes a device id and a database of events below the user's cache folder, and sends them. It reads the
+    variable once, when it is loaded; ``disable_telemetry_events()`` comes too late for the files.
+    """
+    require(
+        sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
+        "onnxruntime was imported with its telemetry on, before splitknit could turn it off; "
+        f"set the environment variable {NO_TELEMETRY}=1 before that import.",
+    )
+    os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
+    try:
+        import onnxruntime  # type: ignore[import-untyped]  # noqa: PLC0415 - heavy, and only presets that need it pay
+    except ImportError as error:
+        raise BadInput(
+            f"networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
+        ) from error
+    return onnxruntime
+
+
+def run_network(network: Network, images: FloatArray, *, tile: int = TILE, workers: int = 2) -> FloatArray:
+    """Run `network` on every image.
+
+    Parameters
+    ----------
+    network : Network
+    images : (N, H, W) or (N, C, H, W) float32
+        Of any size from the network's stride upwards. (N, H, W) are images of one channel. One channel is repeated for
+        a network that takes more, as the thesis gives its grey images to a network for three channels.
+    tile : int
+        Longest side in pixels of what is worked on at once; the memory needed grows with its square and with
+        `workers`. The result does not depend on it, but for rounding (about 1e-6).
+    workers : int
+        Threads; not a bit of the result depends on it.
+
+    Returns
+    -------
+    (N, D, H, W) float32
+
+    Raises
+    ------
+    BadInput
+        If the images have the wrong number of channels, hold NaN, or are smaller than the network's stride.
+
+    Notes
+    -----
+    Images whose sides are no multiples of the stride are lengthened by reflection at their lower and right borders,
+    and the result is cut back. Tiles overlap by the network's reach, see :mod:`splitknit.networks.tiles`.
+    """
+    stack = _checked(images, network.card)
+    require(workers >= 1, f"workers must be at least 1, but it is {workers}.")
+    count, channels, height, width = stack.shape
+    stride = network.card.stride
+    rows, columns = padded_index(height, stride), padded_index(width, stride)
+    tiles = plan_tiles((rows.size, columns.size), tile, reach=network.card.reach, stride=stride)
+    result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
+
+    def one(job: tuple[int, Tile]) -> None:
+        k, part = job
+        piece = stack[k][:, rows[part.source[0]]][:, :, columns[part.source[1]]]
+        if channels != network.card.channels_in:
+            piece = np.broadcast_to(piece, (network.card.channels_in, *piece.shape[1:]))
+        made = _infer(network, np.ascontiguousarray(piece)[None])[0]
+        room = result[(k, slice(None), *part.target)]
+        room[...] = made[(slice(None), *part.inner)][:, : room.shape[1], : room.shape[2]]
+
+    jobs = [(k, part) for k in range(count) for part in tiles]
+    if workers == 1:
+        for job in jobs:
+            one(job)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(one, jobs))
+    return result
+
+
+def _infer(network: Network, image: FloatArray) -> FloatArray:
+    """(1, C, h, w) to (1, D, h, w)."""
+    card = network.card
+    feed: Mapping[str, FloatArray] = {network.input_name: image}
+    try:
+        made = np.asarray(network.session.run([network.output_name], feed)[0], dtype=np.float32)
+    except Exception as error:  # as above
+        raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
+    expected = (1, card.channels_out, *image.shape[2:])
+    require(
+        made.shape == expected,
+        f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.",
+    )
+    return made
+
+
+def _checked(images: Any, card: Card) -> FloatArray:
+    stack = np.asarray(images, dtype=np.float32)
+    if stack.ndim == 3:
+        stack = stack[:, None]
+    require(
+        stack.ndim == 4 and stack.size > 0,
+        f"images must have the shape (N, H, W) or (N, C, H, W), but they have {np.shape(images)}.",
+    )
+    _, channels, height, width = stack.shape
+    require(
+        channels in (1, card.channels_in),
+        f"network '{card.name}' takes images of {card.channels_in} channels, but these have {channels}.",
+    )
+    require(
+        min(height, width) >= card.stride,
+        f"images of {height} x {width} pixels are too small for network '{card.name}': "
+        f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}.",
+    )
+    require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
+    return stack
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__

@@ -1,0 +1,184 @@
+"""Direct and global light from shifted checkerboards (or any binary high-frequency patterns).
+
+The plain method takes each pixel's maximum and minimum over the images. Over *noisy* images both are biased: of 25
+images with noise of standard deviation sigma the direct light comes out about 3.3 sigma too large. Where the pattern's
+state at each pixel is known, or found with :func:`splitknit.separation.states.estimate_patterns`, least squares over
+the lit and the dark images has no such bias and less variance.
+
+Skin adds a twist. Its global light is not the same under all shifts: some of it comes from less than a check away, so
+that a pixel at the rim of a lit check records less than one in its middle. Maximum minus minimum is what it records in
+the *middle* of lit and dark checks; the mean over all lit and dark images is a fifth to a third less. With `check_px`
+the spread of the light is fitted too, and the result is that of the middle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
+from splitknit.separation.stack_checks import check_contrast, check_repeats
+from splitknit.separation.stacks import (
+    DEFAULTS,
+    Separation,
+    StackSettings,
+    by_rows,
+    from_extremes,
+    light_stack,
+    mean_brightness,
+)
+from splitknit.separation.states import check_patterns, check_shifts
+
+
+def checkerboard(
+    stack: Any,
+    *,
+    alpha: float = 0.5,
+    dark: float = 0.0,
+    patterns: Any = None,
+    check_px: float | None = None,
+    shifts: Any = None,
+    period: Any = None,
+    mask: Any = None,
+    settings: StackSettings = DEFAULTS,
+) -> Separation:
+    """Separate direct from global light.
+
+    Without `patterns`: each pixel's maximum and minimum over the images (Nayar et al.; the thesis's 3.54 to 3.57).
+    With `patterns`: least squares of L = s L_direct + k L_global over a pixel's images, s = dark + (1 - dark) P, with
+    images left out in which the pixel lies on the rim of a check (P neither lit nor dark: there P is uncertain and
+    the direct light partly missing). It is unbiased, since the states do not depend on the noise.
+
+    With `patterns` and `check_px`, for matter in which light spreads: least squares of
+    L = a + b s + c m, where m is s averaged over a square of 0.8 checks around the pixel, with the weights |2 m - 1|,
+    evaluated where the pixel lies nearest to the middle of a lit and of a dark check. These places are known, so that
+    there is still no bias by noise.
+
+    Parameters
+    ----------
+    stack : (N, H, W) or (N, H, W, C), two images at least
+        Linear light, black level removed. All patterns have the same `alpha`.
+    alpha : share of the source that is lit, in (0, 1]
+    dark : brightness of the unlit part relative to the lit one, in [0, 1)
+        Zero where an image of the "black" source was subtracted.
+    patterns : (N, H, W) in [0, 1], optional
+        State P of the pattern at each camera pixel: 1 lit, 0 dark.
+    check_px : side of a check on the camera's pixels, optional
+        Give it for skin. Without it global light is taken to be the same under all shifts.
+    shifts : (N,) or (N, 2), optional
+        Shift of each image's pattern. It must be a full grid, each shift once.
+    period : number or pair, optional
+        Period of the pattern in the units of `shifts`, which are then compared modulo it.
+    mask : (H, W) bool, optional
+    settings : StackSettings
+
+    Returns
+    -------
+    Separation
+
+    Raises
+    ------
+    BadInput
+        If the stack is inconsistent: a shift missing or repeated, pixels that were never lit or never dark, saturated
+        or black images, sizes that differ, NaN, images that do not show their patterns.
+
+    References
+    ----------
+    S. K. Nayar et al., "Fast separation of direct and global components of a scene using high frequency
+    illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from splitknit.separation.states import checkerboard_patterns
+    >>> patterns = checkerboard_patterns((8, 8), 4.0, [(0, 0), (0, 4)])
+    >>> parts = checkerboard(0.3 * patterns + 0.5 * 0.2, patterns=patterns)
+    >>> bool(np.allclose(parts.direct, 0.3) and np.allclose(parts.global_, 0.2))
+    True
+    """
+    mean_brightness(alpha, dark)
+    require(check_px is None or patterns is not None, "check_px needs patterns, the states of the pixels.")
+    require(check_px is None or 1 <= check_px <= 1e4, f"check_px must be at least 1, but it is {check_px}.")
+    if shifts is not None:
+        check_shifts(shifts, len(stack), period)
+    images = light_stack(stack, least=2, mask=mask, settings=settings)
+    if patterns is None:
+        low, high = images.light.min(axis=0), images.light.max(axis=0)
+        words = ("never lit or never dark", "let the patterns reach every pixel, or give a mask")
+        check_contrast(low, high, images.mask, settings, words)
+        check_repeats(images.light, images.mask, settings)
+        return Separation(*map(images.shaped, from_extremes(low, high, alpha, dark)))
+    states = check_patterns(patterns, images, settings)
+    if check_px is None:
+        return Separation(*map(images.shaped, _by_states(images.light, states, alpha, dark, settings)))
+    low, high = _in_the_middle(images.light, states, check_px, settings)
+    return Separation(*map(images.shaped, from_extremes(low, high, alpha, dark)))
+
+
+def _by_states(
+    light: FloatArray, states: FloatArray, alpha: float, dark: float, settings: StackSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Direct and global light (H, W, C) by least squares over the images in which a pixel is lit or dark."""
+    k = mean_brightness(alpha, dark)
+    direct = np.empty(light.shape[1:], dtype=np.float32)
+    global_ = np.empty_like(direct)
+
+    def work(rows: slice) -> None:
+        state = states[:, rows].astype(np.float64)
+        used: BoolArray = (state <= settings.edge) | (state >= 1 - settings.edge)
+        number = np.maximum(used.sum(axis=0), 1)[..., None]
+        s = np.where(used, dark + (1 - dark) * state, 0.0)
+        mean_s = s.sum(axis=0)[..., None] / number
+        values = light[:, rows]
+        mean = np.einsum("nhw,nhwc->hwc", used.astype(np.float64), values) / number
+        centred = np.where(used, s - mean_s[..., 0], 0.0)
+        spread = (centred * centred).sum(axis=0)[..., None]
+        slope = np.einsum("nhw,nhwc->hwc", centred, values - mean) / np.maximum(spread, 1e-12)
+        direct[rows] = slope
+        global_[rows] = (mean - slope * mean_s) / k
+
+    by_rows(light[:, 0].size, light.shape[1], work)
+    return direct, global_
+
+
+def _in_the_middle(
+    light: FloatArray, states: FloatArray, check_px: float, settings: StackSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Light (H, W, C) of each pixel where it is nearest to the middle of a dark and of a lit check.
+
+    The pattern's mean over a square somewhat smaller than a check is 1 or 0 near the middle of one and passes 1/2 at
+    its rim: it stands for the light that arrives from around, it tells where the middle is, and images count the more
+    the nearer the pixel is to it.
+    """
+    around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
+    used = (states <= settings.edge) | (states >= 1 - settings.edge)
+    low = np.empty(light.shape[1:], dtype=np.float32)
+    high = np.empty_like(low)
+
+    def work(rows: slice) -> None:
+        near = around[:, rows].astype(np.float64)
+        terms = np.stack([np.ones_like(near), states[:, rows], near], axis=-1)  # (N, h, W, 3)
+        weighted = terms * (used[:, rows] * np.abs(2 * near - 1))[..., None]
+        normal = np.einsum("nhwk,nhwl->hwkl", weighted, terms)
+        # where no shift tells the terms apart they share the light; far too little to bias what is known
+        normal += 1e-9 * np.trace(normal, axis1=2, axis2=3)[..., None, None] * np.eye(3)
+        fitted = np.linalg.solve(normal, np.einsum("nhwk,nhwc->hwkc", weighted, light[:, rows]))
+        for part, image in ((low, near.argmin(axis=0)), (high, near.argmax(axis=0))):
+            term = np.take_along_axis(terms, image[None, ..., None], axis=0)[0]
+            part[rows] = np.einsum("hwk,hwkc->hwc", term, fitted)
+
+    by_rows(3 * light[:, 0].size, light.shape[1], work)
+    return low, high
+
+
+def _square_mean(state: FloatArray, side_px: float) -> FloatArray:
+    """Mean (H, W) over a square around each pixel, whose side need not be whole pixels."""
+    reach = int(np.ceil(max(side_px - 1, 0) / 2))
+    share = np.ones(2 * reach + 1)
+    if reach > 0:
+        share[[0, -1]] = (side_px - (2 * reach - 1)) / 2
+    share /= share.sum()
+    return np.asarray(cv2.sepFilter2D(state, cv2.CV_32F, share, share, borderType=cv2.BORDER_REFLECT))

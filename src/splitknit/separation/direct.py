@@ -1,0 +1,148 @@
+"""Direct light of skin from one photograph, by the network of the thesis (section 3.3.1.4)."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.errors import require
+from splitknit.imaging import GREY_WEIGHTS
+from splitknit.model import FloatArray
+from splitknit.networks.unet import TILE, Network, load_network, run_network
+
+DEFAULT_NETWORK = "direct"
+LEVEL_BLOCK_PX = 8
+LEVEL_SIGMA_PX = 16.0
+"""Standard deviation of the neighbourhood whose mean brightness the network takes as one."""
+LEAST_LEVEL = 0.05
+"""It does not fall below this part of :func:`exposure_level`: in the dark there is noise alone."""
+
+
+def exposure_level(image: FloatArray) -> float:
+    """Brightness of an image's white: the 99.9th percentile of its positive values.
+
+    Taken on every second pixel in each direction, over all channels together, so that colours keep their ratios.
+    """
+    sample = image[..., ::2, ::2]
+    sample = sample[sample > 0]
+    return float(np.percentile(sample, 99.9)) if sample.size else 1.0
+
+
+def local_level(image: FloatArray) -> FloatArray:
+    """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one.
+
+    A Gaussian mean over the pixels that are not black, formed on blocks of 8 x 8 pixels and interpolated.
+
+    Parameters
+    ----------
+    image : (h, w) or (C, h, w), zero outside the skin
+    """
+    grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), np.float32(0.0))
+    height, width = grey.shape
+    coarse = -(-width // LEVEL_BLOCK_PX), -(-height // LEVEL_BLOCK_PX)
+    sigma = LEVEL_SIGMA_PX / LEVEL_BLOCK_PX
+
+    def spread(values: FloatArray) -> FloatArray:
+        small = cv2.resize(values, coarse, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+
+    level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), np.float32(1e-3))
+    least = np.float32(max(LEAST_LEVEL * exposure_level(image), 1e-12))
+    fine = cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine, dtype=np.float32)
+
+
+def direct_light(
+    images: Any,
+    network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
+    *,
+    tile: int = TILE,
+    workers: int = 2,
+) -> FloatArray:
+    """Direct light of every image; what is left, image minus direct, is global light.
+
+    Parameters
+    ----------
+    images : (N, H, W) grey or (N, 3, H, W) red, green, blue
+        Linear light, or images enhanced by CLAHE; any scale, zero outside the skin. Grey images are given to the
+        network three times, as the thesis does.
+    network : Network, name of a shipped network, or path of an ``.onnx`` file
+    tile, workers
+        As of :func:`splitknit.networks.unet.run_network`.
+
+    Returns
+    -------
+    Array of the shape of `images`, float32
+        Direct light in the images' units, between zero and the image. For enhanced images it is what enhancement makes
+        of the image times the direct share of its light.
+
+    Raises
+    ------
+    BadInput
+        If the images have the wrong shape, hold NaN, or are smaller than the network's stride.
+
+    Notes
+    -----
+    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
+    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
+    tells.
+
+    References
+    ----------
+    The thesis, 3.3.1.4; O. Ronneberger, P. Fischer and T. Brox, "U-Net", MICCAI 2015.
+    """
+    ready = network if isinstance(network, Network) else load_network(network)
+    stack = np.asarray(images, dtype=np.float32)
+    require(
+        stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3),
+        f"images must have the shape (N, H, W) or (N, 3, H, W), but they have {stack.shape}.",
+    )
+    require(stack.size > 0, f"images are empty: shape {stack.shape}.")
+    levels = np.stack([local_level(image) for image in stack])
+    if stack.ndim == 4:
+        levels = levels[:, None]
+    made = run_network(ready, stack / levels, tile=tile, workers=workers)
+    if stack.ndim == 3:
+        made = made.mean(axis=1, dtype=np.float32)
+    made *= levels
+    return np.clip(made, 0.0, np.maximum(stack, 0.0), out=made)
+
+
+def direct_of_enhanced(
+    enhanced: Any,
+    images: Any,
+    network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
+    *,
+    tile: int = TILE,
+    workers: int = 2,
+) -> FloatArray:
+    """Direct part of enhanced grey images, by the direct share of the colour images they were made of.
+
+    A grey image has lost the colours that tell how much of skin's light is direct. Here the network is given the
+    colours, and the enhanced image is multiplied by the share of direct light that it finds; the thesis gives the
+    network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
+
+    Parameters
+    ----------
+    enhanced : (N, H, W) images after CLAHE, zero outside the skin
+    images : (N, 3, H, W) the same in linear red, green and blue
+    network, tile, workers
+        As of :func:`direct_light`.
+
+    Returns
+    -------
+    (N, H, W) float32, between zero and `enhanced`
+    """
+    grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
+    require(
+        grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:]),
+        f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.",
+    )
+    direct = direct_light(colours, network, tile=tile, workers=workers)
+    weights = GREY_WEIGHTS[:, None, None]
+    of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
+    share = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
+    return np.asarray(np.maximum(grey, 0.0) * share, dtype=np.float32)

@@ -1,0 +1,205 @@
+"""Stacks of one scene under changing patterns: what comes in is checked here, what comes out is named here.
+
+All methods of :mod:`splitknit.separation.patterns` share one model. A pixel whose surface point the pattern lights with
+brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light follows the pattern, global
+light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
+checks. With a share `alpha` of the source lit, k = alpha + dark (1 - alpha).
+
+References
+----------
+S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global components of a scene
+using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_mask, require
+from splitknit.model import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StackSettings:
+    """When a stack is refused. Shares are of the pixels inside the mask."""
+
+    clip_level: float | None = 0.99
+    """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
+    that the stack is no file's [0, 1] scale, and nothing is looked for."""
+    clipped_share: float = 0.02
+    """More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
+    lit_level: float = 0.1
+    """Pixels brighter than this part of the brightest ones are looked at; the black background is not, nor what 8 bits
+    cannot resolve."""
+    least_contrast: float = 0.005
+    """A pixel that changes by less than this part of its maximum was never lit, or never dark."""
+    constant_share: float = 0.05
+    """More such pixels than this, among the bright ones, and the stack is refused."""
+    black_image: float = 0.03
+    """An image whose bright pixels stay below this part of the other images' is black."""
+    repeat: float = 0.02
+    """Two images that differ by less than this part of the usual power of differences show one pattern twice."""
+    edge: float = 0.1
+    """Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
+
+    def __post_init__(self) -> None:
+        require(self.clip_level is None or self.clip_level > 0, "StackSettings: clip_level must be positive or None.")
+        for name in ("clipped_share", "lit_level", "least_contrast", "constant_share", "black_image", "repeat"):
+            require(0 <= getattr(self, name) < 1, f"StackSettings: {name} must lie in [0, 1).")
+        require(0 <= self.edge < 0.5, "StackSettings: edge must lie in [0, 0.5).")
+
+
+DEFAULTS = StackSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Separation:
+    """Direct and global light, NaN outside the mask.
+
+    Both are what the camera would record with the whole source lit, so that they add up to that image.
+    """
+
+    direct: FloatArray
+    """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the pattern's period."""
+    global_: FloatArray
+    """(H, W) or (H, W, C): light that came round, through the skin or from other surfaces."""
+
+    @property
+    def white(self) -> FloatArray:
+        """The image under the whole source: direct plus global light."""
+        return np.asarray(self.direct + self.global_, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightStack:
+    """A stack that passed the checks."""
+
+    light: FloatArray
+    """(N, H, W, C) linear light."""
+    mask: BoolArray
+    """(H, W), true where a result is wanted."""
+    grey: bool
+    """Whether the images came without an axis for channels."""
+
+    def shaped(self, values: NDArray[Any]) -> FloatArray:
+        """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis if grey."""
+        result = np.array(values, dtype=np.float32)
+        result[~self.mask] = np.nan
+        return result[..., 0] if self.grey else result
+
+
+def light_stack(
+    stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS, name: str = "image"
+) -> LightStack:
+    """Check a stack of linear light.
+
+    Parameters
+    ----------
+    stack : (N, H, W) or (N, H, W, C) array, or a sequence of images (H, W) or (H, W, C), with C = 1 or 3
+    least : smallest number of images
+    mask : (H, W) bool, optional
+    name : what a message calls one image
+
+    Raises
+    ------
+    BadInput
+        If there are too few images, sizes differ, values are not finite, or an image is black or overexposed.
+    """
+    images = [np.asarray(image) for image in stack]
+    require(len(images) >= least, f"at least {least} images are needed, but there are {len(images)}.")
+    first = images[0].shape
+    for k, image in enumerate(images):
+        require(
+            image.shape == first,
+            f"{name} {k} has the shape {image.shape}, but {name} 0 has {first}; all must be of one size and kind.",
+        )
+    grey = len(first) == 2
+    require(
+        (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
+        f"an {name} must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
+    )
+    light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
+    for k, image in enumerate(images):
+        light[k] = image[..., None] if grey else image
+        require(bool(np.isfinite(light[k]).all()), f"{name} {k} contains NaN or infinite values.")
+    where = check_mask(mask, first[:2])
+    _check_exposure(light, where, settings, name)
+    return LightStack(light, where, grey)
+
+
+def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings, name: str) -> None:
+    """Refuse black images, and a stack that clips in too many pixels."""
+    peaks = np.array([np.quantile(thinned(image.max(axis=-1), mask), 0.999) for image in light])
+    usual = float(np.median(peaks))
+    require(float(peaks.max()) > 0, f"every {name} is black; check the light source and capture again.")
+    k = int(np.argmin(peaks))
+    require(
+        bool(peaks[k] > settings.black_image * usual),
+        f"{name} {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
+        f"lights nothing, capture it again or leave it out.",
+    )
+    brightest = light.max(axis=(0, -1))
+    if settings.clip_level is None or float(brightest.max()) > 1.0001:
+        return
+    share = float((brightest[mask] >= settings.clip_level).mean())
+    require(
+        share <= settings.clipped_share,
+        f"{percent(share)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
+        f"brightest image; capture again with a shorter exposure.",
+    )
+
+
+def check_share(value: float, name: str, low: float = 0.0, high: float = 1.0) -> float:
+    """Return `value` as a float in (low, high], or [0, high) where it is the dark level."""
+    number = float(value)
+    dark = name == "dark"
+    good = low <= number < high if dark else low < number <= high
+    limits = f"[{low:g}, {high:g})" if dark else f"({low:g}, {high:g}]"
+    require(good, f"{name} must lie in {limits}, but it is {number:g}.")
+    return number
+
+
+def mean_brightness(alpha: float, dark: float) -> float:
+    """Mean brightness k of a pattern of which a share `alpha` is lit and the rest has the brightness `dark`."""
+    return check_share(alpha, "alpha") + check_share(dark, "dark") * (1.0 - float(alpha))
+
+
+def from_extremes(
+    low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Direct and global light of the light recorded dark (`low`) and lit (`high`), any shape.
+
+    With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark),
+    global = (low - dark high) / (k (1 - dark)).
+
+    References
+    ----------
+    S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
+    """
+    k = mean_brightness(alpha, dark)
+    lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
+    direct = (lit - unlit) / (1.0 - dark)
+    return direct, (unlit - dark * lit) / (k * (1.0 - dark))
+
+
+def by_rows(count: int, height: int, work: Callable[[slice], None], budget: int = 2_000_000) -> None:
+    """Call `work` for slices of rows, so that arrays of `count` values a row in float64 stay small."""
+    step = max(1, budget // max(1, count))
+    for top in range(0, height, step):
+        work(slice(top, min(top + step, height)))
+
+
+def thinned(values: NDArray[Any], mask: BoolArray, most: int = 200_000) -> NDArray[Any]:
+    """Values inside the mask, thinned to about `most` of them."""
+    inside = values[mask]
+    return np.asarray(inside[:: max(1, inside.size // most)])
+
+
+def percent(share: float) -> str:
+    """`share` (0 to 1) in words for people, never rounded to nothing."""
+    return f"{100 * share:.1f} %" if share >= 0.001 or share == 0 else f"{100 * share:.1g} %"

@@ -1,0 +1,145 @@
+"""How far light wanders under the skin: the transfer function of subsurface scattering.
+
+Light that enters a flat half space at one point leaves it around that point. The Fourier transform of this spot, over
+its value at zero, is what is left of a pattern of irradiance (and so of the shading of ridges) at each spatial
+frequency. By similarity it depends on the frequency over sigma_t' = sigma_s' + sigma_a and on the albedo sigma_s' /
+sigma_t' alone; a table of both, made by random walks (``validation/diffusion/make_table.py``), ships with the package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+
+CHANNELS = ("red", "green", "blue", "nir")
+
+
+@dataclass(frozen=True, slots=True)
+class SkinSettings:
+    """Optics of the skin that are assumed where its blur is undone."""
+
+    invert_blur: bool | None = None
+    """Undo the blur: None does so where the capture's material is skin."""
+    scattering_per_mm: tuple[float, float, float, float] = (3.39, 4.12, 5.18, 2.16)
+    """Reduced scattering of red, green, blue and near-infrared light: 4.6 (wavelength / 500 nm)^-1.42 per mm."""
+    scattering_factor: float = 1.0
+    """Multiplies all four."""
+    scattering_uncertainty: float = 0.3
+    """Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
+    absorption_per_mm: tuple[float, float, float, float] = (0.030, 0.20, 0.40, 0.020)
+    """Absorption of the same channels in light skin."""
+
+    colour_trust: float = 0.6
+    """How far green's and blue's absorption follow the colour of this finger: 0 not at all, 1 wholly."""
+
+    def __post_init__(self) -> None:
+        require(0 <= self.colour_trust <= 1, "skin.colour_trust must lie between 0 and 1.")
+        require(
+            all(np.isfinite(v) and v > 0 for v in (*self.scattering_per_mm, self.scattering_factor)),
+            "skin.scattering_per_mm and skin.scattering_factor must be positive numbers.",
+        )
+        require(
+            all(np.isfinite(v) and v >= 0 for v in self.absorption_per_mm),
+            "skin.absorption_per_mm must hold numbers that are not negative.",
+        )
+        require(
+            0 <= self.scattering_uncertainty < 1,
+            "skin.scattering_uncertainty must be at least 0 and below 1.",
+        )
+
+    def scattering(self, channel: str) -> float:
+        """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""
+        return self.scattering_per_mm[CHANNELS.index(channel)] * self.scattering_factor
+
+    def absorption(self, channel: str, colour: float | None = None) -> float:
+        """Absorption per mm in `channel`, adapted to the finger's colour if that is given.
+
+        `colour` is the channel's diffuse brightness over that of red under white light. The absorption in red is taken
+        as it is; green and blue get what brings the ratio of the albedos of :func:`diffusion` to the colour, as far as
+        `colour_trust` says (in the logarithm).
+        """
+        assumed = self.absorption_per_mm[CHANNELS.index(channel)]
+        if colour is None or channel not in ("green", "blue") or self.colour_trust == 0:
+            return assumed
+        scattering = self.scattering(channel)
+        red = diffusion(self.scattering("red"), self.absorption_per_mm[0]).albedo
+        usual = diffusion(scattering, assumed).albedo / red
+        wanted = red * usual * (max(colour, 1e-3) / usual) ** self.colour_trust
+        trial = np.geomspace(assumed / 4 + 1e-4, assumed * 12 + 1e-2, 60)
+        albedo = np.array([diffusion(scattering, float(a)).albedo for a in trial])
+        return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diffusion:
+    """Subsurface scattering in one channel."""
+
+    scattering_per_mm: float
+    absorption_per_mm: float
+    albedo: float
+    """Part of the light that comes out again, for diffuse light that entered."""
+    _omega: NDArray[np.float64]
+    _transfer: NDArray[np.float64]
+
+    def __call__(self, omega_per_mm: Any) -> NDArray[np.float64]:
+        """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at zero."""
+        return np.asarray(np.interp(np.asarray(omega_per_mm, dtype=np.float64), self._omega, self._transfer))
+
+
+def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
+    """Transfer function of a half space with a refractive index of 1.42 and a rough boundary.
+
+    Parameters
+    ----------
+    scattering_per_mm : reduced scattering coefficient sigma_s'
+    absorption_per_mm : absorption coefficient sigma_a
+
+    Raises
+    ------
+    BadInput
+        If a coefficient is negative or not finite, or the scattering is zero.
+
+    References
+    ----------
+    S. Jacques, "Optical properties of biological tissues: a review", Phys. Med. Biol. 58 (2013).
+
+    Examples
+    --------
+    >>> blue = diffusion(5.18, 0.40)
+    >>> float(blue(0.0)), bool(0.15 < blue(14.4) < 0.25)
+    (1.0, True)
+    """
+    require(
+        bool(np.isfinite(scattering_per_mm)) and scattering_per_mm > 0,
+        f"scattering must be a positive number per mm, but it is {scattering_per_mm}.",
+    )
+    require(
+        bool(np.isfinite(absorption_per_mm)) and absorption_per_mm >= 0,
+        f"absorption must be a number per mm that is not negative, but it is {absorption_per_mm}.",
+    )
+    albedos, frequencies, table = _table()
+    total = scattering_per_mm + absorption_per_mm
+    # between albedos the table is nearly linear in the logarithm of the absorbed part
+    place = np.interp(
+        -np.log(1 - min(scattering_per_mm / total, albedos[-1])), -np.log(1 - albedos), np.arange(len(albedos))
+    )
+    low = min(int(place), len(albedos) - 2)
+    row = table[low] + (place - low) * (table[low + 1] - table[low])
+    return Diffusion(scattering_per_mm, absorption_per_mm, float(row[0]), frequencies * total, row / row[0])
+
+
+@lru_cache(maxsize=1)
+def _table() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    with (resources.files("splitknit.skin") / "diffusion_table.npz").open("rb") as file, np.load(file) as data:
+        return (
+            data["albedo"].astype(np.float64),
+            data["frequency"].astype(np.float64),
+            data["transfer"].astype(np.float64),
+        )

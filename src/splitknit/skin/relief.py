@@ -1,0 +1,263 @@
+"""The ridges from the colours of the white band, behind blur and glare, on the fine grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.model import FloatArray
+from splitknit.photometric import pseudo_normals
+from splitknit.skin.bands import BandImages
+from splitknit.skin.colour import SpectralFit, cross_spectra, fit_spectra, unmixing_weights
+from splitknit.skin.diffusion import Diffusion
+from splitknit.skin.grid import Grid, smooth_step
+from splitknit.skin.light import FineLight, slant_of, trust_of
+from splitknit.skin.local_wiener import LocalWienerSettings, local_wiener, window_power
+
+CROSSOVER_MM = 0.3
+"""Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
+
+
+RIDGE_PER_MM = (9.0, 24.0)
+"""Angular frequencies (rad/mm) of ridges: periods of 0.70 to 0.26 mm, as seen from above."""
+KNIT_MM = 0.5
+"""Standard deviation of the Gaussian that parts relief and shape in the result."""
+RIDGE_TRUST = 4.0
+"""Factor on the expected power of the ridges, so that the unmixing shrinks them less than the least-squares optimum."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What the white band's photometric stereo gives on the fine grid."""
+
+    channels: tuple[str, ...]
+    pseudo_normals: FloatArray
+    """(C, h, w, 3) brightness times normal, blurred by the skin, with glare."""
+    transfer: FloatArray
+    """(C, rows, columns) of the skin on the grid's frequencies."""
+    brightness: FloatArray
+    """(C,) diffuse brightness over the prediction for an albedo of one."""
+    trust: FloatArray
+    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
+    region: FloatArray
+    """(h, w) smooth window on the well-seen part, for spectra."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unmixing:
+    """How the channels' slopes are summed."""
+
+    weights: list[FloatArray]
+    """One for each channel, on the grid's frequencies."""
+    fit: SpectralFit
+    glare: FloatArray
+    """(C,) weight of the glare in each channel, one in the first."""
+
+
+def measure(  # noqa: PLR0917
+    band: BandImages,
+    grid: Grid,
+    surface_mm: FloatArray,
+    light: FineLight,
+    skin: Mapping[str, Diffusion],
+    brightness: Mapping[str, float],
+) -> Measured:
+    """Photometric stereo of every channel with shared weights on the smooth surface."""
+    # light that is mirrored at the boundary does not enter: images are brought to what all of it would give
+    weights = light.trust * light.entering * light.entering
+    g = pseudo_normals(band.stack / light.entering, band.rig, surface_mm, grid.mask, weights, view=grid.view)
+    slant_deg = slant_of(surface_mm, grid.pitch_mm)
+    trust = trust_of(slant_deg, grid)
+    inner = (grid.mask & (grid.depth_mm > 0.5) & (slant_deg < 50)).astype(np.float32)
+    if not inner.any():
+        inner = (grid.mask & (grid.depth_mm > 0.5 * grid.depth_mm.max())).astype(np.float32)
+    region = cv2.GaussianBlur(inner, (0, 0), 0.2 / grid.pitch_mm) * inner
+    transfer = np.stack([grid.sampled(skin[name]) for name in band.channels])
+    levels = np.array([brightness[name] for name in band.channels], dtype=np.float32)
+    return Measured(band.channels, g, transfer, levels, trust, np.asarray(region, dtype=np.float32))
+
+
+def mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
+    """Unit normals (h, w, 3) of a surface that is finite everywhere, zero outside the mask."""
+    slope_x, slope_y = height_gradients(surface_mm, grid.pitch_mm)
+    return normals_from_gradients(slope_x, slope_y) * grid.mask[..., None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lacking:
+    """What the measurement has beyond the current surface."""
+
+    slopes: list[tuple[FloatArray, FloatArray]]
+    """C pairs (h, w)."""
+    glare: FloatArray
+    """(C,) weight of glare in each channel's slopes, one in the first."""
+    expected: FloatArray
+    """(h, w, 3) expected pseudo-normals of the first channel."""
+    diffuse: FloatArray
+    """(h, w) diffuse brightness of the first channel."""
+
+
+def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> Lacking:
+    """Slopes that the measurement has beyond the current surface's.
+
+    The expectation is the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with
+    it the darkening of valleys (1 + k h), drops out; the share of the glare in the brightness is found by colour.
+    """
+    normals = grid.forward(np.moveaxis(mean_normals(surface_mm, grid), -1, 0), extend=True)
+    expected = [
+        np.moveaxis(grid.inverse(normals * measured.transfer[c]) * measured.brightness[c], 0, -1)
+        for c in range(len(measured.channels))
+    ]
+    level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in expected]
+    albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
+    inner = measured.region > 0
+    middle = np.float32(np.median(albedo[inner]))
+    albedo = grid.smooth(np.clip(albedo, 0.6 * middle, 1.6 * middle), grid.mask, 0.8)
+    glare = np.array([1.0 / max(float(np.median((albedo * z)[inner])), 1e-9) for z in level])
+    slopes, scales = [], []
+    for c, e in enumerate(expected):
+        length = np.sqrt((e * e).sum(axis=-1))
+        z = np.maximum(e[..., 2], 0.05 * length + np.float32(1e-6))
+        diffuse = np.maximum(albedo, np.float32(0.1) * middle) * np.maximum(z, np.float32(0.1) * measured.brightness[c])
+        scales.append(diffuse)
+        e[..., 2] = z
+        g = measured.pseudo_normals[c]
+        slopes.append(tuple(-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2)))
+    trusted = [tuple(_ridge_band(s, grid) * measured.trust for s in pair) for pair in slopes]
+    return Lacking([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), expected[0], scales[0])
+
+
+def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
+    """A slope less its local mean, so that what belongs to the coarse grid does not ring at the outline."""
+    return slope - grid.smooth(slope, grid.mask, sigma_mm)
+
+
+def _diffuse_scale(expected: list[FloatArray], seen: list[FloatArray]) -> FloatArray:
+    """Local scale a of seen = a expected + glare, the glare alike in all channels; a single one has no glare."""
+    if len(expected) == 1:
+        return np.asarray(seen[0] / np.maximum(expected[0], np.float32(1e-6)), dtype=np.float32)
+    n = np.float32(len(expected))
+    mean_e, mean_s = sum(expected) / n, sum(seen) / n
+    above = sum((e - mean_e) * (s - mean_s) for e, s in zip(expected, seen, strict=True))
+    below = sum((e - mean_e) ** 2 for e in expected)
+    return np.asarray(above / np.maximum(below, np.float32(1e-9)), dtype=np.float32)
+
+
+def unmixing(
+    measured: Measured, grid: Grid, slopes: list[tuple[FloatArray, FloatArray]], glare: FloatArray
+) -> Unmixing:
+    """Weights of the channels from the powers of relief, glare and noise in this capture."""
+    centres, along, across = cross_spectra(slopes, measured.region, grid.pitch_mm)
+    omega = np.linspace(0, float(grid.omega[2].max()), 512)
+    wx = np.asarray(grid.omega[0][0], dtype=np.float64)
+    rows = [np.asarray(t[0], dtype=np.float64) for t in measured.transfer]
+    transfer = np.stack([np.interp(centres, wx, row) for row in rows])
+    fit = plausible(fit_spectra(centres, along, across, transfer, glare))
+    # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth features
+    signal = np.array([fit.signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
+    signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
+    # ridges are unmixed with little shrinkage: steep flanks shade less than linearly, and noise is removed later
+    signal = signal * (1 + (RIDGE_TRUST - 1) * smooth_step(((centres - 7) / 4).astype(np.float32)))
+    mirrored = np.maximum(4 * fit.glare, 1e-5)
+    log_omega = np.log(np.maximum(omega, 1e-3))
+    fine_signal = np.exp(np.interp(log_omega, np.log(centres), np.log(signal)))
+    fine_glare = np.exp(np.interp(log_omega, np.log(centres), np.log(mirrored)))
+    fine_transfer = np.stack([np.interp(omega, wx, row) for row in rows])
+    colours = len(measured.channels) > 1
+    weights = unmixing_weights(fine_transfer, glare, fine_signal, fine_glare * colours, fit.noise)
+    return Unmixing([grid.radial(omega, w) for w in weights], fit, glare)
+
+
+def plausible(fit: SpectralFit) -> SpectralFit:
+    """The fit with the relief's power above the ridges' own frequency limited to the fall of a ridge's harmonics.
+
+    Where skin passes next to nothing, an error in the glare's colour looks like relief. The slopes of flat ridges with
+    narrow, steep valleys fall off about as one over the frequency; nothing rougher is believed.
+    """
+    omega = fit.omega_per_mm
+    ridges = np.flatnonzero((omega >= RIDGE_PER_MM[0]) & (omega <= RIDGE_PER_MM[1]))
+    peak = int(ridges[np.argmax(fit.signal[ridges])])
+    limit = fit.signal[peak] * (omega[peak] / omega) ** 2
+    return replace(fit, signal=np.where(omega > omega[peak], np.minimum(fit.signal, limit), fit.signal))
+
+
+def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
+    """Share of the fine grid at each frequency; the coarse grid has the rest."""
+    return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * np.float32(sigma_mm)) ** 2), dtype=np.float32)
+
+
+def update(
+    measured: Measured,
+    grid: Grid,
+    slopes: list[tuple[FloatArray, FloatArray]],
+    mix: Unmixing,
+    relief_mm: FloatArray,
+) -> FloatArray:
+    """Relief (h, w) in mm that explains the slopes that are lacking beside the current relief.
+
+    One step of z <- W (p - F(z) + M z): the regularised inverse W acts on everything that was measured, so that
+    repeating it settles and does not amplify noise.
+    """
+    total = _integrated(grid, slopes, mix.weights)
+    kept = sum(w * t for w, t in zip(mix.weights, measured.transfer, strict=True))
+    total = total + kept * grid.forward(relief_mm * measured.trust)
+    return grid.inverse(total * high_pass(grid)) * grid.mask
+
+
+def _integrated(
+    grid: Grid, slopes: list[tuple[FloatArray, FloatArray]], weights: list[FloatArray]
+) -> NDArray[np.complex64]:
+    wx, wy, omega = grid.omega
+    total = np.zeros(omega.shape, dtype=np.complex64)
+    for w, (x, y) in zip(weights, slopes, strict=True):
+        total += w * (wx * grid.forward(x) + wy * grid.forward(y))
+    square = omega * omega
+    square[0, 0] = 1.0
+    return np.asarray(total * (-1j / square), dtype=np.complex64)
+
+
+def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray:
+    """The ridge band (h, w) of the shape from the coarse grid: creases and what else is finer than the crossover.
+
+    Taken from the slopes less their local mean, so that the curvature at the outline is not mistaken for a ridge.
+    """
+    x, y = (_ridge_band(s, grid, KNIT_MM) * trust for s in height_gradients(shape_mm, grid.pitch_mm))
+    whole = _integrated(grid, [(x, y)], [np.ones(1, dtype=np.float32)])
+    return grid.inverse(whole * high_pass(grid, KNIT_MM)) * grid.mask
+
+
+def denoise(
+    relief_mm: FloatArray, grid: Grid, mix: Unmixing, settings: LocalWienerSettings, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Relief without the noise that the unmixing let through, and the standard deviation of what is left, mm.
+
+    The noise's spectrum is that of white noise (seeded) sent through the same unmixing and integration.
+    """
+    rng = np.random.default_rng(seed)
+    noise = [
+        tuple((rng.standard_normal(grid.shape) * np.sqrt(power)).astype(np.float32) for _ in range(2))
+        for power in mix.fit.noise
+    ]
+    pure = grid.inverse(_integrated(grid, [(x, y) for x, y in noise], mix.weights) * high_pass(grid))
+    side = settings.window_px(grid.pitch_mm)
+    if min(grid.shape) < side:
+        return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
+    clean, deviation = local_wiener(relief_mm, window_power(pure, side), settings, grid.pitch_mm)
+    return clean * grid.mask, deviation
+
+
+def scattering_sensitivity(
+    measured: Measured, grid: Grid, mix: Unmixing, other: Mapping[str, Diffusion], relief_mm: FloatArray
+) -> float:
+    """Relative change of the relief's gain if the skin scattered as `other` does and the unmixing did not know."""
+    gain = sum(
+        w * (grid.sampled(other[name]) - t)
+        for w, t, name in zip(mix.weights, measured.transfer, measured.channels, strict=True)
+    )
+    power = np.abs(grid.forward(relief_mm * measured.region)) ** 2
+    return float((gain * power).sum(dtype=np.float64) / max(float(power.sum(dtype=np.float64)), 1e-30))

@@ -1,0 +1,158 @@
+"""The recipe: shape and relief of a finger of skin, in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.skin.bands import BandImages
+from splitknit.skin.by_colour import ColourSettings, relief_by_colour
+from splitknit.skin.coarse import CoarsePrior
+from splitknit.skin.diffusion import SkinSettings
+from splitknit.skin.facets import Facets, measure_facets
+from splitknit.skin.grid import Grid
+from splitknit.skin.learned import Networks, can_learn, relief_by_network
+from splitknit.skin.relief import detail_of
+from splitknit.skin.shape import CoarseShape
+
+
+@dataclass(frozen=True, slots=True)
+class MetricSettings:
+    """Grids and iterations of the `metric` preset on skin."""
+
+    working_pitch_mm: float = 0.0264
+    """Pitch of the fine grid: skin passes less than 2 % of anything that a finer one could show."""
+    coarse_pitch_mm: float = 0.106
+    """Pitch of the coarse grid."""
+    plane_mm: float = 1.0
+    """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
+    rounds: int = 2
+    """Turns of shape and relief."""
+    coarse_steps: tuple[int, ...] = (5, 3)
+    """Corrections of the shape in each round; the last entry holds for all further rounds."""
+    coarse: CoarsePrior = field(default_factory=CoarsePrior)
+    """What is expected of shape and glare on the coarse grid."""
+    relief: str = "network"
+    """``network``, or ``colour``: relief and glare told apart by their colours alone. Grey images, and rigs with too
+    few lights for the network, take the second way whatever is said here."""
+    network: str = "relief"
+    """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
+    shape_network: str = "shape"
+    """The same for what mends the shape in the last round; empty: none."""
+    tile_px: int = 640
+    """Longest side in pixels of what the network works on at once; memory grows with its square."""
+    by_colour: ColourSettings = field(default_factory=ColourSettings)
+    """The second way."""
+
+    def __post_init__(self) -> None:
+        require(
+            0 < self.working_pitch_mm <= self.coarse_pitch_mm,
+            "metric.working_pitch_mm must be positive and at most metric.coarse_pitch_mm.",
+        )
+        require(self.rounds >= 1, "metric.rounds must be positive.")
+        require(self.relief in ("network", "colour"), f"metric.relief must be network or colour, not '{self.relief}'.")
+        require(
+            len(self.coarse_steps) > 0 and min(self.coarse_steps) >= 1,
+            "metric.coarse_steps must hold positive numbers.",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinSurface:
+    """Reconstructed skin on the fine grid; heights are finite everywhere and mean something inside the mask."""
+
+    shape_mm: FloatArray
+    relief_mm: FloatArray
+    deviation_mm: FloatArray
+    """Standard deviation of the relief: noise, what denoising took, unknown scattering, and model error."""
+    albedo: FloatArray
+    """Diffuse brightness of the first channel, relative."""
+    facts: Mapping[str, Any]
+
+
+def reconstruct_skin(  # noqa: PLR0917
+    bands: tuple[BandImages, ...],
+    grid: Grid,
+    skin: SkinSettings,
+    settings: MetricSettings,
+    progress: Callable[[float], None] | None = None,
+    networks: Networks | None = None,
+) -> SkinSurface:
+    """Shape and relief from images of skin.
+
+    Parameters
+    ----------
+    bands : the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is one
+    grid : fine grid of the images
+    skin : assumed optics
+    settings : MetricSettings
+    progress : called with the share done
+    networks : that draw the relief and mend the shape, see :mod:`splitknit.skin.learned`; without them, relief and
+        glare are told apart by their colours
+    """
+    white = bands[0]
+    shape = _start(bands, grid, skin, settings)
+    relief = np.zeros(grid.shape, dtype=np.float32)
+    facets: Facets | None = None
+    learned = networks if settings.relief == "network" and can_learn(white, grid.pitch_mm) else None
+    for turn in range(settings.rounds):
+        for _ in range(settings.coarse_steps[min(turn, len(settings.coarse_steps) - 1)]):
+            shape.correct(relief, facets, settings.coarse)
+        if turn == settings.rounds - 1 and facets is not None and learned is not None and learned.shape is not None:
+            shape.mend(learned.shape, facets)
+        shape.see_colour()
+        smooth, light = shape.placed(), shape.light()
+        if learned is not None:
+            found = relief_by_network(white, grid, smooth, light, learned.relief)
+        else:
+            other = shape.optics_of(1 + skin.scattering_uncertainty)
+            found = relief_by_colour(
+                white, grid, smooth, light, shape.optics, other, _brightness(shape), relief, settings.by_colour
+            )
+        relief = found.relief_mm
+        if turn < settings.rounds - 1:
+            facets = measure_facets(relief, smooth, grid, shape.low, shape.factor, found.spread)
+        if progress is not None:
+            progress((turn + 1) / (settings.rounds + 1))
+    detail = detail_of(smooth, found.trust, grid)
+    facts = {**_facts(shape, grid), **found.facts}
+    return SkinSurface(smooth - detail, relief + detail, found.deviation_mm, found.albedo, facts)
+
+
+def first_shape(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> FloatArray:
+    """(h, w) shape on the fine grid after the first turn's corrections, before there is any relief.
+
+    What the network of the relief is given in the first turn; its training starts here. Parameters as for
+    :func:`reconstruct_skin`.
+    """
+    shape = _start(bands, grid, skin, settings)
+    for _ in range(settings.coarse_steps[0]):
+        shape.correct(np.zeros(grid.shape, dtype=np.float32), None, settings.coarse)
+    return shape.placed()
+
+
+def _start(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> CoarseShape:
+    return CoarseShape(bands, grid, skin, pitch_mm=settings.coarse_pitch_mm, plane_mm=settings.plane_mm)
+
+
+def _brightness(shape: CoarseShape) -> Mapping[str, float]:
+    assert shape.step is not None
+    return shape.step.brightness
+
+
+def _facts(shape: CoarseShape, grid: Grid) -> dict[str, Any]:
+    assert shape.step is not None
+    optics = shape.optics
+    return {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "scattering_assumed": True,
+        "colour": dict(shape.colour),
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.step.glare.items()},
+        "working_pitch_mm": grid.pitch_mm,
+    }

@@ -1,0 +1,175 @@
+"""The U-Net of the thesis (figure 3.19) in torch, and its export to ONNX.
+
+Forty-five layers, counted as the thesis's figure does: the input; three encoder blocks of two convolutions, two ReLUs
+and a max pooling, the last with a dropout; the bridge of two convolutions, two ReLUs and a dropout; three decoder
+blocks of a transposed convolution, a ReLU, a concatenation, two convolutions and two ReLUs; a last convolution; the
+regression.
+"""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import io
+import warnings
+from typing import Any
+
+from splitknit.errors import BadInput
+from splitknit.training.settings import TrainSettings
+
+OPSET = 17
+
+
+def load_torch() -> Any:
+    """Import torch, which only training needs.
+
+    Raises
+    ------
+    BadInput
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module("torch")
+    except ImportError as error:
+        raise BadInput(
+            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: "
+            "make install EXTRAS=train."
+        ) from error
+
+
+def unet(settings: TrainSettings, channels: int = 3) -> Any:
+    """Build the network, its weights drawn after He et al. 2015 from torch's current random state.
+
+    Returns
+    -------
+    torch.nn.Module from (N, channels, H, W) to the same shape; H and W are multiples of `settings.stride`
+    """
+    torch = load_torch()
+    nn = torch.nn
+
+    def block(before: int, after: int, drop: bool = False) -> Any:
+        layers = [nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.Conv2d(after, after, 3, padding=1), nn.ReLU()]
+        if drop and settings.dropout > 0:
+            layers.append(nn.Dropout(settings.dropout))
+        return nn.Sequential(*layers)
+
+    class UNet(nn.Module):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            widths = [settings.width << level for level in range(settings.depth + 1)]
+            befores = [channels, *widths[:-1]]
+            self.encoder = nn.ModuleList(
+                block(before, after, drop=level == settings.depth - 1)
+                for level, (before, after) in enumerate(zip(befores, widths[:-1], strict=False))
+            )
+            self.bridge = block(widths[-2], widths[-1], drop=True)
+            self.rise = nn.ModuleList(
+                nn.Sequential(nn.ConvTranspose2d(2 * width, width, 2, stride=2), nn.ReLU())
+                for width in reversed(widths[:-1])
+            )
+            self.decoder = nn.ModuleList(block(2 * width, width) for width in reversed(widths[:-1]))
+            self.last = nn.Conv2d(settings.width, channels, 1)
+
+        def forward(self, image: Any) -> Any:
+            skipped = []
+            for stage in self.encoder:
+                image = stage(image)
+                skipped.append(image)
+                image = nn.functional.max_pool2d(image, 2)
+            image = self.bridge(image)
+            for rise, stage in zip(self.rise, self.decoder, strict=True):
+                image = stage(torch.cat([rise(image), skipped.pop()], dim=1))
+            return self.last(image)
+
+    network = UNet()
+    for module in network.modules():
+        if isinstance(module, (nn.Conv2d, nn.ConvTranspose2d)):
+            nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+            nn.init.zeros_(module.bias)
+    with torch.no_grad():
+        _begin_with_fraction(network, settings, channels)
+    return network
+
+
+def _begin_with_fraction(network: Any, settings: TrainSettings, channels: int) -> None:
+    """Make the untrained network's result a fraction of its image, and leave the rest to the training.
+
+    The first few of the outermost blocks' channels pass the image on, the others are drawn at random as usual; the last
+    layer, which regresses, listens to those first channels.
+    """
+    network.last.weight.mul_(0.1)
+    if settings.start_fraction == 0 or settings.width < channels:
+        return
+    outer, inner = network.encoder[0], network.decoder[-1]
+    for layer, first in ((outer[0], 0), (outer[2], 0), (inner[0], settings.width), (inner[2], 0)):
+        for channel in range(channels):
+            layer.weight[channel] = 0.0
+            layer.weight[channel, first + channel, 1, 1] = 1.0
+    for channel in range(channels):
+        network.last.weight[channel, :channels] = 0.0
+        network.last.weight[channel, channel] = settings.start_fraction
+
+
+def unet_reach(depth: int) -> int:
+    """How far beyond a stretch that begins on the stride's grid an input can change the network's result, in pixels.
+
+    Followed from the result back to the input: every 3 x 3 convolution asks for one pixel more at its scale, a
+    transposed convolution for the coarse pixels that cover the fine ones, a pooling for the fine pixels of the coarse.
+    """
+    reach = 0
+    for _ in range(depth):  # decoder, from fine to coarse
+        reach = -(-(reach + 2) // 2)
+    reach += 2  # bridge
+    for _ in range(depth):  # encoder, from coarse to fine
+        reach = 2 * reach + 2
+    return reach
+
+
+def export_onnx(network: Any, channels: int, stride: int) -> bytes:
+    """Write `network` as an ONNX file whose weights are stored in half precision and computed with in single.
+
+    Any height and width that are multiples of `stride` are allowed. Halving rounds a weight by at most 0.05 %.
+    """
+    torch = load_torch()
+    stored = _with_stored_halves(torch, copy.deepcopy(network).cpu()).eval()
+    side = 8 * stride
+    axes = {0: "images", 2: "rows", 3: "columns"}
+    buffer = io.BytesIO()
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # of the older exporter, which needs no further packages, that it is older
+        torch.onnx.export(
+            stored,
+            (torch.zeros(1, channels, side, side),),
+            buffer,
+            dynamo=False,
+            input_names=["image"],
+            output_names=["direct"],
+            dynamic_axes={"image": axes, "direct": axes},
+            opset_version=OPSET,
+            do_constant_folding=False,
+        )
+    return buffer.getvalue()
+
+
+def _with_stored_halves(torch: Any, network: Any) -> Any:
+    """Replace every convolution of `network` by one that stores its weights in half precision."""
+    nn = torch.nn
+
+    class Stored(nn.Module):  # type: ignore[misc, name-defined]
+        def __init__(self, layer: Any) -> None:
+            super().__init__()
+            self.register_buffer("weight", layer.weight.detach().half())
+            self.register_buffer("bias", layer.bias.detach().half())
+            self.padding, self.stride = layer.padding, layer.stride
+            rising = isinstance(layer, nn.ConvTranspose2d)
+            self.convolve = nn.functional.conv_transpose2d if rising else nn.functional.conv2d
+
+        def forward(self, image: Any) -> Any:
+            weight, bias = self.weight.float(), self.bias.float()
+            return self.convolve(image, weight, bias, stride=self.stride, padding=self.padding)
+
+    for module in list(network.modules()):
+        for name, child in list(module.named_children()):
+            if isinstance(child, (nn.Conv2d, nn.ConvTranspose2d)):
+                setattr(module, name, Stored(child))
+    return network

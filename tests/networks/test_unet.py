@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.networks.tiles import padded_index, plan_tiles
+from splitknit.networks.unet import NO_TELEMETRY, Network, load_network, run_network
+from splitknit.separation.direct import direct_light, direct_of_enhanced, exposure_level, local_level
+
+TINY = Path(__file__).parent / "tiny.onnx"
+"""A U-Net of width 2 with random weights; its card tells how it was made."""
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    return load_network(TINY)
+
+
+@pytest.fixture(scope="module")
+def images() -> np.ndarray:
+    return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
+
+
+def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None:
+    covered = np.zeros((208, 152), dtype=int)
+    for tile in plan_tiles((208, 152), 50, reach=46, stride=8):
+        covered[tile.target] += 1
+        for axis in range(2):
+            source, inner, target = tile.source[axis], tile.inner[axis], tile.target[axis]
+            assert source.start % 8 == 0 and source.stop % 8 == 0
+            assert source.start + inner.start == target.start
+            assert inner.stop - inner.start == target.stop - target.start <= 56
+            assert source.start in (0, target.start - 48)
+            assert source.stop in (covered.shape[axis], target.stop + 48)
+    assert (covered == 1).all()
+
+
+def test_reflection_lengthens_to_the_stride() -> None:
+    assert padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
+    assert padded_index(16, 8).tolist() == list(range(16))
+
+
+@pytest.mark.parametrize("value", ["0", "", None])
+def test_onnxruntime_is_imported_without_telemetry(monkeypatch: pytest.MonkeyPatch, value: str | None) -> None:
+    if value is None:
+        monkeypatch.delenv(NO_TELEMETRY, raising=False)
+    else:
+        monkeypatch.setenv(NO_TELEMETRY, value)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
+    with pytest.raises(BadInput, match="pip install onnxruntime"):
+        load_network(TINY)
+    assert os.environ[NO_TELEMETRY] == "1"
+
+
+@pytest.mark.parametrize("value", ["0", "", None])
+def test_onnxruntime_imported_with_telemetry_is_refused(
+    network: Network, monkeypatch: pytest.MonkeyPatch, value: str | None
+) -> None:
+    assert "onnxruntime" in sys.modules
+    if value is None:
+        monkeypatch.delenv(NO_TELEMETRY, raising=False)
+    else:
+        monkeypatch.setenv(NO_TELEMETRY, value)
+    with pytest.raises(BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"):
+        load_network(TINY)
+
+
+@pytest.mark.parametrize("tile", [40, 64, 120])
+def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: int) -> None:
+    whole = run_network(network, images, tile=4096)
+    assert whole.shape == images.shape
+    assert np.ptp(whole) > 0.05
+    np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
+
+
+def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:
+    """A pixel at the reach's end still changes the result, so that a smaller margin would be wrong."""
+    reach = network.card.reach
+    image = images[:1, :, :200, :144].copy()
+    before = run_network(network, image)
+    changed = image.copy()
+    changed[0, :, 80 - reach] += 100.0  # row 80 is a tile's first
+    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() > 0
+    changed = image.copy()
+    changed[0, :, 80 - reach - 1] += 100.0
+    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() == 0
+
+
+def test_the_same_bytes_on_one_two_and_four_threads(network: Network, images: np.ndarray) -> None:
+    one, two, four = (run_network(network, images, tile=64, workers=n).tobytes() for n in (1, 2, 4))
+    assert one == two == four
+
+
+def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network: Network, images: np.ndarray) -> None:
+    padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
+    expected = run_network(network, padded)[:, :, :203, :150]
+    np.testing.assert_array_equal(run_network(network, images), expected)
+
+
+def test_one_channel_is_repeated(network: Network, images: np.ndarray) -> None:
+    grey = images[:, 0]
+    expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
+    np.testing.assert_array_equal(run_network(network, grey), expected)
+    np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
+
+
+def test_images_are_independent(network: Network, images: np.ndarray) -> None:
+    np.testing.assert_array_equal(run_network(network, images[1:]), run_network(network, images)[1:])
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ((1, 3, 7, 100), "stride is 8 pixels"),
+        ((1, 2, 64, 64), "3 channels, but these have 2"),
+        ((64, 64), "shape"),
+        ((0, 3, 64, 64), "shape"),
+    ],
+)
+def test_bad_images_are_refused(network: Network, shape: tuple[int, ...], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        run_network(network, np.ones(shape, dtype=np.float32))
+
+
+def test_nan_is_refused(network: Network) -> None:
+    image = np.ones((1, 16, 16), dtype=np.float32)
+    image[0, 3, 3] = np.nan
+    with pytest.raises(BadInput, match="NaN"):
+        run_network(network, image)
+
+
+def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: np.ndarray) -> None:
+    once = direct_light(images, network)
+    np.testing.assert_allclose(direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6)
+    assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
+
+
+def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarray) -> None:
+    grey = images[:, 0]
+    made = direct_light(grey, network)
+    assert made.shape == grey.shape
+    level = local_level(grey[0])
+    raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
+    np.testing.assert_allclose(made[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+
+
+def test_the_exposure_level_is_that_of_the_skin() -> None:
+    image = np.zeros((3, 100, 100), dtype=np.float32)
+    image[:, 40:60, 40:60] = 0.25  # a quarter of the picture's ten per cent: black does not count
+    assert exposure_level(image) == pytest.approx(0.25)
+    assert exposure_level(0 * image) == 1.0
+
+
+def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> None:
+    image = np.zeros((3, 120, 163), dtype=np.float32)
+    image[0, :, 60:], image[1, :, 60:], image[2, :, 60:] = 0.6, 0.3, 0.3
+    np.testing.assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
+    image[:, :, 60:] *= np.linspace(0.5, 1.5, 103, dtype=np.float32)
+    expected = 0.4 * np.linspace(0.5, 1.5, 103)[20:-20]
+    np.testing.assert_allclose(local_level(image)[60, 80:-20], expected, rtol=0.05)
+    dark = np.full((64, 64), 1e-4, dtype=np.float32)
+    dark[:, 40:] = 1.0
+    assert local_level(dark)[:, 0].max() == pytest.approx(0.05)  # not the noise's own level
+
+
+def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
+    assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
+
+
+def test_the_direct_part_of_enhanced_images_follows_the_colours(network: Network, images: np.ndarray) -> None:
+    enhanced = np.sqrt(images.mean(axis=1))
+    weights = np.array([0.299, 0.587, 0.114])[:, None, None]
+    share = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(axis=1)
+    assert np.ptp(share) > 0.05
+    np.testing.assert_allclose(direct_of_enhanced(enhanced, images, network), enhanced * share, rtol=1e-4, atol=1e-6)
+    with pytest.raises(BadInput, match="do not match"):
+        direct_of_enhanced(enhanced[:1], images, network)
