@@ -15,7 +15,7 @@ SEED = 20261120
 def main() -> None:
     """Write ``src/splitknit/simulator/data/walks.npz``."""
     table = walk(WALKS, SEED)
-    target = Path(__file__).resolve().parents[1] / "src" / "splitknit" / "simulate" / "data" / "walks.npz"
+    target = Path(__file__).resolve().parents[1] / "src" / "splitknit" / "simulator" / "data" / "walks.npz"
     target.parent.mkdir(exist_ok=True)
     np.savez_compressed(
         target,

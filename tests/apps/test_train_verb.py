@@ -12,7 +12,7 @@ from splitknit.apps.training import train
 from splitknit.apps.training.train_verb import command_of
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network
-from splitknit.separation import train_network
+from splitknit.training import network as train_network
 
 Captured = pytest.CaptureFixture[str]
 TINY = [

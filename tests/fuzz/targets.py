@@ -119,7 +119,7 @@ from splitknit.rig.study import Study
 from splitknit.settings import override
 from splitknit.training.settings import DataSettings, TrainSettings
 
-TINY_NETWORK = Path(__file__).resolve().parents[1] / "separate" / "tiny.onnx"
+TINY_NETWORK = Path(__file__).resolve().parents[1] / "networks" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)
 PHRASE = Key(b"correct horse battery", raw=False)
 EA = BatchSettings(cases=preset_cases(("ea",)), matchers=())

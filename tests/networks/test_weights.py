@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.networks import weights
 from splitknit.networks.unet import load_network
 from splitknit.networks.weights import card_bytes, read_network, shipped_networks
-from splitknit.separation import weights
 
 TINY = Path(__file__).parent / "tiny.onnx"
 

@@ -38,7 +38,7 @@ from splitknit.matching.code_model import FactorModel
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.model import FloatArray
 
-MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "match" / "code_model.npz"
+MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "code_model.npz"
 RESULT = Path(__file__).with_name("codes.json")
 OUTLINES, FLAT, FIELDS, STRANGERS = 7001, 7100, 7300, 7400
 SIZE, TEMPER = 192, 4.0
