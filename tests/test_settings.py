@@ -6,6 +6,7 @@ from typing import Literal
 import pytest
 
 from splitknit.check import BadInput, require
+from splitknit.pipeline import preset_settings
 from splitknit.settings import flatten, override
 
 
@@ -59,3 +60,13 @@ def test_wrong_settings_are_refused_with_a_remedy(changes: dict[str, object], wo
 
 def test_flatten_joins_names() -> None:
     assert flatten({"a": {"b": {"c": 1}}, "d.e": 2}) == {"a.b.c": 1, "d.e": 2}
+
+
+@pytest.mark.parametrize("value", ["\ud800", "a\nb", "a" * 1001, 10**400])
+def test_a_value_that_could_not_be_printed_is_refused_in_a_short_line(value: object) -> None:
+    with pytest.raises(BadInput, match=r"setting|must") as caught:
+        override(preset_settings("metric"), {"knit.method": value})
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 300
+    with pytest.raises(BadInput, match="there is no setting") as caught:
+        override(preset_settings("metric"), {f"knit.{value}": 1})
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 300

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from splitknit.check import BadInput, require
 
 Settings = TypeVar("Settings")
+_LONGEST_NAME, _LONGEST_TEXT = 100, 1000
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -50,6 +51,8 @@ def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """
     result = settings
     for name, value in flatten(changes).items():
+        sound = len(name) <= _LONGEST_NAME and name.isprintable()
+        require(sound, f"there is no setting {name[:_LONGEST_NAME]!a}; settings are named as stage.field.")
         result = _replaced(result, name.split("."), value, name)
     return result
 
@@ -79,8 +82,11 @@ def _converted(value: Any, expected: Any, name: str) -> Any:
         done, result = _as_type(value, option)
         if done:
             return result
+    shown = ascii(value)
     wanted = " or ".join(_type_name(option) for option in options)
-    raise BadInput(f"setting '{name}' must be {wanted}, but it is {value!r}.")
+    raise BadInput(
+        f"setting '{name}' must be {wanted}, but it is {shown if len(shown) <= 100 else shown[:97] + '...'}."
+    )
 
 
 def _options(expected: Any) -> list[Any]:
@@ -100,8 +106,10 @@ def _as_type(value: Any, option: Any) -> tuple[bool, Any]:  # noqa: PLR0911 - on
         )
     if option is int:
         return isinstance(value, int) and not isinstance(value, bool), value
-    if option in (bool, str):
-        return isinstance(value, option), value
+    if option is bool:
+        return isinstance(value, bool), value
+    if option is str:
+        return isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_TEXT, value
     origin, arguments = typing.get_origin(option), typing.get_args(option)
     if origin is typing.Literal:
         return value in arguments, value
@@ -124,5 +132,11 @@ def _float(value: Any) -> Any:
 def _type_name(option: Any) -> str:
     if typing.get_origin(option) is typing.Literal:
         return "one of " + ", ".join(repr(item) for item in typing.get_args(option))
-    names = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", types.NoneType: "null"}
+    names = {
+        float: "a number",
+        int: "a whole number",
+        bool: "true or false",
+        str: "a text of printable characters",
+        types.NoneType: "null",
+    }
     return names.get(option, str(option).removeprefix("<class '").removesuffix("'>"))

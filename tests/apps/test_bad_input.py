@@ -236,7 +236,7 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(
         (["--set", "mask.edge_share=7"], ("mask.edge_share",)),
         (["--set", "metric.working_pitch_mm=NaN"], ("metric.working_pitch_mm",)),
         (["--set", "mask"], ("--set", "stage.field=value")),
-        (["--settings", "nowhere.json"], ("nowhere.json", "cannot be read")),
+        (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),
     ],
 )
 def test_wrong_settings_are_refused_before_the_work(

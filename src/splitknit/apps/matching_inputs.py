@@ -34,6 +34,8 @@ Progress = Callable[[str, float], None]
 T = TypeVar("T")
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _PPI = 500.0
+LARGEST_MM = 1000.0
+"""Of a result's frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,13 +109,18 @@ def read_surface(path: Path) -> Surface:
     good = arrays["upright_size"].dtype.kind in "iu"
     rows, columns = arrays["upright_size"].tolist() if good else (0, 0)
     usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
-    require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; reconstruct the capture again.")
+    pitch = float(arrays["pitch_mm"])
+    usable = usable and 0 < pitch * max(rows, columns) <= LARGEST_MM
+    require(
+        usable,
+        f"{path}: 'input_from_upright', 'upright_size' or 'pitch_mm' cannot be used; reconstruct the capture again.",
+    )
     return Surface(
         ridge_mm=arrays["ridge_mm"].astype(np.float32, copy=False),
         shape_mm=arrays["shape_mm"].astype(np.float32, copy=False),
         normals=arrays["normals"].astype(np.float32, copy=False),
         mask=arrays["mask"].astype(np.bool_),
-        pitch_mm=float(arrays["pitch_mm"]),
+        pitch_mm=pitch,
         input_from_upright=matrix,
         upright_size=(rows, columns),
     )

@@ -45,7 +45,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     name = name.strip()
     parts = name.split(".")
     sound = bool(equals) and all(part.isidentifier() for part in parts)
-    require(sound, f"--set {text!r} is not of the form stage.field=value, for example normals.method=robust.")
+    require(sound, f"--set {text[:100]!a} is not of the form stage.field=value, for example normals.method=robust.")
     return name, _scalar(value.strip())
 
 
@@ -70,7 +70,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
         try:
             tree = tomllib.loads(data.decode("utf-8"))
         except (ValueError, RecursionError) as error:
-            words = "it is not a text file" if isinstance(error, UnicodeDecodeError) else error
+            words = "it is not a text file" if isinstance(error, UnicodeDecodeError) else ascii(str(error)[:200])[1:-1]
             raise BadInput(f"the settings file '{path}' is not sound TOML: {words}.") from error
     require(isinstance(tree, dict), f"the settings file '{path}' must hold a table of settings by stage.")
     with refusing(f"the settings file '{path}' is nested too deeply; name settings as stage.field."):

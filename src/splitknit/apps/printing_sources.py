@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.matching_inputs import naming
+from splitknit.apps.matching_inputs import LARGEST_MM, naming
 from splitknit.check import BadInput, require
 from splitknit.io import file_hash, read_capture, read_npz
 from splitknit.pipeline import preset_settings, reconstruct
@@ -112,7 +112,7 @@ def _of_result(path: Path) -> Source:
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; reconstruct the capture again.")
     pitch = float(arrays["pitch_mm"])
     require(
-        bool(np.isfinite(pitch)) and pitch > 0,
+        0 < pitch * max(rows, columns) <= LARGEST_MM,
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and reconstruct the capture again.",
     )
     require(bool(arrays["mask"].any()), f"{path}: the mask is empty; reconstruct the capture again.")

@@ -156,8 +156,9 @@ def _check_settings(out: Path, document: dict[str, Any]) -> None:
             f"'{out}' holds captures of something else than a simulated population; name another folder.",
         )
         return
-    earlier, _ = read_json(file)
-    with refusing(f"'{file}' cannot be read: it is damaged; name another folder for the population."):
+    damaged = f"'{file}' cannot be read: it is damaged; name another folder for the population."
+    earlier, _ = read_json(file, damaged)
+    with refusing(damaged):
         known = earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION
         require(known, f"'{file}' is of another version.")
         same = earlier["settings_sha256"] == document["settings_sha256"]
@@ -213,6 +214,7 @@ def _write_table(enrolment: Enrolment) -> None:
 
 
 def _facts_of(file: Path) -> dict[str, Any]:
-    facts, _ = read_json(file)
-    require(isinstance(facts, dict), f"'{file}' is damaged; remove its folder and run the same again.")
+    damaged = f"'{file}' is damaged; remove its folder and run the same again."
+    facts, _ = read_json(file, damaged)
+    require(isinstance(facts, dict), damaged)
     return dict(facts)

@@ -43,7 +43,7 @@ class Store:
         file = self.folder / STORE_FILE
         require(file.is_file(), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
         damaged = f"'{file}' is damaged; name another folder for the store."
-        document, _ = read_json(file)
+        document, _ = read_json(file, damaged)
         with refusing(damaged):
             known = document["format"] == FORMAT
             version = document["format_version"]
@@ -137,10 +137,10 @@ class Store:
         """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
         found: dict[str, float] = {}
         for file in sorted((self.folder / "timings" / case).glob("*.json")):
-            times, _ = read_json(file)
-            sound = isinstance(times, dict) and all(as_number(value) is not None for value in times.values())
-            require(sound, f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it.")
-            found |= times
+            damaged = f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it."
+            times, _ = read_json(file, damaged)
+            require(isinstance(times, dict) and all(as_number(one) is not None for one in times.values()), damaged)
+            found |= {name: float(value) for name, value in times.items()}
         return found
 
 

@@ -166,11 +166,11 @@ def _tip(line: str, header: Sequence[str], where: str) -> Tip:
     )
     row = dict(zip(header, cells, strict=True))
     band = row["band"].lower()
-    require(band in BANDS, f"{where}: the band must be white or nir, but it is '{row['band']}'.")
+    require(band in BANDS, f"{where}: the band must be white or nir, but it is {row['band'][:60]!a}.")
     led = _whole(row["led"], where, "led")
     require(
         led < LEDS_PER_BAND,
-        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led']}.",
+        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led'][:60]!a}.",
     )
     numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
     return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
@@ -185,7 +185,7 @@ def _cells(line: str, where: str) -> list[str]:
 
 def _whole(text: str, where: str, column: str) -> int:
     sound = text.isascii() and text.isdigit() and len(text) <= 9
-    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is '{text}'.")
+    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is {text[:60]!a}.")
     return int(text)
 
 
@@ -195,6 +195,7 @@ def _number(text: str, where: str, column: str) -> float:
     except ValueError:
         value = math.nan
     require(
-        math.isfinite(value) and abs(value) < 1e6, f"{where}: {column} must be a number of pixels, but it is '{text}'."
+        math.isfinite(value) and abs(value) < 1e6,
+        f"{where}: {column} must be a number of pixels, but it is {text[:60]!a}.",
     )
     return value

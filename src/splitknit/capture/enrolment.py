@@ -39,7 +39,7 @@ class EnrolmentPlan:
         require(1 <= self.sessions <= 999, f"an enrolment has 1 to 999 sessions, not {self.sessions}.")
         require(len(self.fingers) > 0, "an enrolment needs at least one finger.")
         for finger in self.fingers:
-            require(finger in FINGERS, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
+            require(finger in FINGERS, f"{finger[:60]!a} is no finger; fingers are {', '.join(FINGERS)}.")
         require(len(set(self.fingers)) == len(self.fingers), "an enrolment names a finger twice.")
 
     @property

@@ -14,8 +14,13 @@ MAX_JSON_BYTES = 16_000_000
 """A document of 16 MB takes up to 0.5 GB once parsed; the largest of ours, minutiae in space, have 10 MB."""
 
 
-def read_json(path: Path) -> tuple[Any, bytes]:
+def read_json(path: Path, damaged: str | None = None) -> tuple[Any, bytes]:
     """Read a UTF-8 JSON file strictly; return the document and the bytes it was read from.
+
+    Parameters
+    ----------
+    path : the file
+    damaged : the whole message where it cannot be read, of files that no person writes: what to do about it
 
     Raises
     ------
@@ -23,8 +28,11 @@ def read_json(path: Path) -> tuple[Any, bytes]:
         If the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity, a number beyond the
         largest (1e999) or a key twice in one object.
     """
-    data = read_bytes(path, MAX_JSON_BYTES)
-    return parse_json(data, str(path)), data
+    try:
+        data = read_bytes(path, MAX_JSON_BYTES)
+        return parse_json(data, str(path)), data
+    except BadInput as error:
+        raise error if damaged is None else BadInput(damaged) from error
 
 
 def parse_json(data: bytes, name: str) -> Any:

@@ -46,8 +46,9 @@ def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         except ValueError:
             values = []
         require(
-            len(values) == 3 and bool(np.isfinite(values).all()),
-            f"{name}, line {number}: three finite numbers x y z are expected, but it is {line.strip()[:60]!a}.",
+            len(values) == 3 and all(abs(value) <= 1e6 for value in values),
+            f"{name}, line {number}: three finite numbers x y z are expected, none beyond a million, but it is "
+            f"{line.strip()[:60]!a}.",
         )
         rows.append(values)
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")

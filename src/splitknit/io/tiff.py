@@ -48,6 +48,7 @@ _RATIO = {_NONE: 1, _LZW: 2560, _DEFLATE: DEFLATE_RATIO, _OLD_DEFLATE: DEFLATE_R
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB = 0, 1, 2
 _SEPARATE = 2
 _MOST_TAGS = 4096
+_LONGEST_TEXT = 1_000_000
 _LEAST_TILE = 16
 
 
@@ -81,8 +82,9 @@ class TiffPage:
 
     @property
     def description(self) -> str:
-        """Text of the description tag, empty where there is none."""
-        return self.tags.get(DESCRIPTION, np.zeros(0, np.uint8)).tobytes().rstrip(b"\0").decode("utf-8", "replace")
+        """Text of the description tag, empty where there is none; a longer one is cut."""
+        text = self.tags.get(DESCRIPTION, np.zeros(0, np.uint8))[:_LONGEST_TEXT].tobytes()
+        return text.rstrip(b"\0").decode("utf-8", "replace")
 
 
 def quiet_tifffile() -> Any:

@@ -75,7 +75,7 @@ class SweepFolder:
             not foreign and STUDY_FILE in names,
             f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep of ours to go on with; name another folder.",
         )
-        before, _ = read_json(self.out / STUDY_FILE)
+        before, _ = read_json(self.out / STUDY_FILE, f"'{self.out / STUDY_FILE}' is damaged; name another folder.")
         changed = sorted(_differences(before, self.document))
         require(
             not changed,

@@ -16,7 +16,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from splitknit.check import read_bytes, refusing, require
+from splitknit.check import BadInput, read_bytes, refusing, require
 
 FORMAT = "splitknit-network"
 _MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
@@ -125,8 +125,11 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
 
 
 def _read(file: Traversable, words: str, remedy: str) -> bytes:
-    with refusing(f"{words} cannot be read; {remedy}."):
+    try:
         return read_bytes(file, _MAX_BYTES) if isinstance(file, Path) else file.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).rstrip(".")
+        raise BadInput(f"{words} cannot be read ({reason}); {remedy}.") from error
 
 
 def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
