@@ -641,7 +641,8 @@ def _store() -> Files:
 
 def _batch(folder: Path, files: Files) -> object:
     def opened() -> None:
-        open_store(folder / "store", read_population(folder / "people"), EA)
+        if os.path.lexists(folder / "store" / "store.json"):  # where there is none, a store is begun
+            open_store(folder / "store", read_population(folder / "people"), EA)
 
     store = Store(folder / "store")
     return _any(

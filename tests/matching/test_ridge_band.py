@@ -129,6 +129,8 @@ def test_bad_input_is_refused() -> None:
     for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than any finger")):
         with pytest.raises(BadInput, match=words):
             ridge_band(np.zeros((60, 60), np.float32), np.ones((60, 60), bool), pitch_mm)
+    with pytest.raises(BadInput, match="ridge_mm holds heights"):
+        ridge_band(relief + np.float32(1e30), mask, 0.1)
     with pytest.raises(BadInput, match="shape_mm"):
         ridge_band(relief, mask, 0.1, np.zeros((5, 5), np.float32))
     with pytest.raises(BadInput, match="NaN"):

@@ -126,6 +126,9 @@ def ridge_band(  # noqa: PLR0917
         )
         mask = mask & np.isfinite(shape_mm)
         require(bool(mask.any()), "shape_mm is NaN all over the mask.")
+    for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
+        deep = field is not None and bool((np.abs(field[mask]) > _LONGEST_MM).any())
+        require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are no finger's.")
     transform = np.eye(3) if input_from_upright is None else np.asarray(input_from_upright, dtype=np.float64)
     size = mask.shape if upright_size is None else upright_size
     require(
