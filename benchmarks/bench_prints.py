@@ -23,7 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.apps.printing import Print, enhance, make_print
+from splitknit.apps.printing_folder import Print, enhance, make_print
 from splitknit.apps.printing_sources import Source
 from splitknit.finger.orientation import find_upright
 from splitknit.matching.minutiae import nfiq2

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.apps.evaluation_charts import roc_chart
+from splitknit.apps.evaluation_page import roc_chart
 from splitknit.evaluation import BootstrapSettings, bootstrap, comparisons, roc, scores_of_comparisons
 from splitknit.finger.orientation import find_upright
 from splitknit.matching import Prepared, Template, make_template, ridge_band, ridge_match

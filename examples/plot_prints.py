@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.apps.printing import enhance, make_print
+from splitknit.apps.printing_folder import enhance, make_print
 from splitknit.apps.printing_sources import read_source
 from splitknit.io import write_capture, write_image
 from splitknit.matching.minutiae import extract, nfiq2

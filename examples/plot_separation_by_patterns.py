@@ -19,8 +19,7 @@ import numpy as np
 from splitknit.io import write_image
 from splitknit.model import Camera
 from splitknit.separation import Separation, StackSettings, checkerboard, single_image
-from splitknit.simulator.palm import draw_palm, palm_surface
-from splitknit.simulator.palm_settings import PalmSettings
+from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.separation import checkerboard_stack, separate_truth

@@ -16,8 +16,7 @@ from splitknit.imaging import has_colour, linear_channels, linear_stack, linear_
 from splitknit.io import read_capture, read_rig, write_capture, write_rig
 from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import PRESETS, reconstruct
-from splitknit.recipe.coloured import balanced, colour_factors
-from splitknit.recipe.compose import COMPOSED, composed
+from splitknit.recipe.coloured import COMPOSED, balanced, colour_factors, composed
 from splitknit.recipe.settings_document import LATER, settings_document
 from splitknit.settings import override
 from splitknit.simulator.coloured import CROSSTALK, coloured_rig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.apps.building.part_pictures import Body, View, draw
+from splitknit.apps.building.rig_cad import Body, View, draw
 
 FROM_ABOVE = View(-90.0, 90.0)
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from handmade import finger
 
+from splitknit.apps.figures import UprightSurface, oblique_view, top_view, upright_surface
 from splitknit.apps.pictures import colour, on_paper, to_frame, upright_frame
-from splitknit.apps.shading import UprightSurface, oblique_view, top_view, upright_surface
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])

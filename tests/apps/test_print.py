@@ -72,7 +72,7 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
         pytest.importorskip("nbis")
     from scipy.spatial import cKDTree
 
-    from splitknit.apps.printing import make_print
+    from splitknit.apps.printing_folder import make_print
     from splitknit.apps.printing_sources import read_source
     from splitknit.io.iso19794 import read_iso19794
     from splitknit.io.minutiae3d import read_minutiae3d
@@ -141,7 +141,7 @@ def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:
 
 def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     """Ridges are dark in it where they are high in the truth."""
-    from splitknit.apps.printing import make_print
+    from splitknit.apps.printing_folder import make_print
     from splitknit.apps.printing_sources import read_source
     from splitknit.prints import ink, resample
 
@@ -238,7 +238,7 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
 def test_advice_is_chosen_by_the_worst_figure() -> None:
     from dataclasses import replace
 
-    from splitknit.apps.printing_quality import advice
+    from splitknit.apps.printing_folder import advice
     from splitknit.prints import PrintQuality, QualityFigures, score_of
 
     good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)

@@ -19,10 +19,8 @@ from splitknit.skin import SkinSettings, diffusion, learned
 from splitknit.skin.bands import BandImages
 from splitknit.skin.facets import Facets
 from splitknit.skin.grid import Grid
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE
-from splitknit.skin.shape_features import shape_features
-from splitknit.training.shape import CHANNELS, FIELDS, SLOPES, TURNS, WEIGHT, without_nir
-from splitknit.training.shape_batches import OF_NIR
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, shape_features
+from splitknit.training.shape import CHANNELS, FIELDS, OF_NIR, SLOPES, TURNS, WEIGHT, without_nir
 
 PITCH_MM = 0.106
 SIDE = 64

@@ -10,9 +10,8 @@ import pytest
 
 from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train_relief as app
-from splitknit.apps.training.relief_card import network_metrics, write_network
 from splitknit.apps.training.relief_scenes import ReliefData
-from splitknit.apps.training.train_relief import train_relief
+from splitknit.apps.training.train_relief import network_metrics, train_relief, write_network
 from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network

@@ -10,9 +10,8 @@ import pytest
 
 from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train_shape as app
-from splitknit.apps.training.shape_card import shape_metrics, write_shape_network
 from splitknit.apps.training.shape_scenes import ShapeData
-from splitknit.apps.training.train_shape import train_shape
+from splitknit.apps.training.train_shape import shape_metrics, train_shape, write_shape_network
 from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.calibration.card_fit import fit_order
 from splitknit.calibration.card_light import CardPlane, card_light, lens_fall_off, squared_radius
 from splitknit.calibration.card_model import LADDER, Answer, CardModel
-from splitknit.calibration.flat_field import FlatFieldSettings, fit_flat_field
+from splitknit.calibration.flat_field import FlatFieldSettings, fit_flat_field, fit_order
 from splitknit.errors import BadInput
 from splitknit.imaging import lens_shading
 from splitknit.model import Led
@@ -166,7 +165,7 @@ def test_an_led_that_did_not_light_is_named(rig):
 
 
 def test_gloss_shows_where_a_mirror_would(rig):
-    from splitknit.calibration.card_gloss import half_angles
+    from splitknit.calibration.flat_field import half_angles
 
     pixels, light = grid(rig.camera), shown(rig)
     placed = as_placed(rig)

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.calibration.intervals import radius_95
 from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle
-from splitknit.calibration.nail import by_joint_fit
+from splitknit.calibration.nail import by_joint_fit, radius_95
 from splitknit.calibration.nail_model import NailModel, NailSettings
 from splitknit.errors import BadInput
 from splitknit.model import Camera

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from splitknit.calibration.card_check import check_card, check_facts
-from splitknit.calibration.card_images import card_images, led_name
+from splitknit.calibration.card_images import CellSettings, card_images, cells_of, led_name, median_blocks
 from splitknit.calibration.card_light import CardPlane, card_light
-from splitknit.calibration.cells import CellSettings, cells_of, median_blocks
 from splitknit.calibration.radiometry import PROVENANCE, RadiometrySettings, calibrate_radiometry
 from splitknit.errors import BadInput
 from splitknit.io.provenance import canonical_json

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.shadow import find_nail
-from splitknit.calibration.shadow_shape import Shape, hull_distance
+from splitknit.calibration.shadow import Shape, find_nail, hull_distance
 from splitknit.errors import BadInput
 from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
 from splitknit.simulator.built_rig import built_rig

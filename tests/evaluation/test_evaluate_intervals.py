@@ -28,8 +28,7 @@ from splitknit.evaluation import (
 )
 from splitknit.evaluation.cells import make_cells
 from splitknit.evaluation.error_bounds import error_bound
-from splitknit.evaluation.replicate_figures import Layout, figures_of
-from splitknit.evaluation.replicates import cell_weights, cluster_units, pair_units, plain_units
+from splitknit.evaluation.intervals import Layout, cell_weights, cluster_units, figures_of, pair_units, plain_units
 
 LAYOUT = Layout((0.5, 0.1, 0.01), (0.03, 0.3))
 FEW = BootstrapSettings(replicates=100, curve_points=5)

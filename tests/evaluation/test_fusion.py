@@ -10,8 +10,7 @@ from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
 from splitknit.evaluation import Scores, comparisons, d_prime, ids_of, scores_of_comparisons
-from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fuse
-from splitknit.evaluation.fusion_models import fit_linear, fit_logistic
+from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fit_linear, fit_logistic, fuse
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:

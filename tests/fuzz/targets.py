@@ -34,12 +34,12 @@ from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, th
 from tests.fuzz.mutators import Files
 from tests.png_files import png_of
 
-from splitknit.apps.calibration.camera_photos import read_photo
+from splitknit.apps.calibration.calibrated_camera import read_photo
 from splitknit.apps.calibration.lights_of_images import read_stack
 from splitknit.apps.calibration.radiometry_folder import read_radiometry_plan
 from splitknit.apps.commands import truth_of
+from splitknit.apps.evaluation import read_exclusion_list, read_systems
 from splitknit.apps.evaluation_gallery import gallery_scores
-from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
 from splitknit.apps.gallery_export import export_gallery, import_gallery
 from splitknit.apps.gallery_options import key_of
 from splitknit.apps.gallery_work import gallery_info, list_gallery
@@ -48,8 +48,8 @@ from splitknit.apps.matching_inputs import read_print, read_side
 from splitknit.apps.matching_inputs import read_surface as read_matched
 from splitknit.apps.options import parse_assignment, read_changes
 from splitknit.apps.pattern_folder import read_pattern_folder
-from splitknit.apps.pattern_light import read_light
 from splitknit.apps.printing_sources import read_source
+from splitknit.apps.separate import read_light
 from splitknit.apps.targets import check_target
 from splitknit.apps.training.training_data import load_data
 from splitknit.apps.training.training_folder import open_folder, plain
@@ -87,8 +87,6 @@ from splitknit.io import (
     write_ply,
     write_print_png,
 )
-from splitknit.io.ansi378 import decode_ansi378, read_ansi378
-from splitknit.io.ansi378_2009 import decode_ansi378_2009
 from splitknit.io.glb import read_glb, write_glb
 from splitknit.io.images import decode_image, encode_image
 from splitknit.io.iso19794 import decode_iso19794, read_iso19794
@@ -97,7 +95,13 @@ from splitknit.io.itl_reading import read_transaction
 from splitknit.io.itl_transaction import TransactionFacts, TransactionPrint, encode_transaction
 from splitknit.io.light import read_light_tiff, write_light_tiff
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
-from splitknit.io.minutiae_files import decode_minutiae_record, read_minutiae_record
+from splitknit.io.minutiae_files import (
+    decode_ansi378,
+    decode_ansi378_2009,
+    decode_minutiae_record,
+    read_ansi378,
+    read_minutiae_record,
+)
 from splitknit.io.print_tiff import read_print_tiff, write_print_tiff
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.templates import encode_template, read_template
@@ -113,8 +117,8 @@ from splitknit.networks.unet import load_network
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.matchable import MatchingSettings, Surface
 from splitknit.rig.candidates import Candidate
+from splitknit.rig.optimise import SweepFolder
 from splitknit.rig.stl import read_stl, write_stl
-from splitknit.rig.store import SweepFolder
 from splitknit.rig.study import Study
 from splitknit.settings import override
 from splitknit.training.settings import DataSettings, TrainSettings

@@ -10,10 +10,16 @@ import pytest
 
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, three_minutiae
 from splitknit.errors import BadInput
-from splitknit.io.ansi378 import decode_ansi378, encode_ansi378, read_ansi378, write_ansi378
-from splitknit.io.ansi378_2009 import decode_ansi378_2009, encode_ansi378_2009
 from splitknit.io.fmr_identify import ANSI_2004, ANSI_2009, ANSI_2009_AM1
-from splitknit.io.minutiae_files import read_minutiae_record
+from splitknit.io.minutiae_files import (
+    decode_ansi378,
+    decode_ansi378_2009,
+    encode_ansi378,
+    encode_ansi378_2009,
+    read_ansi378,
+    read_minutiae_record,
+    write_ansi378,
+)
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 
 

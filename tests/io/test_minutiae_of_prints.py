@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.io.ansi378 import encode_ansi378
 from splitknit.io.iso19794 import decode_iso19794, encode_iso19794
+from splitknit.io.minutiae_files import encode_ansi378
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
 from splitknit.io import wsq_image
-from splitknit.io.wsq_image import decode_wsq, encode_wsq, read_print_wsq, write_print_wsq
-from splitknit.io.wsq_structure import wsq_header
+from splitknit.io.wsq_image import decode_wsq, encode_wsq, read_print_wsq, write_print_wsq, wsq_header
 
 pytest.importorskip("_wsq")
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.networks.tiles import padded_index, plan_tiles
-from splitknit.networks.unet import NO_TELEMETRY, Network, load_network, run_network
+from splitknit.networks.unet import NO_TELEMETRY, Network, load_network, padded_index, plan_tiles, run_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"

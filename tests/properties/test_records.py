@@ -12,10 +12,8 @@ from hypothesis import HealthCheck, given, settings
 
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, STANDARDS, encode, records
 from splitknit.errors import BadInput
-from splitknit.io.ansi378 import decode_ansi378
-from splitknit.io.ansi378_2009 import decode_ansi378_2009
 from splitknit.io.iso19794 import decode_iso19794
-from splitknit.io.minutiae_files import decode_minutiae_record
+from splitknit.io.minutiae_files import decode_ansi378, decode_ansi378_2009, decode_minutiae_record
 from splitknit.io.minutiae_record import MinutiaeRecord
 
 FUZZ = settings(max_examples=200, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -13,11 +13,9 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.rig import assembly, part_files
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
 from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of
-from splitknit.rig.mesh_checks import check_soundness
 from splitknit.rig.mirror_shape import holder_places, mirror_front
-from splitknit.rig.part_reports import report_part
+from splitknit.rig.part_reports import check_soundness, first_hits, report_part
 from splitknit.rig.part_settings import PartSettings
-from splitknit.rig.rays import first_hits
 from splitknit.settings import override
 from splitknit.simulator.rig import default_rig
 

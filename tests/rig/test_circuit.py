@@ -13,8 +13,7 @@ from scipy.optimize import brentq
 from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS
 from splitknit.errors import BadInput
 from splitknit.model import Led
-from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
-from splitknit.rig.circuit_parts import BC337, E24, RATINGS_W, preferred, rating_for
+from splitknit.rig.circuit import BC337, E24, RATINGS_W, CircuitSettings, Stage, design_stage, preferred, rating_for
 from splitknit.rig.netlist import (
     GROUND_PINS,
     HEADER_OF_GPIO,

@@ -7,11 +7,8 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.rig.assembly import PartKind
-from splitknit.rig.mesh_checks import check_soundness, thinnest_wall
-from splitknit.rig.part_reports import report_part
+from splitknit.rig.part_reports import check_soundness, first_hits, overhang, report_part, slice_mask, thinnest_wall
 from splitknit.rig.print_settings import PrinterSettings
-from splitknit.rig.printable import overhang, slice_mask
-from splitknit.rig.rays import first_hits
 from splitknit.rig.stl import read_stl, write_stl
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from splitknit.errors import BadInput
-from splitknit.rig.hausdorff import both_ways, surface_distances
-from splitknit.rig.pareto import compare_with_best, mean_interval, pareto_front
+from splitknit.rig.evaluate_rig import both_ways, surface_distances
+from splitknit.rig.optimise import compare_with_best, mean_interval, pareto_front
 
 
 def _brute(first, second):

@@ -9,11 +9,20 @@ import pytest
 
 from splitknit.model import Reconstruction
 from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
-from splitknit.rig.evaluate_rig import compare_surfaces, evaluate, measure, rigs
+from splitknit.rig.evaluate_rig import (
+    compare_surfaces,
+    evaluate,
+    measure,
+    phalange,
+    places,
+    printed,
+    rigs,
+    truth,
+    view_of,
+)
 from splitknit.rig.photo import photograph
 from splitknit.rig.photons import PhotonSettings, intensity_w_sr
 from splitknit.rig.study import Study
-from splitknit.rig.subject import phalange, places, printed, truth, view_of
 from splitknit.simulator.diffusion import load_walks
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)

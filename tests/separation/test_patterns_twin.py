@@ -8,8 +8,7 @@ import pytest
 from splitknit.model import Camera
 from splitknit.separation.patterns import StackSettings, by_symmetry, checkerboard
 from splitknit.simulator.diffusion import load_walks
-from splitknit.simulator.palm import draw_palm, palm_surface
-from splitknit.simulator.palm_settings import PalmSettings
+from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig

@@ -11,9 +11,8 @@ from surfaces import ridged_egg
 from splitknit.errors import BadInput
 from splitknit.model import Camera
 from splitknit.simulator.coat import WATER, Coat, Film, Grains
-from splitknit.simulator.coat_gloss import reflected
-from splitknit.simulator.coat_light import render_coated
-from splitknit.simulator.conditions import KINDS, Condition, conditioned_surface
+from splitknit.simulator.coat_light import reflected, render_coated
+from splitknit.simulator.conditions import KINDS, Condition, conditioned_surface, water_level, water_of
 from splitknit.simulator.diffusion import fresnel, load_walks
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.grains import DENSITY_MG_PER_MM3, draw_grains, sphere_brightness, stamp
@@ -21,7 +20,6 @@ from splitknit.simulator.master_print import MasterPrintSettings, master_print
 from splitknit.simulator.renderer import RenderSettings, render_band
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import SkinSettings
-from splitknit.simulator.water import water_level, water_of
 from splitknit.simulator.weathered import dried, ridge_angle, scale_reflectance, scarred
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)

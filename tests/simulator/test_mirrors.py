@@ -21,11 +21,10 @@ from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.lens import pixels_of_points
 from splitknit.simulator.lighting import cut_out
 from splitknit.simulator.master_print import MasterPrintSettings
-from splitknit.simulator.mirror_light import light_through
 from splitknit.simulator.mirror_parts import HolderProfile, mirror_rig, nominal_mirrors
+from splitknit.simulator.mirror_scene import light_through
 from splitknit.simulator.mirror_settings import MirrorParts, MirrorViews
-from splitknit.simulator.mirror_truth import section_points
-from splitknit.simulator.mirror_twin import bare_behind
+from splitknit.simulator.mirror_twin import bare_behind, section_points
 from splitknit.simulator.mirror_view import outline_coverage
 from splitknit.simulator.mirrors import Gate, Reflection, as_built, lights_of
 from splitknit.simulator.raycast import Placement

@@ -17,13 +17,14 @@ from splitknit.simulator.people_ranges import PeopleRanges
 from splitknit.simulator.population import (
     LARGE,
     PopulationSettings,
+    SessionRanges,
+    draw_impression,
     drifted,
     finger_of_today,
     population_capture,
     skin_of_today,
 )
 from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sessions import SessionRanges, draw_impression
 
 COUNT = 500
 SMALL = PopulationSettings(scale=0.08)

@@ -12,8 +12,7 @@ from splitknit.errors import BadInput
 from splitknit.simulator.deformation import deformed, draw_deformation
 from splitknit.simulator.master_print import MasterPrintSettings, master_print
 from splitknit.simulator.people_ranges import PeopleRanges
-from splitknit.simulator.population import PopulationSettings, population_capture
-from splitknit.simulator.sessions import SessionRanges
+from splitknit.simulator.population import PopulationSettings, SessionRanges, population_capture
 
 
 @pytest.fixture(scope="module")

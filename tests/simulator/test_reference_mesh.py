@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from splitknit.model import Camera
-from splitknit.simulator.reference_mesh import LEDGE_MM, skin_mesh
+from splitknit.simulator.reference_scene import LEDGE_MM, skin_mesh
 from splitknit.simulator.surface import Surface
 
 

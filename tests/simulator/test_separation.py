@@ -11,8 +11,7 @@ from surfaces import plane, ridged_egg
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit.simulator.diffusion import diffusion_profile, load_walks
-from splitknit.simulator.palm import draw_palm, palm_surface
-from splitknit.simulator.palm_settings import PalmSettings
+from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.renderer import RenderSettings, render_band
 from splitknit.simulator.rig import default_rig

@@ -17,13 +17,14 @@ from splitknit.skin.grid import Grid, coarsen
 from splitknit.skin.learned import (
     GLARE,
     RELIEF_MM,
+    SHAPE_COUNT,
     SHAPE_SLOPE,
     can_learn,
     relief_by_network,
+    shape_features,
     slopes_by_network,
 )
 from splitknit.skin.light import fine_lighting
-from splitknit.skin.shape_features import SHAPE_COUNT, shape_features
 
 FACTOR = 3
 SLOPES, WAVES = slice(3, 9), slice(9, 21)

@@ -10,11 +10,11 @@ from splitknit.errors import BadInput
 from splitknit.skin import MetricSettings, SkinSettings, diffusion, reconstruct_skin
 from splitknit.skin import shape as shape_module
 from splitknit.skin.bands import BandImages
-from splitknit.skin.by_colour import ColourSettings, with_relief
 from splitknit.skin.coarse import compare
 from splitknit.skin.grid import coarsen
 from splitknit.skin.light import fine_lighting
 from splitknit.skin.relief import Measured
+from splitknit.skin.surface import ColourSettings, with_relief
 
 SETTINGS = MetricSettings(rounds=2)
 

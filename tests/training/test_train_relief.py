@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.training.relief import judged
 from splitknit.training.relief_batches import (
     CHANNELS,
     FIELDS,
@@ -21,7 +22,6 @@ from splitknit.training.relief_batches import (
     transposed,
     turned_by,
 )
-from splitknit.training.relief_loop import judged
 from splitknit.training.relief_settings import ReliefSettings
 
 SMALL = ReliefSettings(widths=(2, 3), patch_px=16, batch=3)

@@ -12,6 +12,7 @@ from splitknit.training.relief import (
     CHANNELS,
     GLARE,
     NAME,
+    PARTS,
     RELIEF,
     WEIGHT,
     ReliefSettings,
@@ -23,7 +24,6 @@ from splitknit.training.relief import (
     total_loss,
 )
 from splitknit.training.relief_batches import field_scale
-from splitknit.training.relief_loss import PARTS
 
 torch = pytest.importorskip("torch")
 

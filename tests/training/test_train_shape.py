@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.skin.shape_features import SHAPE_COUNT
-from splitknit.training.shape_batches import (
+from splitknit.skin.learned import SHAPE_COUNT
+from splitknit.training.shape import (
     CHANNELS,
     FIELDS,
     OF_NIR,
     SLOPES,
     TURNS,
     WEIGHT,
+    ShapeSettings,
     check_samples,
     draw_batch,
     draw_patch,
     field_scale,
+    judge_whole,
+    judged,
     without_nir,
 )
-from splitknit.training.shape_loss import judge_whole, judged
-from splitknit.training.shape_settings import ShapeSettings
 
 SMALL = ShapeSettings(widths=(2, 3), patch_px=16, batch=3, beyond_px=4)
 

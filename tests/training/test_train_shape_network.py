@@ -14,11 +14,11 @@ from splitknit.training.shape import (
     WEIGHT,
     ShapeSettings,
     ShapeTrainer,
+    field_scale,
     packed,
     relief_network,
     shape_losses,
 )
-from splitknit.training.shape_batches import field_scale
 
 torch = pytest.importorskip("torch")
 

@@ -24,8 +24,7 @@ import numpy as np
 import splitknit.simulator.finger as drawing
 from splitknit.apps.compare import compare
 from splitknit.apps.matching import false_match_rate
-from splitknit.apps.printing import enhance, make_print, measured
-from splitknit.apps.printing_quality import advice
+from splitknit.apps.printing_folder import advice, enhance, make_print, measured
 from splitknit.apps.printing_sources import source_of
 from splitknit.errors import BadInput
 from splitknit.matching import Template, pack, ridge_match, unpack

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.printing_quality import advice
+from splitknit.apps.printing_folder import advice
 from splitknit.prints import PrintQuality, QualityFigures, score_of
 
 HERE = Path(__file__).parent

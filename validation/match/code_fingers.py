@@ -24,9 +24,8 @@ from splitknit.matching import Template, pack, unpack
 from splitknit.simulator.deformation import deformed, draw_deformation
 from splitknit.simulator.finger import finger_surface
 from splitknit.simulator.people import FINGERS, draw_person
-from splitknit.simulator.population import finger_of_today
+from splitknit.simulator.population import SessionRanges, draw_impression, finger_of_today
 from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sessions import SessionRanges, draw_impression
 
 SCALE = 0.15
 CHUNK = 50

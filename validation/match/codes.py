@@ -32,9 +32,8 @@ from splitknit.finger.orientation import find_upright
 from splitknit.io import read_npz
 from splitknit.io.atomic import atomic_file
 from splitknit.matching import Template, pack, unpack
-from splitknit.matching.code import CODE_VERSION, SCALE, code_model, code_of, probe_codes
+from splitknit.matching.code import CODE_VERSION, SCALE, FactorModel, code_model, code_of, probe_codes
 from splitknit.matching.code_field import ridge_field, sampled
-from splitknit.matching.code_model import FactorModel
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.model import FloatArray
 

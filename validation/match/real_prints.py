@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pressed_prints import finger, press
 
 from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, differences, ids_of
-from splitknit.evaluation.fusion_models import fit_linear, fit_logistic
+from splitknit.evaluation.fusion import fit_linear, fit_logistic
 from splitknit.io import read_print_png
 from splitknit.matching import Prepared, make_template, print_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match

@@ -27,8 +27,7 @@ from splitknit.simulator.finger import Finger, finger_surface
 from splitknit.simulator.master_print import MasterPrint, ink_print
 from splitknit.simulator.pattern_classes import DIGITS, class_shares
 from splitknit.simulator.people import FINGERS, Person
-from splitknit.simulator.population import PopulationSettings, finger_of_today, population_capture
-from splitknit.simulator.sessions import draw_impression
+from splitknit.simulator.population import PopulationSettings, draw_impression, finger_of_today, population_capture
 
 HERE = Path(__file__).resolve().parent
 PROFILE_MM = np.arange(1.0, 16.1, 1.0)

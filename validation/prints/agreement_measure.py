@@ -14,7 +14,7 @@ from agreement_phase import phase_minutiae
 from agreement_truth import Truth, people, true_source
 from numpy.typing import NDArray
 
-from splitknit.apps.printing import Print, enhance, make_print
+from splitknit.apps.printing_folder import Print, enhance, make_print
 from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk

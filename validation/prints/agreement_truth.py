@@ -20,9 +20,8 @@ from splitknit.io import read_npz
 from splitknit.simulator.deformation import Deformation
 from splitknit.simulator.finger import Pose, place
 from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.population import PopulationSettings, finger_of_today
+from splitknit.simulator.population import PopulationSettings, draw_impression, finger_of_today
 from splitknit.simulator.press import deformed_minutiae
-from splitknit.simulator.sessions import draw_impression
 
 Array = NDArray[np.float64]
 SAME_MM = 0.06

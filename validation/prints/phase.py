@@ -23,8 +23,8 @@ from agreement_scores import told_apart
 from agreement_summary import MARGIN_PX
 from agreement_truth import read_truth
 
-from splitknit.apps.printing import enhance, make_print
 from splitknit.apps.printing_files import by_phase
+from splitknit.apps.printing_folder import enhance, make_print
 from splitknit.matching.minutiae import extract
 
 HERE = Path(__file__).resolve().parent

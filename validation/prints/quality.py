@@ -21,7 +21,7 @@ import numpy as np
 from quality_measure import capture_facts, facts_of
 from scipy.stats import spearmanr
 
-from splitknit.apps.printing_quality import advice
+from splitknit.apps.printing_folder import advice
 from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.reading import places_of

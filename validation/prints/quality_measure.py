@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from splitknit.apps.printing import Print, enhance, make_print, measured
-from splitknit.apps.printing_quality import advice
+from splitknit.apps.printing_folder import Print, advice, enhance, make_print, measured
 from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.apps.printing import make_print
+from splitknit.apps.printing_folder import make_print
 from splitknit.apps.printing_sources import Source, read_source
 from splitknit.io import read_npz
 from splitknit.prints import GridSettings, ink, resample, ridge_field, surface_grid, unroll, unrolled_map

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tables import Row
 
-from splitknit.apps.evaluation_charts import Axis, Curve, percent, plot, roc_chart
+from splitknit.apps.evaluation_page import Axis, Curve, percent, plot, roc_chart
 from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, roc
 
 

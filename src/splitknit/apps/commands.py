@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.apps.outputs import FILES, write_files
-from splitknit.apps.simulated_lights import coloured_lights
 from splitknit.apps.targets import check_target
 from splitknit.errors import BadInput, require
 from splitknit.io import atomic_folder, read_capture, read_npz, read_rig, with_rig, write_capture
-from splitknit.model import Capture
+from splitknit.model import Capture, Rig
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
+from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 Progress = Callable[[str, float], None]
@@ -147,3 +147,21 @@ def simulate_to_folder(
         "px_per_mm": capture.rig.camera.px_per_mm,
         "total_s": time.perf_counter() - started,
     }
+
+
+# Coloured LEDs of a simulated capture: what ``--lights`` stands for.
+
+EXPOSURES = {"coloured": 2, "coloured9": 3}
+
+
+def coloured_lights(lights: str, settings: TwinSettings) -> Rig:
+    """The rig with coloured LEDs in place of its white ones.
+
+    Raises
+    ------
+    BadInput
+        If something else is asked for that has LEDs of its own, or takes them one by one.
+    """
+    require(settings.rig is None, "a rig file says which LEDs there are; leave out --lights, or --rig.")
+    require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out --mirrors or --lights.")
+    return coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])

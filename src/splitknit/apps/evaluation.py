@@ -5,22 +5,25 @@ from __future__ import annotations
 import json
 import platform
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from splitknit.apps.evaluation_facts import Result, difference_facts, notes_of, system_facts
-from splitknit.apps.evaluation_fusion import fused_system
-from splitknit.apps.evaluation_inputs import read_exclusion_list, read_systems
 from splitknit.apps.targets import check_target
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
+from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluation.pairing import pair_up
 from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude
-from splitknit.evaluation.scores import Scores
+from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_subjects
 from splitknit.io import atomic_folder, plain_json
+from splitknit.io.scores import ScoreFile, read_exclusions, read_scores
 
 if TYPE_CHECKING:
     from splitknit.apps.evaluation_gallery import GalleryScores
@@ -225,3 +228,126 @@ def _write(out: Path, facts: dict[str, Any], results: list[Result], tables: Mapp
         (folder / "report.html").write_text(html, encoding="utf-8")
         document = json.dumps(plain_json(facts), indent=1, allow_nan=False)
         (folder / "report.json").write_text(document + "\n", encoding="utf-8")
+
+
+# The systems of a report, fused: one system more, and what a reader has to know of it.
+
+_MISSING = {
+    "linear": "its weight goes to the others",
+    "trained": "it counts as the mean, and that it is missing as a feature of its own",
+}
+
+
+def fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
+    """Fuse all systems: their fused scores, facts for ``report.json``, and notes.
+
+    Raises
+    ------
+    BadInput
+        If there is one system only, or as :func:`splitknit.evaluation.fusion.fuse`.
+    """
+    require(
+        len(systems) >= 2, "--fuse needs two systems at least; give several score files, or one with a column system."
+    )
+    settings = FusionSettings(method=method, seed=seed)
+    fused = fuse(systems, settings, name=f"fused, {method}")
+    folds = len(set(fused.fold.tolist()) - {-1})
+    weights = fused.mean_weights()
+    facts = {
+        "method": method,
+        "systems": list(fused.systems),
+        "dealt_by": fused.by,
+        "folds": folds,
+        "seed": seed,
+        "models": len(fused.models),
+        "mean_weights": weights,
+        "missing": dict(zip(fused.systems, fused.missing, strict=True)),
+    }
+    return fused.scores, facts, _notes(fused, method, folds, weights)
+
+
+def _notes(fused: Fused, method: str, folds: int, weights: dict[str, float]) -> list[str]:
+    shares = ", ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
+    notes = [
+        f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {folds} folds; "
+        "every comparison was scored by a model that saw nothing of the folds of its two sides. Mean weights of the "
+        f"normalised scores: {shares}."
+    ]
+    if fused.by == "finger":
+        notes.append(
+            "Subjects are not named, so that fusion may have learned from other fingers of who it was tested on."
+        )
+    if any(fused.missing):
+        counts = ", ".join(f"{name} {count}" for name, count in zip(fused.systems, fused.missing, strict=True))
+        notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {_MISSING[method]}.")
+    return notes
+
+
+# Score files as systems: one for each file, or for each name in its ``system`` column.
+
+
+def read_systems(files: Sequence[Path], *, turn: bool) -> tuple[list[Scores], dict[str, str], list[str]]:
+    """Read score files: the systems, the files' SHA-256, and the columns that were not read.
+
+    `turn` makes similarities of dissimilarities: a score becomes its negative.
+    """
+    require(len(set(files)) == len(files), "a score file is named twice; name each once.")
+    systems: list[Scores] = []
+    hashes: dict[str, str] = {}
+    ignored: list[str] = []
+    for path in files:
+        table = read_scores(path)
+        hashes[str(path)] = table.sha256
+        ignored += [column for column in table.ignored if column not in ignored]
+        systems += _systems_of(path, table, turn)
+    twice = {name for name, count in Counter(one.name for one in systems).items() if count > 1}
+    counted: Counter[str] = Counter()
+    for k, one in enumerate(systems):
+        if one.name in twice:
+            counted[one.name] += 1
+            systems[k] = replace(one, name=f"{one.name} ({counted[one.name]})")
+    return systems, hashes, ignored
+
+
+def read_exclusion_list(path: Path, scores: Scores) -> tuple[list[Exclusion], str]:
+    """Read a list of fingers to leave out, named as in `scores`, and its SHA-256."""
+    entries, sha256 = read_exclusions(path)
+    listed = []
+    for entry in entries:
+        name = entry["finger"]
+        if scores.subject is not None and scores.finger is not None:
+            subject = entry.get("subject", "")
+            fitting = [one for one in scores.finger.names if one.endswith(f"/{name}")]
+            require(
+                bool(subject) or len(fitting) < 2,
+                f"{path}: several subjects have a finger '{name}', so that the list needs its subject.",
+            )
+            name = f"{subject}/{name}" if subject else (fitting or [name])[0]
+        listed.append(Exclusion(name, entry.get("session") or None, entry.get("reason", "")))
+    return listed, sha256
+
+
+def _systems_of(path: Path, table: ScoreFile, turn: bool) -> list[Scores]:
+    finger, subject, session = (Ids(*table.ids[kind]) if kind in table.ids else None for kind in _KINDS)
+    if finger is not None and subject is not None:
+        finger = fingers_of_subjects(finger, subject)
+    wrong = contradiction(table.label, finger, subject)
+    if wrong is not None:
+        said = "genuine (label 1), but its ids differ" if table.label[wrong] else "an impostor's (label 0), but its "
+        said += "" if table.label[wrong] else "two fingers are one"
+        raise BadInput(f"{path}, line {table.line[wrong]}: the comparison is {said}; correct label or ids.")
+    score = -table.score if turn else table.score
+    codes, names = table.system if table.system is not None else (np.zeros(score.size, dtype=np.int64), (path.stem,))
+    systems = []
+    for k, name in enumerate(names):
+        chosen = codes == k
+        whose, who, when = (None if one is None else one.taken(chosen) for one in (finger, subject, session))
+        try:
+            systems.append(Scores(table.label[chosen], score[chosen], whose, who, when, name))
+        except BadInput as error:
+            where = f"{path}: " if table.system is not None else f"{path}, as system "
+            raise BadInput(f"{where}{error}") from error
+    return systems
+
+
+_KINDS = ("finger", "subject", "session")

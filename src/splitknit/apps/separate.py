@@ -11,21 +11,24 @@ import json
 import re
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.commands import Progress, no_progress
 from splitknit.apps.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
-from splitknit.apps.pattern_light import PatternLight, read_light
-from splitknit.apps.separation_pictures import light_picture, phase_picture
 from splitknit.apps.targets import check_target
 from splitknit.errors import BadInput, require
-from splitknit.io import atomic_folder, plain_json, provenance, write_image
+from splitknit.imaging import decode_table, linear_image
+from splitknit.io import atomic_folder, image_size, plain_json, provenance, write_image
+from splitknit.io.content import mask_from_image
+from splitknit.io.images import StackReader
 from splitknit.io.light import write_light_tiff
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separation import (
     PhaseSeparation,
     Separation,
@@ -202,3 +205,92 @@ def _figures(parts: Separation, plan: PatternFolder, light: PatternLight) -> dic
 
 def _write_report(path: Path, facts: Mapping[str, Any]) -> None:
     path.write_text(json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+# Previews of separated light for people.
+
+
+def light_picture(light: FloatArray) -> NDArray[np.uint8]:
+    """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is known."""
+    known = np.isfinite(light)
+    top = max(float(np.quantile(light[known], 0.999)) if known.any() else 1.0, 1e-12)
+    scaled = np.clip(np.where(known, light, 0.0) / top, 0.0, 1.0)
+    curve = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1 / 2.4) - 0.055)
+    return np.asarray(np.round(255 * curve), dtype=np.uint8)
+
+
+def phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
+    """The phase as hue, as bright as the modulation is strong."""
+    known = np.isfinite(parts.phase_rad)
+    hue = np.mod(np.where(known, parts.phase_rad, 0.0) / (2 * np.pi), 1.0) * 180.0
+    strength = np.clip(np.where(known, parts.modulation, 0.0) / 0.5, 0.0, 1.0)
+    coded = np.dstack([np.minimum(hue, 179.0), np.full(hue.shape, 200.0), 255.0 * strength])
+    return np.asarray(cv2.cvtColor(np.round(coded).astype(np.uint8), cv2.COLOR_HSV2RGB), dtype=np.uint8)
+
+
+# The images of a pattern folder as linear light.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatternLight:
+    """The images of a folder as linear light without the black level."""
+
+    stack: FloatArray
+    """(N, H, W) or (N, H, W, 3)."""
+    white: FloatArray | None
+    """(H, W) or (H, W, 3)."""
+    patterns: FloatArray | None
+    """(N, H, W) given states."""
+    mask: BoolArray | None
+    """(H, W)."""
+    clip_level: float
+    """Value at which the files clip."""
+    hashes: dict[str, str]
+    """SHA-256 by name."""
+
+
+def read_light(plan: PatternFolder, folder: Path) -> PatternLight:
+    """Read all files of a plan; hashes go by names relative to the folder, wherever that lies."""
+    images = list(plan.images)
+    states = list(plan.patterns) if isinstance(plan.patterns, tuple) else []
+    with StackReader() as reader:
+        size, by = image_size(images[0]), str(images[0])
+        pixels = reader.start(images, size, by)
+        singles = {
+            role: reader.start([file], size, by)[0]
+            for role, file in (("black", plan.black), ("white", plan.white), ("mask", plan.mask))
+            if file is not None
+        }
+        state_pixels = reader.start(states, size, by) if states else None
+        hashes = reader.finish()
+    shape: tuple[int, ...] = pixels.shape[1:]
+    black = _as(linear_image(singles["black"], plan.encoding), shape) if "black" in singles else np.float32(0.0)
+    stack = np.empty(pixels.shape, dtype=np.float32)
+    for k, image in enumerate(pixels):
+        stack[k] = linear_image(image, plan.encoding) - black
+    white = None
+    if "white" in singles:
+        white = _as(linear_image(singles["white"], plan.encoding), shape) - black
+    table = decode_table(pixels.dtype, plan.encoding)
+    grey = shape[2] == 1
+    return PatternLight(
+        stack[..., 0] if grey else stack,
+        white if white is None or not grey else white[..., 0],
+        None
+        if state_pixels is None
+        else np.stack([linear_image(image, "linear").mean(axis=-1) for image in state_pixels]),
+        mask_from_image(singles["mask"], str(plan.mask)) if "mask" in singles else None,
+        float(table[int(0.994 * (table.size - 1))]) - float(np.median(black)),
+        {_short(Path(name), folder): value for name, value in hashes.items()},
+    )
+
+
+def _short(file: Path, folder: Path) -> str:
+    return file.relative_to(folder).as_posix() if file.is_relative_to(folder) else file.name
+
+
+def _as(light: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """`light` (H, W, C) with the number of channels of `shape`."""
+    if light.shape[2] == shape[2]:
+        return light
+    return np.asarray(np.broadcast_to(light.mean(axis=-1, keepdims=True), shape))

@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.execution import Cluster, connected, run_tasks
+import numpy as np
+
+from splitknit.batch.chunks import SUFFIX, read_chunk, write_timings
+from splitknit.batch.execution import Cluster, connected, peak_memory_mb, run_tasks
 from splitknit.batch.export import write_csv
-from splitknit.batch.features import reconstruct_group
-from splitknit.batch.lock import alone
-from splitknit.batch.matchers import READY, matcher
+from splitknit.batch.features import FeatureTask, reconstruct_group
+from splitknit.batch.matchers import READY, Matcher, matcher
+from splitknit.batch.matchers import matcher as matcher_named
 from splitknit.batch.packages import load
-from splitknit.batch.population import Population, read_population
-from splitknit.batch.prints import extract_minutiae
-from splitknit.batch.reading import forget
-from splitknit.batch.scores import score_block
-from splitknit.batch.settings import BatchSettings
-from splitknit.batch.solids import SOLIDS, extract_solids
-from splitknit.batch.stages import feature_tasks, minutiae_tasks, score_tasks, solid_tasks, voted_tasks
+from splitknit.batch.pairs import Pairs, all_pairs, blocks_of, missing_pairs
+from splitknit.batch.population import CaptureRef, Population, read_population
+from splitknit.batch.prints import MinutiaeDone, MinutiaeTask, extract_minutiae, write_minutiae
+from splitknit.batch.reading import Place, forget, places_of
+from splitknit.batch.scores import ScoreTask, score_block
+from splitknit.batch.settings import BatchSettings, Case
+from splitknit.batch.solids import SOLIDS, SolidTask, extract_solids
 from splitknit.batch.store import Store, check_target, open_store, sweep
-from splitknit.batch.voted import extract_voted
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
+from splitknit.io import read_capture
+from splitknit.io.atomic import private_modes
+from splitknit.matching.minutiae_record import Minutiae, no_minutiae
+from splitknit.pipeline import PipelineSettings
+from splitknit.recipe.leave_one_out import voted_minutiae
+from splitknit.recipe.matchable import MatchingSettings
 
 Progress = Callable[[str, float], None]
 
@@ -171,3 +181,197 @@ def _export(run: _Run, folder: Path) -> list[str]:
             write_csv(file, run.store.scores(case.name, name))
             files.append(str(file))
     return files
+
+
+# One run at a time writes a store.
+
+_FILE = ".lock"
+
+
+@contextmanager
+def alone(store: Path) -> Iterator[None]:
+    """Hold the store for this run; a killed run lets go.
+
+    Raises
+    ------
+    BadInput
+        If another run holds it, or the folder cannot be written.
+    """
+    import fcntl  # noqa: PLC0415 - not on every system
+
+    try:
+        stream = os.fdopen(os.open(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
+    except OSError as error:
+        raise BadInput(f"cannot write into '{store}': {error.strerror or error}; choose another place.") from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise BadInput(f"another run is writing into '{store}'; wait for it, or stop it.") from error
+        yield
+
+
+# What the store lacks, as tasks: captures to reconstruct, prints whose minutiae are wanted, comparisons.
+
+
+def feature_tasks(store: Store, population: Population, settings: BatchSettings) -> list[FeatureTask]:
+    """Captures that a case lacks, in groups that do not depend on what is there already."""
+    lacking = [(case, store.captures(case.name)) for case in settings.cases]
+    groups: dict[int, list[CaptureRef]] = {}
+    for capture in population.captures:
+        groups.setdefault(capture.place // settings.chunk_captures, []).append(capture)
+    tasks = []
+    for group, captures in sorted(groups.items()):
+        wanted = [
+            (case, tuple(capture.name for capture in captures if capture.name not in found)) for case, found in lacking
+        ]
+        missing = tuple((case, names) for case, names in wanted if names)
+        if missing:
+            named = {name for _, names in missing for name in names}
+            tasks.append(
+                FeatureTask(
+                    group,
+                    population.folder.resolve(),
+                    population.sha256,
+                    store.folder,
+                    tuple(capture for capture in captures if capture.name in named),
+                    missing,
+                    settings.matching,
+                    images=settings.surfaces,
+                    solids=wanted_solids(settings),
+                )
+            )
+    return tasks
+
+
+def minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
+    """Chunks of features without their minutiae."""
+    return [MinutiaeTask(store.folder, case.name, chunk) for chunk in _without(store, case, "minutiae")]
+
+
+def voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[VotedTask]:
+    """Chunks of features without their voted minutiae."""
+    folder = population.folder.resolve()
+    return [VotedTask(store.folder, folder, case, chunk, settings.matching) for chunk in _without(store, case, "voted")]
+
+
+def wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
+    """Features in space that the matchers read."""
+    sources = {matcher_named(name, settings.matching).source for name in settings.matchers}
+    return tuple(sorted(sources & set(SOLIDS)))
+
+
+def solid_tasks(store: Store, case: Case, kind: str, settings: BatchSettings) -> list[SolidTask]:
+    """Chunks of features without their features in space of one kind."""
+    return [SolidTask(store.folder, case.name, chunk, kind, settings.matching) for chunk in _without(store, case, kind)]
+
+
+def _without(store: Store, case: Case, kind: str) -> list[str]:
+    """Names of the chunks of features beside which there is none of `kind`."""
+    there = {file.stem for file in store.files(kind, case.name)}
+    return [file.stem for file in store.files("features", case.name) if file.stem not in there]
+
+
+def score_tasks(
+    store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
+) -> list[ScoreTask]:
+    """Comparisons that are not in the store.
+
+    Raises
+    ------
+    BadInput
+        If there are captures of one session only.
+    """
+    features = places_of(store.files("features", case.name))
+    places = features if matcher.source == "features" else places_of(store.files(matcher.source, case.name))
+    captures = [capture for capture in population.captures if capture.name in places]
+    pairs = missing_pairs(
+        all_pairs(captures, settings.impostors, settings.seed),
+        len(captures),
+        _done(store, case.name, matcher.name, captures),
+    )
+    blocks = matcher.blocks_for(settings.impostors)
+    return [
+        ScoreTask(
+            store=store.folder,
+            case=case.name,
+            case_sha256=case.document()["settings_sha256"],
+            population_sha256=population.sha256,
+            matcher=matcher.name,
+            matching=settings.matching,
+            block=block.number,
+            database=f"{case.name}, {captures[int(block.pairs.a[0])].session}, {block.number // 10_000 % 10_000}",
+            pairs=_named(block.pairs, captures),
+            places=_used(block.pairs, captures, places),
+            origins=_used(block.pairs, captures, features),
+            seed=settings.seed,
+        )
+        for block in blocks_of(pairs, captures, blocks)
+    ]
+
+
+def _done(store: Store, case: str, matcher: str, captures: list[CaptureRef]) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Comparisons in the store, as ``a * count + b``."""
+    number = {capture.name: k for k, capture in enumerate(captures)}
+    found: list[int] = []
+    for file in store.files(f"scores/{case}", matcher):
+        table = read_chunk(file, ["a", "b"])
+        for a, b in zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True):
+            if a in number and b in number:
+                found.append(number[a] * len(captures) + number[b])
+    return np.array(found, dtype=np.int64)
+
+
+def _named(pairs: Pairs, captures: list[CaptureRef]) -> tuple[tuple[str, str, bool], ...]:
+    return tuple(
+        (captures[a].name, captures[b].name, genuine)
+        for a, b, genuine in zip(pairs.a.tolist(), pairs.b.tolist(), pairs.genuine.tolist(), strict=True)
+    )
+
+
+def _used(pairs: Pairs, captures: list[CaptureRef], places: Mapping[str, Place]) -> dict[str, Place]:
+    names = [captures[k].name for k in np.unique(np.concatenate([pairs.a, pairs.b])).tolist()]
+    return {name: places[name] for name in names}
+
+
+# Voted minutiae of a chunk's captures: found once a capture, from its images, kept beside the features.
+
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class VotedTask:
+    """A chunk of features whose captures' voted minutiae are wanted."""
+
+    store: Path
+    population: Path
+    case: Case
+    name: str
+    matching: MatchingSettings
+
+
+def extract_voted(task: VotedTask) -> MinutiaeDone:
+    """Find the voted minutiae of all captures of a chunk and write them under the same name."""
+    case, settings = task.case.name, task.case.settings()
+    file = task.store / "features" / case / f"{task.name}{SUFFIX}"
+    table = read_chunk(file, ["capture", "acquired"])
+    captures = table.column("capture").to_pylist()
+    seconds, found = {}, []
+    for capture, acquired in zip(captures, table.column("acquired").to_pylist(), strict=True):
+        started = time.perf_counter()
+        found.append(_voted(task.population / capture, settings, task.matching) if acquired else no_minutiae())
+        seconds[capture] = round(time.perf_counter() - started, 3)
+    write_timings(task.store / "timings" / case / "voting", task.name, seconds)
+    write_minutiae(file, task.store / "voted" / case, captures, found, ("voted", VERSION))
+    return MinutiaeDone(len(captures), peak_memory_mb())
+
+
+def _voted(folder: Path, settings: PipelineSettings, matching: MatchingSettings) -> Minutiae:
+    """Voted minutiae of a capture; none where leaving out an image leaves nothing."""
+    capture = read_capture(folder)
+    try:
+        return voted_minutiae(capture, settings, matching.leave_one_out, matching.voted)
+    except BadInput as error:
+        if "nbis-py" in str(error):  # not the capture's fault
+            raise
+        return no_minutiae()

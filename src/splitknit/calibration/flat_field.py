@@ -18,12 +18,171 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.card_fit import CardFit, fit_order
-from splitknit.calibration.card_gloss import card_gloss
-from splitknit.calibration.card_light import CardPlane
+from splitknit.calibration.card_light import CardPlane, rays_to_led
 from splitknit.calibration.card_model import LADDER, Answer, CardModel, Order
 from splitknit.errors import require
 from splitknit.model import Camera, Led
+
+# Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
+#
+# Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is no dust but that LED,
+# and must be fitted, or show in its residuals. So a place is trusted by the median of its residuals over all LEDs.
+
+_STEPS, _STAGES = 30, 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CardFit:
+    """Best parameters of one order."""
+
+    order: Order
+    answer: Answer
+    normal: Array
+    """(P, P) weighted normal matrix, in units of the robust scale."""
+
+
+def fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> CardFit:
+    """Fit `order` to ln of the images.
+
+    Parameters
+    ----------
+    model : CardModel
+    start : first guess
+    order : which parameters are free
+    logarithm : (L, N) ln of the images
+    scale : residual (relative, common to all LEDs) beyond which a place counts less and less (Cauchy's weights)
+    """
+    vector = model.project(model.vector(start, order), order)
+    weight = np.ones(logarithm.shape[1])
+    for _ in range(_STAGES):
+        problem = _Problem(model, order, logarithm, weight, scale)
+        vector = _descend(problem, vector)
+        common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
+        width = max(scale, 3.0 * 1.4826 * float(np.median(np.abs(common))))
+        last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
+        if float(np.abs(weight - last).max()) < 0.01:
+            break
+    return CardFit(order, model.answer(vector, order), problem.equations(vector)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Weighted least squares with the model's priors."""
+
+    model: CardModel
+    order: Order
+    logarithm: Array
+    weight: Array
+    """(N,)."""
+    scale: float
+
+    def cost(self, vector: Array) -> float:
+        middle, inverse = self.model.prior(self.order)
+        residual = (self.model.logarithm(self.model.answer(vector, self.order)) - self.logarithm) / self.scale
+        return float((residual * residual @ self.weight).sum() + (((vector - middle) * inverse) ** 2).sum())
+
+    def equations(self, vector: Array) -> tuple[Array, Array]:
+        """Normal matrix (P, P) and gradient (P,)."""
+        model, order = self.model, self.order
+        answer = model.answer(vector, order)
+        residual = (model.logarithm(answer) - self.logarithm) / self.scale
+        middle, inverse = model.prior(order)
+        normal, slope = np.diag(inverse**2), (vector - middle) * inverse**2
+        for k in range(model.count):
+            places, rows = model.slopes(answer, order, k)
+            weighted = rows * (self.weight / self.scale)
+            normal[np.ix_(places, places)] += weighted @ rows.T / self.scale
+            slope[places] += weighted @ residual[k]
+        return normal, slope
+
+
+def _descend(problem: _Problem, vector: Array) -> Array:
+    """Lower the cost as far as it goes."""
+    damping, least = 1e-4, problem.cost(vector)
+    for _ in range(_STEPS):
+        normal, slope = problem.equations(vector)
+        for _ in range(12):
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope)
+            moved = problem.model.project(vector + step, problem.order)
+            value = problem.cost(moved)
+            if value <= least:
+                break
+            damping *= 8.0
+        else:
+            break
+        gain, vector, least, damping = least - value, moved, value, max(damping / 8.0, 1e-12)
+        if gain < 1e-7 * least + 1e-9:
+            break
+    return vector
+
+
+# Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
+
+WIDTHS_DEG = (3.0, 6.0)
+"""Of the spot, as the deviation of the angle between the card's normal and half way from LED to camera."""
+
+
+def half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
+    """(N,) angle in deg between the card's normal and the direction half way between LED and camera."""
+    points = card.points(camera, pixels)
+    towards, _ = rays_to_led(led, points)
+    sight = np.array([0.0, 0.0, camera.height_mm]) - points
+    if camera.model == "orthographic":
+        sight = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    half = towards + sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    cosine = half @ card.normal / np.linalg.norm(half, axis=1)
+    return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def card_gloss(  # noqa: PLR0917
+    camera: Camera,
+    leds: Sequence[Led],
+    pixels: Array,
+    card: CardPlane,
+    fit: tuple[CardModel, Answer, Order],
+    rest: Array,
+) -> tuple[float, float]:
+    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error.
+
+    Parameters
+    ----------
+    camera, leds, pixels, card : as fitted
+    fit : model, its best parameters and their order
+    rest : (L, N) residuals of the fit, NaN where dust was found
+
+    Notes
+    -----
+    Least squares of the residuals on the spot and on all slopes of the model: what beams and aims could explain as
+    well is not counted. The greatest of a narrow and a wide spot, in its errors, is returned.
+    """
+    model, answer, order = fit
+    angles = np.stack([half_angles(camera, led, pixels, card) for led in leds])
+    used = np.isfinite(rest)
+    left = np.where(used, rest, 0.0)
+    size = model.size(order)
+    normal, slope = np.zeros((size, size)), np.zeros(size)
+    across = np.zeros((len(WIDTHS_DEG), size))
+    spots = [np.exp(-0.5 * (angles / width) ** 2) * used for width in WIDTHS_DEG]
+    for k in range(model.count):
+        places, rows = model.slopes(answer, order, k)
+        rows = rows * used[k]
+        normal[np.ix_(places, places)] += rows @ rows.T
+        slope[places] += rows @ left[k]
+        for number, spot in enumerate(spots):
+            across[number, places] += rows @ spot[k]
+    inverse = np.linalg.pinv(normal, rcond=1e-12)
+    noise = float(np.sqrt(np.mean(left[used] ** 2)))
+    found = (0.0, np.inf)
+    for number, spot in enumerate(spots):
+        own = float((spot * spot).sum() - across[number] @ inverse @ across[number])
+        if own < 1e-6 * float((spot * spot).sum()) + 1e-9:
+            continue
+        value = float(((spot * left).sum() - across[number] @ inverse @ slope) / own)
+        error = float(noise / np.sqrt(own))
+        if value / error > found[0] / found[1]:
+            found = (value, error)
+    return found
+
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ FEW = 5
 
 
 def bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
-    """How low and how high each rate of :class:`splitknit.evaluation.replicate_figures.Layout` may lie for that reason.
+    """How low and how high each rate of :class:`splitknit.evaluation.intervals.Layout` may lie for that reason.
 
     Both are the rate itself where enough fingers (``method``) were rejected and enough accepted.
     """

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from splitknit.errors import BadInput, require
 from splitknit.evaluation import rates
 from splitknit.evaluation.cells import Cells, make_cells
 from splitknit.evaluation.few_errors import bounds
-from splitknit.evaluation.replicate_figures import Layout, figures_of
-from splitknit.evaluation.replicates import Units, cell_weights, cluster_units, pair_units, plain_units
+from splitknit.evaluation.rates import SLACK
 from splitknit.evaluation.scores import Ids, Scores
 
 TARGETS = (0.01, 0.001, 0.0001)
@@ -62,7 +62,7 @@ class Intervals:
     drawn: int
     """Comparisons of the smaller class, fingers or subjects."""
     figures: Mapping[str, Interval]
-    """By the names of :class:`splitknit.evaluation.replicate_figures.Layout`."""
+    """By the names of :class:`splitknit.evaluation.intervals.Layout`."""
     curve_far: NDArray[np.float64]
     """(P,) and the band of the GAR there:"""
     curve_low: NDArray[np.float64]
@@ -81,7 +81,7 @@ def bootstrap(
     ----------
     scores : Scores
     method : ``plain``, ``finger`` or ``subject``
-        What is drawn with replacement; see :mod:`splitknit.evaluation.replicates`.
+        What is drawn with replacement; see :mod:`splitknit.evaluation.intervals`.
     settings : BootstrapSettings
     progress : called with the share done
 
@@ -209,3 +209,218 @@ def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.fl
 def _holding(value: float, low: float, high: float, possible: tuple[float, ...] = ()) -> Interval:
     limits = [value, *(float(limit) for limit in (low, high) if np.isfinite(limit)), *possible]
     return Interval(value, min(limits), max(limits))
+
+
+# Figures of one replicate from the weights of its cells: what :mod:`splitknit.evaluation.rates` does with scores.
+
+Row = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which number of a replicate's row is what."""
+
+    targets: tuple[float, ...]
+    """FARs at which the GAR is asked."""
+    curve: tuple[float, ...] = ()
+    """FARs of the band around the ROC."""
+
+    @property
+    def names(self) -> list[str]:
+        """``eer``, ``auc``, ``d_prime``, ``gar@...``; with ``_made`` failures left out; ``curve@...``."""
+        gars = [f"gar@{target:g}" for target in self.targets]
+        made = [f"{name}_made" for name in ("eer", *gars)]
+        return ["eer", *gars, *made, "auc", "d_prime", *(f"curve@{far!r}" for far in self.curve)]
+
+
+def figures_of(cells: Cells, genuine: Row, impostor: Row, layout: Layout) -> Row:
+    """One row of figures, in the order of `layout.names`, from the weights (count + 1,) of the cells.
+
+    All are NaN where a class weighs nothing, d' also where no score varies.
+    """
+    g, i = genuine[:-1], impostor[:-1]
+    made_g, made_i = float(g.sum()), float(i.sum())
+    if made_g <= 0 or made_i <= 0:
+        return np.full(len(layout.names), np.nan)
+    accepted_g, accepted_i = (np.concatenate([[0.0], np.cumsum(side)]) for side in (g, i))
+    all_g, all_i = made_g + float(genuine[-1]), made_i + float(impostor[-1])
+
+    def gars(fars: tuple[float, ...], total_g: float, total_i: float) -> list[float]:
+        k = np.searchsorted(accepted_i, np.array(fars) * total_i * (1 + SLACK), side="right") - 1
+        return [float(value) for value in accepted_g[k] / total_g]
+
+    eers = [
+        _equal_error(accepted_g / total_g, accepted_i / total_i, cells.crowded)
+        for total_g, total_i in ((all_g, all_i), (made_g, made_i))
+    ]
+    area = _dot(g, made_i - accepted_i[1:] + 0.5 * i) / (made_g * made_i)
+    return np.array(
+        [
+            eers[0],
+            *gars(layout.targets, all_g, all_i),
+            eers[1],
+            *gars(layout.targets, made_g, made_i),
+            area,
+            _d_prime(cells, g / made_g, i / made_i),
+            *gars(layout.curve, all_g, all_i),
+        ]
+    )
+
+
+def _equal_error(gar: Row, far: Row, crowded: NDArray[np.bool_]) -> float:
+    """(FAR + FRR) / 2 beside the crossing, whichever sum is smaller; (count + 1,) rates, rising."""
+    both = gar + far
+    k1 = int(np.searchsorted(both, 1.0 - SLACK))  # the highest threshold with FRR <= FAR
+    if k1 == both.size:
+        return float(far[-1] + 1.0 - gar[-1]) / 2
+    if k1 == 0 or both[k1] <= 1.0 + SLACK:
+        return float(far[k1] + 1.0 - gar[k1]) / 2
+    if crowded[k1 - 1]:  # the crossing lies among many impostors of one cell, where FRR stands still
+        return float(1.0 - gar[k1])
+    sums = far[k1] + 1.0 - gar[k1], far[k1 - 1] + 1.0 - gar[k1 - 1]
+    return float(min(sums)) / 2
+
+
+def _d_prime(cells: Cells, genuine: Row, impostor: Row) -> float:
+    means, spreads = [], []
+    for share, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
+        means.append(_dot(share, mean))
+        spreads.append(_dot(share, variance + (mean - means[-1]) ** 2))
+    spread = float(np.sqrt(sum(spreads) / 2))
+    return (means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
+
+
+def _dot(a: Row, b: Row) -> float:
+    """Sum of products, in one thread: the same for any number of cores, and threads cost more than they save here."""
+    return float(np.einsum("c,c->", a, b))
+
+
+# Resampling: how often each comparison counts in a replicate of the bootstrap.
+#
+# ``plain``: comparisons are drawn, genuine and impostor ones apart. Right only if they are independent, which they are
+# not where a finger takes part in several.
+#
+# ``finger``, ``subject``: fingers (or subjects) are drawn with replacement, and a comparison counts as often as the
+# product of how often its finger, or each of its two fingers, was drawn: w_a for a genuine pair of finger a, w_a w_b
+# for
+# an impostor pair of a and b. (Two fingers of one subject, drawn by subject, count w_s: they come along together.)
+# Impostor scores that share either finger thus rise and fall together. Copies of one finger in a replicate are not
+# compared with each other: there is no score for it.
+#
+# References
+# ----------
+# T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network statistics", Connections
+# 22(2), 1999 (the vertex bootstrap). A. B. Owen, "The pigeonhole bootstrap", Annals of Applied Statistics 1(2), 2007
+# (two-way; the variance is right or a little large). R. M. Bolle, N. K. Ratha, S. Pankanti, "Error analysis of pattern
+# recognition systems - the subsets bootstrap", Computer Vision and Image Understanding 93(1), 2004 (one-way: by one
+# finger of a pair, which is too narrow for impostors). N. Poh, A. Martin, S. Bengio, "Performance generalization in
+# biometric authentication using joint user-specific and sample bootstraps", IEEE PAMI 29(3), 2007.
+# R. Fogliato, P. Patil, P. Perona, "Confidence intervals for error rates in 1:1 matching tasks", International Journal
+# of Computer Vision, 2024 (a review: bootstraps cover too often or too rarely where errors are few).
+
+Weights = NDArray[np.float64]
+BATCH = 1_000_000
+"""Numbers held at a time for one side, about."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Units:
+    """What is drawn, for both sides: each comparison belongs to a unit."""
+
+    genuine: NDArray[np.int64]
+    """(N,) unit of each genuine comparison"""
+    impostor: NDArray[np.int64]
+    """(M,)"""
+    clusters: int
+    """Things that are drawn: comparisons of the smaller side, fingers or subjects."""
+    sizes: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+    """Plain: comparisons in each unit, of both sides."""
+    cluster: NDArray[np.int64] | None = None
+    """Clustered: (U,) cluster of each unit of genuine comparisons."""
+    pairs: NDArray[np.int64] | None = None
+    """Clustered: (V, 2) clusters of each unit of impostor comparisons."""
+
+    def draw(self, generator: np.random.Generator, count: int) -> tuple[Weights, Weights]:
+        """How often each unit counts in `count` replicates: (U, count) and (V, count)."""
+        if self.sizes is not None:
+            genuine, impostor = (_multinomial(generator, sizes, count) for sizes in self.sizes)
+            return genuine, impostor
+        assert self.cluster is not None and self.pairs is not None
+        drawn = _multinomial(generator, np.ones(self.clusters, dtype=np.int64), count)
+        a, b = self.pairs.T
+        return drawn[self.cluster], np.where((a == b)[:, None], drawn[a], drawn[a] * drawn[b])
+
+    def batch(self) -> int:
+        """Replicates at a time."""
+        largest = max(int(self.genuine.max(initial=0)), int(self.impostor.max(initial=0))) + 1
+        return max(1, min(32, BATCH // largest))
+
+
+def plain_units(cells: Cells) -> Units:
+    """Comparisons are drawn; those of one cell are alike and need not be told apart."""
+    sizes = (
+        np.bincount(cells.genuine, minlength=cells.count + 1),
+        np.bincount(cells.impostor, minlength=cells.count + 1),
+    )
+    return Units(cells.genuine, cells.impostor, min(cells.genuine.size, cells.impostor.size), sizes)
+
+
+def pair_units(genuine: int, impostor: int) -> Units:
+    """Comparisons are drawn one by one, so that several systems can be given the same ones."""
+    sizes = (np.ones(genuine, dtype=np.int64), np.ones(impostor, dtype=np.int64))
+    return Units(np.arange(genuine), np.arange(impostor), min(genuine, impostor), sizes)
+
+
+def cluster_units(label: NDArray[np.bool_], ids: Ids) -> Units:
+    """Fingers, or subjects, are drawn."""
+    _, codes = np.unique(ids.codes, return_inverse=True)
+    codes = codes.reshape(ids.codes.shape)
+    clusters = int(codes.max()) + 1
+    cluster, genuine = np.unique(codes[label, 0], return_inverse=True)
+    low, high = codes[~label].min(axis=1), codes[~label].max(axis=1)
+    keys, impostor = np.unique(low * clusters + high, return_inverse=True)
+    pairs = np.stack([keys // clusters, keys % clusters], axis=1)
+    return Units(genuine.ravel(), impostor.ravel(), clusters, None, cluster, pairs)
+
+
+def cell_weights(
+    units: Units, systems: list[Cells], replicates: int, seed: int
+) -> Iterator[list[tuple[Weights, Weights]]]:
+    """Draw replicates and give, for each system, the weight of its cells: (count + 1, R) of both sides, in batches.
+
+    All systems get the same draws. The last cell holds the failures.
+    """
+    generator = np.random.default_rng(seed)
+    gather = [
+        (_sums(cells.genuine, units.genuine, cells.count + 1), _sums(cells.impostor, units.impostor, cells.count + 1))
+        for cells in systems
+    ]
+    size = min(units.batch(), max(1, BATCH // (max(cells.count for cells in systems) + 1)))
+    for start in range(0, replicates, size):
+        genuine, impostor = units.draw(generator, min(size, replicates - start))
+        yield [(_apply(of_genuine, genuine), _apply(of_impostor, impostor)) for of_genuine, of_impostor in gather]
+
+
+def _sums(cell: NDArray[np.int64], unit: NDArray[np.int64], cells: int) -> csr_array | None:
+    """(cells, units) matrix of how many comparisons of a unit lie in a cell; None where cells are the units."""
+    if cell is unit:
+        return None
+    ones = np.ones(cell.size, dtype=np.float64)
+    return csr_array((ones, (cell, unit)), shape=(cells, int(unit.max()) + 1))
+
+
+def _apply(matrix: csr_array | None, weights: Weights) -> Weights:
+    return weights if matrix is None else np.asarray(matrix @ weights)
+
+
+def _multinomial(generator: np.random.Generator, sizes: NDArray[np.int64], count: int) -> Weights:
+    """(units, count): as many draws as there are comparisons, each unit as likely as it is large."""
+    total, units = int(sizes.sum()), sizes.size
+    drawn = np.empty((units, count), dtype=np.float64)
+    if total > 4 * units:
+        drawn[:] = generator.multinomial(total, sizes / total, size=count).T
+        return drawn
+    member = np.repeat(np.arange(units), sizes)
+    for k in range(count):
+        drawn[:, k] = np.bincount(member[generator.integers(0, total, total)], minlength=units)
+    return drawn

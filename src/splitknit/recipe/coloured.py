@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import require
+from splitknit.imaging import linear_channels, saturation_levels
 from splitknit.model import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
-from splitknit.recipe.compose import COMPOSED, composed
 from splitknit.recipe.presets import PipelineSettings
 
 _ROUNDS = 200
@@ -75,3 +78,111 @@ def colour_factors(
             break
     factors = np.maximum(factors, 1e-6)
     return np.asarray(factors / np.exp(np.mean(np.log(factors))))
+
+
+# A coloured capture put together from a white one: what three coloured LEDs in one exposure would about have given.
+
+COMPOSED = (
+    "put together from images under white LEDs: broad bands instead of lines, and shots that were taken one after the "
+    "other share an exposure."
+)
+"""What every result says that does not come from coloured LEDs."""
+_BLACK = 0.02
+"""Stored level of no light, so that noise below it is kept."""
+
+
+def composed(capture: Capture, exposures: int = 2) -> Capture:
+    """Put a capture under coloured LEDs together from one of at least 3 x `exposures` white images in colour.
+
+    The red channel of image i, the green one of image j and the blue one of image k become one exposure, mixed as the
+    IMX219's pixels mix coloured LEDs (:data:`splitknit.simulator.coloured.CROSSTALK`). Three things are not as they
+    would be: a channel under a white LED sees a broad band (and some of its neighbours' light) where a coloured LED is
+    a line; what a finger moved between the white shots is within an exposure; and each channel has the noise of its own
+    shot.
+
+    Parameters
+    ----------
+    capture : whose white LEDs stand around the finger
+    exposures : 1 to 3
+
+    Returns
+    -------
+    Capture
+        With 16-bit images; other bands, mask and truth are the capture's own.
+
+    Raises
+    ------
+    BadInput
+        If the white images are grey or too few.
+    """
+    from splitknit.simulator.coloured import CROSSTALK, shared_exposures  # noqa: PLC0415 - the twin's sensor
+
+    white = capture.bands["white"]
+    require(
+        white.pixels.shape[3] == 3,
+        "coloured exposures are put together from colour images only, but the white band is grey; capture in colour.",
+    )
+    count = 3 * exposures
+    around = around_the_finger(capture)
+    require(
+        len(around) >= count,
+        f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}.",
+    )
+    chosen = [around[round(k * len(around) / count)] for k in range(count)]
+    mixing = np.asarray(CROSSTALK)
+    leds, images, groups = list(capture.rig.leds), [], []
+    for places in shared_exposures(exposures):
+        shots = [chosen[place] for place in places]
+        images.append(_exposure(white, capture.encoding, shots, mixing))
+        first = len(leds)
+        for k, colour in zip(shots, COLOURS, strict=True):
+            leds.extend(replace(leds[index], colour=colour) for index in white.leds[k])
+        groups.append(tuple(range(first, len(leds))))
+    rig = Rig(
+        replace(capture.rig.camera, crosstalk=mixing), tuple(leds), capture.rig.provenance, capture.rig.mirrors
+    )  # fmt: skip
+    band = Band(
+        name="white",
+        pixels=np.stack(images),
+        leds=tuple(groups),
+        exposure=np.full(exposures, float(white.exposure.min())),
+        black_level=np.full(exposures, float(_stored(np.array(_BLACK), capture.encoding))),
+        shading=(),
+        colours=rig.colours_of(groups),
+        crosstalk=mixing,
+    )
+    return replace(capture, rig=rig, bands={**capture.bands, "white": band})
+
+
+def around_the_finger(capture: Capture) -> list[int]:
+    """White images in the order of their lights' azimuths."""
+    white = capture.bands["white"]
+    vectors = capture.rig.select(white.leds).light_vectors()
+    return sorted(
+        range(len(white.leds)), key=lambda k: (float(np.arctan2(vectors[k, 1], vectors[k, 0]) % (2 * np.pi)), k)
+    )
+
+
+def _exposure(white: Band, encoding: str, shots: list[int], mixing: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """(H, W, 3) stored values of one exposure, clipped where one of its channels was."""
+    part = replace(
+        white, pixels=white.pixels[shots], leds=tuple(white.leds[k] for k in shots), exposure=white.exposure[shots],
+        black_level=white.black_level[shots], files=(),
+    )  # fmt: skip
+    light = linear_channels(part, encoding, COLOURS)
+    shortest = np.float32(white.exposure.min())
+    own = np.stack([light[c, c] for c in range(3)]) * shortest
+    levels = saturation_levels(part, encoding) * shortest
+    mixed = np.moveaxis(np.tensordot(mixing.astype(np.float32), own, axes=1), 0, 2)
+    mixed += np.float32(_BLACK)
+    for c in range(3):
+        mixed[own[c] >= levels[c], c] = 1.0
+    return _stored(mixed, encoding)
+
+
+def _stored(light: NDArray[np.floating], encoding: str) -> NDArray[np.uint16]:
+    """16-bit values of linear light in [0, 1]."""
+    value = np.clip(light, 0.0, 1.0)
+    if encoding == "srgb":
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(value * 65535.0), dtype=np.uint16)

@@ -3,26 +3,114 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, Camera, FloatArray, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
 from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
 from splitknit.rig.constraints import Finding, Print, examine
-from splitknit.rig.hausdorff import both_ways, surface_distances
 from splitknit.rig.photo import Shot, photograph
 from splitknit.rig.photons import intensity_w_sr
 from splitknit.rig.study import Study
-from splitknit.rig.subject import grid_places, phalange, places, printed, truth, view_of
 from splitknit.simulator.diffusion import WalkTable, load_walks
+from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger_shape import FingerBody
+from splitknit.simulator.master_print import MasterPrint
+from splitknit.simulator.pose_ranges import PoseRanges
 from splitknit.simulator.skin import SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
+
+# The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
+
+FIELD_MM = (2200 / 75.7, 3200 / 75.7)
+"""Rows and columns of the thesis's field on the finger plane."""
+ABOVE_CREASE_MM = 0.5
+"""The phalange is what lies further towards the tip than this, seen from its crease."""
+MAX_SLANT_DEG = 60.0
+"""The print is where the shape is flatter than this (``docs/conventions.md``)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """A surface as points."""
+
+    phalange: Array
+    """(N, 3) mm, all that the camera sees of the phalange."""
+    print: BoolArray
+    """(N,) which of them carry the print: slant of the shape up to 60 deg."""
+
+
+@functools.lru_cache(maxsize=16)
+def person(seed: int) -> tuple[Finger, MasterPrint]:
+    """A finger and its master print; drawing the print is what takes long."""
+    finger = draw_finger(seed)
+    return finger, finger.master()
+
+
+def pose_of(seed: int, camera: Camera) -> Pose:
+    """How this finger lies: in the same place under any camera, whose rows are only about `FIELD_MM` long."""
+    even = Camera(px_per_mm=100.0, image_size=(round(100 * FIELD_MM[0]), round(100 * FIELD_MM[1])))
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x0C]))
+    pose = PoseRanges(height_mm=(0.0, 0.0), insertion_mm=(25.0, 27.0)).draw(rng, even)
+    rows_mm = camera.image_size[0] / camera.px_per_mm
+    return replace(pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm))
+
+
+def view_of(seed: int, camera: Camera) -> Surface:
+    """The finger on the pixels of `camera`."""
+    finger, master = person(seed)
+    return finger_surface(finger, pose_of(seed, camera), camera, master=master, workers=1)
+
+
+def phalange(seed: int, surface: Surface) -> BoolArray:
+    """(H, W) pixels of the distal phalange: the finger above its first crease."""
+    finger, _ = person(seed)
+    placement = place(FingerBody(finger.shape), pose_of(seed, surface.camera), surface.camera)
+    x, y = places(surface)
+    z = np.where(surface.mask, surface.shape_mm, 0.0).astype(np.float64)
+    along = np.asarray(placement.to_finger(x.ravel(), y.ravel(), z.ravel())[1]).reshape(z.shape)
+    return np.asarray(surface.mask & (along >= ABOVE_CREASE_MM))
+
+
+def printed(surface: Surface, where: BoolArray) -> BoolArray:
+    """(H, W) pixels of `where` whose shape is flat enough to carry the print."""
+    return np.asarray(where & (surface.shape_normals[..., 2] > np.cos(np.deg2rad(MAX_SLANT_DEG))))
+
+
+def places(surface: Surface) -> tuple[Array, Array]:
+    """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the finger."""
+    x, y = grid_places(surface.camera)
+    if surface.x_mm is not None and surface.y_mm is not None:
+        return np.where(surface.mask, surface.x_mm, x), np.where(surface.mask, surface.y_mm, y)
+    return x, y
+
+
+def grid_places(camera: Camera) -> tuple[Array, Array]:
+    """(H, W) x and y of where each pixel looks on the finger plane, mm."""
+    rows, columns = camera.image_size
+    x = (np.arange(columns) - (columns - 1) / 2) * camera.pitch_mm
+    y = ((rows - 1) / 2 - np.arange(rows)) * camera.pitch_mm
+    across, up = np.meshgrid(x, y)
+    return across, up
+
+
+@functools.lru_cache(maxsize=8)
+def truth(seed: int, px_per_mm: float) -> Points:
+    """The true surface, seen straight from above, whatever the rig: what every reconstruction is measured against."""
+    size = (round(FIELD_MM[0] * px_per_mm), round(FIELD_MM[1] * px_per_mm))
+    surface = view_of(seed, Camera(px_per_mm=px_per_mm, image_size=size))
+    whole = phalange(seed, surface)
+    x, y = places(surface)
+    points = np.stack([x, y, surface.height_mm.astype(np.float64)], axis=-1)
+    return Points(points[whole], printed(surface, whole)[whole])
+
 
 BAND_SIGMA_MM = 0.32
 """Standard deviation of the Gaussian whose complement is the ridge band (``docs/conventions.md``)."""
@@ -188,3 +276,62 @@ def _skin(seed: int) -> SkinSettings:
 @functools.lru_cache(maxsize=1)
 def _walks() -> WalkTable:
     return load_walks()
+
+
+# How far two surfaces lie apart, as sets of points.
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceDistances:
+    """Distances between two surfaces, mm. Each is the larger (`rms_mm`: the root mean square) of both directions."""
+
+    hausdorff_mm: float
+    """The largest distance of a point of one set to the nearest point of the other."""
+    hausdorff95_mm: float
+    """The 95th percentile in the place of the largest."""
+    rms_mm: float
+    """Root mean square of all nearest distances, both directions weighing the same."""
+
+
+def nearest_distances(points: Array, others: Array) -> Array:
+    """(N,) distance from each of (N, 3) `points` to the nearest of (M, 3) `others`."""
+    return np.asarray(cKDTree(others).query(points)[0], dtype=np.float64)
+
+
+def both_ways(first: Array, second: Array) -> tuple[Array, Array]:
+    """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,).
+
+    Raises
+    ------
+    BadInput
+        If a set is empty, not (N, 3) or not finite.
+    """
+    for name, points in (("first", first), ("second", second)):
+        require(
+            points.ndim == 2 and points.shape[1] == 3 and points.shape[0] > 0,
+            f"{name} must hold points (N, 3), but it has the shape {points.shape}.",
+        )
+        require(bool(np.isfinite(points).all()), f"{name} holds points that are not finite.")
+    return nearest_distances(first, second), nearest_distances(second, first)
+
+
+def surface_distances(there: Array, back: Array) -> SurfaceDistances:
+    """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`both_ways`, or a part of them.
+
+    Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
+    distances are found on the whole surfaces and those of the middle are kept.
+
+    References
+    ----------
+    F. Hausdorff, Grundzuege der Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A. Klanderman, W. J. Rucklidge,
+    Comparing images using the Hausdorff distance, IEEE PAMI 15 (1993), equations (1) and (2); the percentile is their
+    partial distance, equation (8).
+    """
+    require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
+    return SurfaceDistances(
+        hausdorff_mm=float(max(there.max(), back.max())),
+        hausdorff95_mm=float(max(np.percentile(there, 95), np.percentile(back, 95))),
+        rms_mm=float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2)))),
+    )

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import re
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
+from splitknit import __version__
 from splitknit.errors import BadInput, require
+from splitknit.io import atomic_file, canonical_json, plain_json, settings_hash
+from splitknit.io.fields import read_json
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
-from splitknit.rig.pareto import OBJECTIVES, compare_with_best, pareto_front
-from splitknit.rig.store import SweepFolder
 from splitknit.rig.study import Study
 
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
@@ -177,3 +182,165 @@ def _quiet() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+
+
+# Which candidates are worth a second look: the best, those as good, and the Pareto front.
+
+Array = NDArray[np.float64]
+OBJECTIVES = {
+    "hausdorff": "hausdorff_mm",
+    "hausdorff95": "hausdorff95_mm",
+    "rms": "rms_mm",
+    "whole": "whole_mm",
+    "normals": "normals_deg",
+}
+"""Names on the command line, and of the figures; all are minimised."""
+
+
+def pareto_front(costs: Array) -> NDArray[np.bool_]:
+    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere.
+
+    Raises
+    ------
+    BadInput
+        If `costs` is not (N, K) or not finite.
+    """
+    require(costs.ndim == 2 and costs.shape[1] > 0, f"costs must have the shape (N, K), but it has {costs.shape}.")
+    require(bool(np.isfinite(costs).all()), "costs must be finite.")
+    front = np.ones(len(costs), dtype=np.bool_)
+    for k, row in enumerate(costs):
+        front[k] = not bool(((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any())
+    return front
+
+
+def mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tuple[float, float, float]:
+    """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
+    numbers = np.asarray(values, dtype=np.float64)
+    require(numbers.size > 0, "an interval needs one value at least.")
+    mean = float(numbers.mean())
+    if numbers.size == 1:
+        return mean, -np.inf, np.inf
+    half = float(stats.t.ppf(0.5 + 0.5 * share, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
+    return mean, mean - half, mean + half
+
+
+def compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict[str, dict[str, Any]]:
+    """How much worse than the best every candidate is, finger by finger.
+
+    Parameters
+    ----------
+    records : of :func:`splitknit.rig.evaluate_rig.evaluate`, all of them done and of the same fingers
+    objective : name of the figure, as ``hausdorff_mm``
+
+    Returns
+    -------
+    By name of the candidate: ``value`` and ``low``, ``high`` (95 % interval of the mean over the fingers; None for one
+    finger), ``worse_by`` and ``worse_low``, ``worse_high`` (the same of the paired difference from the best), and
+    ``as_good``: the interval of the difference holds zero.
+    """
+    values = {one["candidate"]["name"]: np.array([f[objective] for f in one["fingers"]]) for one in records}
+    best = min(values, key=lambda name: (float(values[name].mean()), name))
+    compared = {}
+    for name, own in values.items():
+        mean, low, high = mean_interval(own)
+        worse, worse_low, worse_high = mean_interval(own - values[best])
+        compared[name] = {
+            "value": mean,
+            "low": _finite(low),
+            "high": _finite(high),
+            "worse_by": worse,
+            "worse_low": _finite(worse_low),
+            "worse_high": _finite(worse_high),
+            "as_good": bool(worse_low <= 0.0),
+            "best": name == best,
+        }
+    return compared
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+# The folder that a sweep grows in: one file a candidate, whole or not there; taken up again where it was left.
+
+FORMAT = "splitknit-rig-sweep"
+STUDY_FILE = "sweep.json"
+CANDIDATES = "candidates"
+OURS = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
+_STRAY = re.compile(r"(.*/)?(\.[^/]*\.tmp|\.DS_Store|Thumbs\.db|desktop\.ini)")
+"""What a killed run or a file manager leaves behind."""
+
+
+class SweepFolder:
+    """A folder of finished candidates of one study."""
+
+    def __init__(self, out: Path, study: Study) -> None:
+        """Make the folder, or see that it holds a sweep of this very study.
+
+        Raises
+        ------
+        BadInput
+            If `out` is a file, holds files that are not ours, or a sweep with other settings.
+        """
+        self.out = out
+        self.document = json.loads(
+            canonical_json({"format": FORMAT, "version": 1, "software": __version__, "study": study})
+        )
+        self.hash = settings_hash(self.document)
+        require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to write into.")
+        if out.is_dir() and self._files():
+            self._check()
+        else:
+            self._write(out / STUDY_FILE, self.document)
+
+    def read(self, candidate: Candidate) -> dict[str, Any] | None:
+        """The candidate's record, or None where it is not finished (or its file is damaged)."""
+        try:
+            stored, _ = read_json(self._file(candidate))
+            if stored["study_sha256"] != self.hash or stored["record"]["candidate"]["name"] != candidate.name:
+                return None
+            record: dict[str, Any] = stored["record"]
+            return record
+        except (ValueError, KeyError, TypeError):
+            return None
+
+    def write(self, candidate: Candidate, record: Mapping[str, Any]) -> None:
+        """Keep a finished candidate."""
+        self._write(self._file(candidate), {"study_sha256": self.hash, "record": plain_json(record)})
+
+    def _file(self, candidate: Candidate) -> Path:
+        return self.out / CANDIDATES / f"{candidate.name}.json"
+
+    def _files(self) -> list[str]:
+        found = (path for path in self.out.rglob("*") if path.is_symlink() or not path.is_dir())
+        names = (path.relative_to(self.out).as_posix() for path in found)
+        return sorted(name for name in names if not _STRAY.fullmatch(name))
+
+    def _check(self) -> None:
+        names = self._files()
+        foreign = [name for name in names if not OURS.fullmatch(name)]
+        require(
+            not foreign and STUDY_FILE in names,
+            f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep of ours to go on with; name another folder.",
+        )
+        before, _ = read_json(self.out / STUDY_FILE, f"'{self.out / STUDY_FILE}' is damaged; name another folder.")
+        changed = sorted(_differences(before, self.document))
+        require(
+            not changed,
+            f"the sweep in '{self.out}' was made with other settings ({', '.join(changed)}); give the same ones, or "
+            "name another folder.",
+        )
+
+    def _write(self, path: Path, document: Any) -> None:
+        with atomic_file(path) as stream:
+            stream.write((json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
+
+
+def _differences(before: Any, now: Any, where: str = "") -> set[str]:
+    """Names of the settings that differ."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        found: set[str] = set()
+        for name in {*before, *now}:
+            found |= _differences(before.get(name), now.get(name), f"{where}.{name}" if where else str(name))
+        return found
+    return set() if before == now else {where.removeprefix("study.") or "format"}

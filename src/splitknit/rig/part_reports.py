@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
+from splitknit.errors import require
 from splitknit.rig.assembly import PartKind
-from splitknit.rig.mesh_checks import check_soundness, thinnest_wall
 from splitknit.rig.print_settings import PrinterSettings
-from splitknit.rig.printable import overhang
-from splitknit.rig.stl import Triangles
+from splitknit.rig.stl import Triangles, unit_normals
 
 _FACETS_MM = 0.1
 """How much thinner facets make a round wall."""
@@ -96,3 +98,302 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         },
         "findings": findings,
     }
+
+
+# What hangs in the air while a part is printed: steep faces, and what each layer has to bridge.
+
+
+@dataclass(frozen=True, slots=True)
+class Overhang:
+    """What hangs over, with z upwards as printed and the lowest point on the bed."""
+
+    steep_mm2: float
+    """Area of faces that look down and lean further than the limit from the vertical, not on the bed."""
+    share: float
+    """Of the whole surface."""
+    bridge_mm: float
+    """Longest way over air in any layer: twice the distance from a printed point to what lies below it."""
+    bridge_z_mm: float
+    """Height above the bed of that layer; 0 where nothing is bridged."""
+
+
+def overhang(triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25) -> Overhang:
+    """Measure steep faces and bridges of a closed mesh.
+
+    Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
+    has a distance to the layer below. A ceiling that is held on both sides spans twice the largest distance; one that
+    is held on one side only counts twice, too, which is on the safe side.
+
+    Parameters
+    ----------
+    triangles : (N, 3, 3), mm
+    limit_deg : lean from the vertical up to which nothing is needed; one degree is forgiven, for facets
+    layer_mm : height of a layer
+    pitch_mm : of the grid
+    """
+    corners = np.asarray(triangles, dtype=np.float64)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    down = -unit_normals(triangles)[:, 2]
+    bed = float(corners[..., 2].min())
+    on_bed = corners[..., 2].max(axis=1) < bed + 0.01
+    steep = (down > np.sin(np.deg2rad(limit_deg + 1.0))) & ~on_bed
+    area = float(areas[steep].sum())
+    best, height = 0.0, 0.0
+    for layer in _layers_over(corners[steep][..., 2] - bed, layer_mm):
+        middle = (layer + 0.5) * layer_mm
+        width = _bridge(corners, bed + middle, layer_mm, pitch_mm)
+        if width > best:
+            best, height = width, layer * layer_mm
+    return Overhang(area, area / float(areas.sum()), best, height)
+
+
+def _layers_over(heights: NDArray[np.float64], layer_mm: float) -> list[int]:
+    """Numbers of the layers that lie on steep faces, whose corners have these heights (N, 3) over the bed."""
+    layers: set[int] = set()
+    for low, high in zip(heights.min(axis=1), heights.max(axis=1), strict=True):
+        layers.update(range(int(low // layer_mm), int(high // layer_mm) + 2))
+    return sorted(layer for layer in layers if layer > 0)
+
+
+def _bridge(corners: NDArray[np.float64], z: float, layer_mm: float, pitch_mm: float) -> float:
+    low = corners[..., :2].reshape(-1, 2).min(axis=0) - 2 * pitch_mm
+    high = corners[..., :2].reshape(-1, 2).max(axis=0) + 2 * pitch_mm
+    columns, rows = np.ceil((high - low) / pitch_mm).astype(int)
+    grid = (low, (int(rows), int(columns)), pitch_mm)
+    layer = slice_mask(corners, z, *grid)
+    below = slice_mask(corners, z - layer_mm, *grid)
+    if not bool(layer.any()):
+        return 0.0
+    if not bool(below.any()):
+        return float("inf")
+    away = np.asarray(ndimage.distance_transform_edt(~below))
+    reach = float(away[layer].max()) * pitch_mm
+    return 2.0 * reach if reach > layer_mm + pitch_mm else 0.0
+
+
+def slice_mask(
+    corners: NDArray[np.float64], z: float, low: NDArray[np.float64], shape: tuple[int, int], pitch_mm: float
+) -> NDArray[np.bool_]:
+    """Return which points of a grid lie inside a closed mesh at the height `z`.
+
+    Parameters
+    ----------
+    corners : (N, 3, 3)
+    z : height of the cut, mm; it should not meet a corner
+    low : (2,) x and y of the grid's first point
+    shape : rows (along y) and columns (along x)
+    pitch_mm : of the grid
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    heights = corners[..., 2] - z
+    above = heights > 0
+    cut = above.any(axis=1) & ~above.all(axis=1)
+    points, heights, above = corners[cut], heights[cut], above[cut]
+    count = above.sum(axis=1)
+    alone = np.where(count == 1, above.argmax(axis=1), above.argmin(axis=1))  # the corner on its own side
+    rows = np.arange(len(points))
+    ends = []
+    for step in (1, 2):
+        other = (alone + step) % 3
+        share = heights[rows, alone] / (heights[rows, alone] - heights[rows, other])
+        ends.append(points[rows, alone, :2] + share[:, None] * (points[rows, other, :2] - points[rows, alone, :2]))
+    start, end = ((np.asarray(point) - low) / pitch_mm for point in ends)  # in columns and rows
+    parity = np.zeros((shape[0], shape[1] + 1), dtype=np.int64)
+    first = np.ceil(np.minimum(start[:, 1], end[:, 1])).astype(np.int64)
+    last = np.ceil(np.maximum(start[:, 1], end[:, 1])).astype(np.int64)  # rows first .. last - 1 are crossed
+    lengths = np.maximum(last - first, 0)
+    segment = np.repeat(np.arange(len(lengths)), lengths)
+    row = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths) + first[segment]
+    slope = (row - start[segment, 1]) / (end[segment, 1] - start[segment, 1])
+    column = start[segment, 0] + slope * (end[segment, 0] - start[segment, 0])
+    inside = (row >= 0) & (row < shape[0])
+    place = np.clip(np.ceil(column), 0, shape[1]).astype(np.int64)
+    np.add.at(parity, (row[inside], place[inside]), 1)
+    return np.asarray(np.cumsum(parity, axis=1)[:, :-1] % 2 == 1)
+
+
+# Checks of a closed triangle mesh: watertight, volume, thinnest wall.
+#
+# They look at the triangles as they were written to the STL file, not at the solid they came from.
+
+_REACH_MM = 8.0
+"""Walls thicker than this are not looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Soundness:
+    """Whether a mesh bounds a body."""
+
+    triangles: int
+    edges: int
+    open_edges: int
+    """Edges that do not lie between exactly two triangles."""
+    turned_edges: int
+    """Edges along which two triangles run the same way: one of them is inside out."""
+    flat_triangles: int
+    """Triangles without area."""
+    volume_mm3: float
+    area_mm2: float
+
+    @property
+    def watertight(self) -> bool:
+        """Closed, all triangles turned the same way, and outwards."""
+        return self.triangles > 0 and self.open_edges == 0 and self.turned_edges == 0 and self.volume_mm3 > 0
+
+
+def check_soundness(triangles: Triangles) -> Soundness:
+    """Count edges and measure the volume.
+
+    Parameters
+    ----------
+    triangles : (N, 3, 3) float32, mm
+        Corners are the same point if their numbers are the same.
+    """
+    corners = np.asarray(triangles, dtype=np.float32)
+    require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
+    _, index = np.unique(corners.reshape(-1, 3) + np.float32(0.0), axis=0, return_inverse=True)
+    faces = index.reshape(-1, 3).astype(np.int64)
+    starts = faces.ravel()
+    ends = np.roll(faces, -1, axis=1).ravel()
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    count = int(faces.max()) + 1 if faces.size else 0
+    keys, uses = np.unique(low * count + high, return_counts=True)
+    ways = np.unique(starts * count + ends, return_counts=True)[1]
+    exact = corners.astype(np.float64)
+    cross = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
+    return Soundness(
+        triangles=len(corners),
+        edges=len(keys),
+        open_edges=int((uses != 2).sum()),
+        turned_edges=int((ways > 1).sum()),
+        flat_triangles=int((np.linalg.norm(cross, axis=1) < 1e-9).sum()),
+        volume_mm3=float(np.einsum("ij,ij->", exact[:, 0], cross) / 6.0),
+        area_mm2=float(np.linalg.norm(cross, axis=1).sum() / 2.0),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wall:
+    """The thinnest place that was found."""
+
+    thickness_mm: float
+    """8 where no wall is thinner than that."""
+    place_mm: NDArray[np.float64]
+    """(3,) on the surface."""
+    samples: int
+
+
+def thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> Wall:
+    """Measure the thickness from points on the surface straight inwards to the opposite face.
+
+    Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin, and
+    that is no wall.
+
+    Parameters
+    ----------
+    triangles : (N, 3, 3), a closed mesh, mm
+    samples : points on the surface, drawn in proportion to the area; every triangle has one at least
+    seed : of the drawing
+    """
+    corners = np.asarray(triangles, dtype=np.float64)
+    normals = unit_normals(triangles)
+    points, faces = _surface_points(corners, samples, seed)
+    inwards = -normals[faces]
+    distance, hit = first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
+    met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
+    if not bool(met.any()):
+        return Wall(_REACH_MM, points[0], len(points))
+    thickness = np.where(met, distance, np.inf)
+    thinnest = int(np.argmin(thickness))
+    return Wall(float(thickness[thinnest]) + 1e-4, points[thinnest], len(points))
+
+
+def _surface_points(
+    corners: NDArray[np.float64], samples: int, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    rng = np.random.default_rng(seed)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    sound = np.flatnonzero(areas > 1e-6)
+    drawn = rng.choice(len(corners), size=samples, p=areas / areas.sum())
+    faces = np.concatenate([sound, drawn])
+    weights = rng.dirichlet((1.0, 1.0, 1.0), size=len(faces))
+    weights[: len(sound)] = 1.0 / 3.0
+    return np.einsum("ij,ijk->ik", weights, corners[faces]), faces.astype(np.int64)
+
+
+# Where short rays meet a triangle mesh: cell by cell of a grid, so that each looks at the triangles around it only.
+
+_TINY = 1e-12
+_AT_ONCE = 400_000
+"""Pairs of rays and triangles that are looked at together: what fits into the processor's cache."""
+
+
+def first_hits(
+    corners: NDArray[np.float64], origins: NDArray[np.float64], directions: NDArray[np.float64], reach_mm: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return each ray's distance to the first triangle that it meets within its reach, and that triangle.
+
+    Parameters
+    ----------
+    corners : (N, 3, 3), mm
+    origins, directions : (R, 3); directions of unit length
+    reach_mm : length of the rays
+
+    Returns
+    -------
+    distance : (R,), infinite where nothing is met
+    triangle : (R,), -1 where nothing is met
+
+    References
+    ----------
+    T. Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> floor = np.array([[[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]]])
+    >>> first_hits(floor, np.array([[1.0, 1.0, 3.0]]), np.array([[0.0, 0.0, -1.0]]), 5.0)[0].tolist()
+    [3.0]
+    """
+    distance = np.full(len(origins), np.inf)
+    triangle = np.full(len(origins), -1, dtype=np.int64)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    cells = np.floor(origins / reach_mm).astype(np.int64)
+    _, cell_of, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(cell_of.ravel(), kind="stable")
+    for members in np.split(order, np.cumsum(counts)[:-1]):
+        ends = origins[members] + reach_mm * directions[members]
+        lowest = np.minimum(origins[members], ends).min(axis=0)
+        highest = np.maximum(origins[members], ends).max(axis=0)
+        near = np.flatnonzero((low <= highest).all(axis=1) & (high >= lowest).all(axis=1))
+        if len(near) == 0:
+            continue
+        for some in np.array_split(members, max(1, len(members) * len(near) // _AT_ONCE)):
+            found, index = _hits(corners[near], origins[some], directions[some])
+            met = found <= reach_mm
+            distance[some] = np.where(met, found, np.inf)
+            triangle[some] = np.where(met, near[index], -1)
+    return distance, triangle
+
+
+def _hits(
+    corners: NDArray[np.float64], origins: NDArray[np.float64], directions: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distances (R,) and triangles (R,) of the first hits among all of `corners` (T, 3, 3)."""
+    base, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # triple products, arranged so that only matrix products of (R, 3) by (3, T) are needed
+    normal = np.cross(edge1, edge2)
+    determinant = -directions @ normal.T
+    inverse = np.divide(1.0, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > _TINY)
+    moment = np.cross(origins, directions)  # (o - b) x d = o x d - b x d
+    u = (moment @ edge2.T + directions @ np.cross(base, edge2).T) * inverse
+    v = (moment @ edge1.T + directions @ np.cross(base, edge1).T) * -inverse
+    t = (origins @ normal.T - (base * normal).sum(axis=1)) * inverse
+    edge = 1e-9
+    met = (inverse != 0) & (u >= -edge) & (v >= -edge) & (u + v <= 1 + edge) & (t > 1e-6)
+    t = np.where(met, t, np.inf)
+    index = t.argmin(axis=1)
+    return np.asarray(t[np.arange(len(origins)), index]), index.astype(np.int64)

@@ -5,23 +5,167 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import require
-from splitknit.model import Camera
+from splitknit.model import BoolArray, Camera, FloatArray
 from splitknit.simulator.coat import Coat, Film
-from splitknit.simulator.coat_directions import bend_within_pixels, on_chart, ridges_in_space
 from splitknit.simulator.diffusion import diffusion_profile, load_walks
 from splitknit.simulator.finger import Finger, Pose, finger_surface
 from splitknit.simulator.grains import draw_grains, stamp
 from splitknit.simulator.master_print import MasterPrint
+from splitknit.simulator.orientation_field import smooth_noise
 from splitknit.simulator.skin import CHANNELS, SkinSettings
 from splitknit.simulator.skin_map import SkinMap, skin_map
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.water import water_level, water_of
 from splitknit.simulator.weathered import Weathered, dried, ridge_angle, scarred
+
+# Water on the skin: it fills the valleys, creeps up the ridges, and at last lies over them.
+
+
+@dataclass(frozen=True, slots=True)
+class Water:
+    """How much water there is; everything follows from the severity."""
+
+    meniscus_mm: float
+    """Radius of curvature of the water's surface: the larger, the fuller the valleys."""
+    over_ridges_um: float
+    """Thickness of the film over the ridges' tops."""
+    levelled_mm: float
+    """Standard deviation over which the film has levelled out; 0 where none closes over the ridges."""
+    share: float
+    """Share of the skin that is wet."""
+
+
+def water_of(severity: float) -> Water:
+    """From sweat in the valleys' corners to a hand that comes out of water.
+
+    The radius grows from 0.05 mm (a tenth of a ridge period: only sharp corners are rounded) to 2 mm (valleys are full
+    but for a micrometre or two; water's capillary length is 2.7 mm); above one half a film closes over the ridges, up
+    to 15 um; from one half on no dry patch is left. A film of 20 um levels out over a ridge period in 0.1 ms and over
+    5 mm in seconds, so a closed one shows no ridges.
+    """
+    closed = max(0.0, 2.0 * severity - 1.0)
+    return Water(0.05 * 40.0**severity, 15.0 * closed, 0.6 * closed, min(1.0, 2.0 * severity))
+
+
+def water_level(displacement: Array, pitch_mm: float, water: Water, rng: np.random.Generator) -> Array:
+    """(H, W) displacement of the water's surface, mm; equal to `displacement` where there is no water.
+
+    Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing of the relief by a
+    ball of that radius, here by the paraboloid that osculates it, which acts along rows and columns one after
+    the other. The body's own curvature (a radius of 8 mm) is left out.
+
+    References
+    ----------
+    Orchard 1962, On surface levelling in viscous liquids and gels (time 3 eta l^4 / (16 pi^4 gamma h^3)).
+    de Gennes, Brochard-Wyart and Quere 2004, Capillarity and Wetting Phenomena, section 1.1.3 (Laplace pressure) and
+    2.2 (capillary length).
+    van den Boomgaard et al. 1996, Quadratic structuring functions in mathematical morphology.
+    """
+    filled = _closed(displacement, pitch_mm, water.meniscus_mm)
+    if water.levelled_mm > 0.0:
+        level = cv2.GaussianBlur(filled, (0, 0), water.levelled_mm / pitch_mm)
+        filled = _closed(np.maximum(level + 1e-3 * water.over_ridges_um, displacement), pitch_mm, water.meniscus_mm)
+    if water.share >= 1.0:
+        return filled
+    # patches of 2 mm with soft edges; a normal variable lies below the threshold over the wanted share
+    noise = smooth_noise(rng, displacement.shape, 1.0 / pitch_mm)
+    threshold = float(np.quantile(noise, water.share))
+    patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
+    patch = patch * patch * (3.0 - 2.0 * patch)
+    return np.asarray(displacement + patch * (filled - displacement))
+
+
+def _closed(values: Array, pitch_mm: float, radius_mm: float) -> Array:
+    """Closing of `values` by the paraboloid x^2 / (2 radius)."""
+    reach = int(np.ceil(np.sqrt(2.0 * radius_mm * float(np.ptp(values))) / pitch_mm)) + 1
+    over = _parabolic(values, pitch_mm, radius_mm, reach, 1.0)
+    return np.maximum(_parabolic(over, pitch_mm, radius_mm, reach, -1.0), values)
+
+
+def _parabolic(values: Array, pitch_mm: float, radius_mm: float, reach: int, sign: float) -> Array:
+    """Dilation (sign 1) or erosion (-1) of `values` by the paraboloid x^2 / (2 radius) turned down."""
+    result = values
+    for axis in (0, 1):
+        size = result.shape[axis]
+        padding = [(0, 0), (0, 0)]
+        padding[axis] = (reach, reach)
+        padded = np.pad(sign * result, padding, mode="edge")
+        best = np.full(result.shape, -np.inf)
+        for step in range(-reach, reach + 1):
+            fall = (step * pitch_mm) ** 2 / (2.0 * radius_mm)
+            part = [slice(None), slice(None)]
+            part[axis] = slice(reach + step, reach + step + size)
+            np.maximum(best, padded[tuple(part)] - fall, out=best)
+        result = sign * best
+    return np.asarray(result)
+
+
+# From the map of the skin to the picture: values at the points that the camera sees, and directions in space.
+
+
+def on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
+    """(H, W) values of the skin's map at the points of the picture, zero beside the finger."""
+    require(surface.chart is not None, "the surface must have its chart (keep_chart).")
+    assert surface.chart is not None
+    chart = np.nan_to_num(surface.chart).astype(np.float64)
+    rows, columns = (laid.v0_mm - chart[..., 1]) / laid.pitch_mm, (chart[..., 0] - laid.u0_mm) / laid.pitch_mm
+    found = ndimage.map_coordinates(values, [rows, columns], order=1, mode="mirror")
+    return np.asarray(np.where(surface.mask, found, 0.0), dtype=np.float32)
+
+
+def ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) -> FloatArray:
+    """(H, W, 3) unit vectors along the ridges, in the skin's surface.
+
+    A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes the ridges' direction
+    to the picture, and z follows from the normal.
+    """
+    require(surface.chart is not None, "the surface must have its chart (keep_chart).")
+    assert surface.chart is not None
+    pitch = float(master.u_mm[1] - master.u_mm[0])
+    u, v = surface.chart[..., 0].astype(np.float64), surface.chart[..., 1].astype(np.float64)
+    rows, columns = np.nan_to_num(master.v_mm[0] - v) / pitch, np.nan_to_num(u - master.u_mm[0]) / pitch
+    doubled = [
+        ndimage.map_coordinates(part, [rows, columns], order=1, mode="mirror")
+        for part in (np.cos(2.0 * angle_rad), np.sin(2.0 * angle_rad))
+    ]
+    angle = 0.5 * np.arctan2(doubled[1], doubled[0])
+    wanted_u, wanted_v = np.cos(angle), np.sin(angle)
+    u_row, u_x = np.gradient(u)
+    v_row, v_x = np.gradient(v)
+    u_y, v_y = -u_row, -v_row
+    determinant = u_x * v_y - u_y * v_x
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = (v_y * wanted_u - u_y * wanted_v) / determinant
+        y = (-v_x * wanted_u + u_x * wanted_v) / determinant
+    n = surface.normals.astype(np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = -(n[..., 0] * x + n[..., 1] * y) / n[..., 2]
+        vectors = np.stack([x, y, z], axis=-1)
+        vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
+    sound = surface.mask & np.isfinite(vectors).all(axis=-1)
+    return np.asarray(np.where(sound[..., None], vectors, [1.0, 0.0, 0.0]), dtype=np.float32)
+
+
+def bend_within_pixels(normals: NDArray[np.floating], mask: BoolArray) -> Array:
+    """(H, W) variance of the slope inside a pixel, one direction's: a bent mirror shows a pixel many normals.
+
+    References
+    ----------
+    Olano and Baker 2010, LEAN mapping: the variance of the slopes adds to that of the microfacets.
+    """
+    nz = np.where(mask, np.maximum(normals[..., 2], 0.2), 1.0)
+    slopes = [np.where(mask, -normals[..., axis] / nz, 0.0) for axis in (0, 1)]
+    total = np.zeros(mask.shape)
+    for slope in slopes:
+        down, right = np.gradient(slope)
+        total += (down**2 + right**2) / 12.0
+    return np.asarray(np.minimum(0.5 * total, 0.25))
+
 
 Array = NDArray[np.float64]
 Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]

@@ -4,25 +4,129 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Band, FloatArray, Led, PixelArray, Rig
+from splitknit.model import Band, BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig
+from splitknit.simulator.background import BackgroundSettings, background_albedo
 from splitknit.simulator.defocus import blur_sigma_px
-from splitknit.simulator.diffusion import WalkTable
+from splitknit.simulator.diffusion import WalkTable, diffuse_transmittance
 from splitknit.simulator.lens import px_per_mm_at
-from splitknit.simulator.lighting import finger_window, white_card
-from splitknit.simulator.mirror_frame import Frame, background_of, blend, mirror_frame, visible
-from splitknit.simulator.mirror_light import render_between_mirrors, render_room
-from splitknit.simulator.mirror_view import View
-from splitknit.simulator.mirrors import lights_of
-from splitknit.simulator.renderer import BandLight
-from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.lighting import UNIT, Patch, cut_out, finger_window, light_on, white_card
+from splitknit.simulator.mirror_parts import HolderProfile
+from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.mirror_view import Coverage, View, outline_coverage
+from splitknit.simulator.mirrors import Light, lights_of
+from splitknit.simulator.renderer import BandLight, Diffusion, RenderSettings, relief_gains
+from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin_scene import Scene, brightest, finger_depth, room_level
+
+# Light on a finger between mirrors: the LEDs, and their images through the mirrors' faces.
+
+
+def render_between_mirrors(
+    surface: Surface,
+    lights: Sequence[Sequence[Light]],
+    optics: Sequence[ChannelOptics],
+    skin: SkinSettings,
+    *,
+    walks: WalkTable,
+    settings: RenderSettings,
+) -> BandLight:
+    """Render a finger, or its reflection, in as many images as there are groups of `lights`.
+
+    As :func:`splitknit.simulator.renderer.render_band`, whose terms it is made from; with one light without a gate in
+    each group the result is the same.
+    """
+    patch = cut_out(surface)
+    blur = _diffusion(patch, optics, skin, walks, settings)
+    gains = list(relief_gains(surface, patch, optics, settings))
+    shape = patch.mask.shape
+    diffuse = np.empty((len(lights), len(optics), *shape), dtype=np.float32)
+    gloss = np.empty((len(lights), *shape), dtype=np.float32)
+
+    def one(k: int) -> None:
+        entering, gloss[k] = light_through(patch, lights[k], skin.roughness, settings.led_radius_mm)
+        gloss[k] *= np.float32(skin.glare)
+        for c, light in enumerate(blur(entering)):
+            np.multiply(light, gains[c], out=diffuse[k, c])
+
+    with ThreadPoolExecutor(settings.workers) as pool:
+        list(pool.map(one, range(len(lights))))
+    return BandLight(window=patch.window, diffuse=diffuse, glare=gloss)
+
+
+def light_through(
+    patch: Patch, lights: Sequence[Light], roughness: float, led_radius_mm: float
+) -> tuple[FloatArray, FloatArray]:
+    """(h, w) irradiance that enters the skin and radiance that its surface reflects, of all `lights` together."""
+    entering = np.zeros(patch.mask.shape, dtype=np.float32)
+    gloss = np.zeros(patch.mask.shape, dtype=np.float32)
+    for light in lights:
+        with np.errstate(divide="ignore", invalid="ignore"):  # light from straight behind, where nothing is lit
+            enters, shines = light_on(patch, light.led, roughness, led_radius_mm)
+        if light.gate is not None:
+            share = light.gate.share(patch.x, patch.y, patch.z, light.led, led_radius_mm)
+            enters, shines = enters * share, shines * share
+        entering += enters
+        gloss += shines
+    return entering, gloss
+
+
+def render_room(
+    surface: Surface,
+    level: float,
+    optics: Sequence[ChannelOptics],
+    skin: SkinSettings,
+    *,
+    walks: WalkTable,
+    settings: RenderSettings,
+    up: Array,
+) -> FloatArray:
+    """(C, h, w) radiance of a reflected finger under a room that gives a white card `level`.
+
+    `up` (3,) is where the reflected room's light comes from: the middle of its hemisphere.
+    """
+    patch = cut_out(surface)
+    blur = _diffusion(patch, optics, skin, walks, settings)
+    facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
+    entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
+    gains = relief_gains(surface, patch, optics, settings)
+    return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
+
+
+def _diffusion(
+    patch: Patch,
+    optics: Sequence[ChannelOptics],
+    skin: SkinSettings,
+    walks: WalkTable,
+    settings: RenderSettings,
+) -> Diffusion:
+    return Diffusion(
+        patch, patch.pitch_mm, optics, walks,
+        reach_mm=settings.reach_mm, roughness=skin.roughness, rim=settings.rim_exponent,
+    )  # fmt: skip
+
+
+def irradiance(led: Led, point: Array, normal: Array) -> float:
+    """Light of one LED on a facet at `point` (3,) that faces `normal` (3,)."""
+    total = 0.0
+    for one in (led, *led.also):
+        if one.position_mm is None:
+            towards = np.asarray(one.direction, dtype=np.float64)
+            total += one.intensity * max(float(towards @ normal) / float(np.linalg.norm(towards)), 0.0)
+            continue
+        way = np.asarray(one.position_mm) - point
+        distance = float(np.linalg.norm(way))
+        along = max(-float(way @ one.axis) / distance, 0.0) ** one.lobe_exponent if one.lobe_exponent > 0 else 1.0
+        total += one.intensity * UNIT * along * max(float(way @ normal), 0.0) / distance**3
+    return total
+
 
 if TYPE_CHECKING:
     from splitknit.simulator.twin import TwinSettings
@@ -187,3 +291,132 @@ def _put(
         if glare is not None:
             light = light + glare
         some[..., c] = np.where(mask, light, some[..., c])
+
+
+# What stands around the finger where there are mirrors: holders, glass, the tube behind it, dust.
+
+Array = NDArray[np.float64]
+
+_TUBE_MM = 52.0
+"""Inner radius of the tube around the finger."""
+_STRAY_SHARE = 0.1
+"""Light that comes to the tube by way of other things, against that of a white card under the LED."""
+_LID_SHARE = 0.2
+"""Light from what hangs above the finger, which a second mirror shows, against that from the tube."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plate:
+    """A flat piece of plastic or glass in the picture."""
+
+    coverage: Coverage
+    middle: Array
+    """(3,) mm, where it truly is."""
+    normal: Array
+    albedo: float
+
+    def radiance(self, led: Led) -> float:
+        """What it sends under one LED: matt."""
+        return self.albedo / np.pi * irradiance(led, self.middle, self.normal)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Everything of one mirror but the finger."""
+
+    name: str
+    holder: tuple[Plate, ...]
+    """Behind and beside the face, in front of the background."""
+    lip: tuple[Plate, ...]
+    """In front of the face."""
+    reflected_lip: tuple[Plate, ...]
+    """What the mirror shows of the lip; its `coverage` is in the mirror, the rest as it truly is."""
+    opposite: tuple[Coverage, ...]
+    """Where it shows the other mirrors."""
+    wall: Plate
+    """The tube on the far side of the finger."""
+    dust: FloatArray
+    """(H, W) albedo of the specks on the face."""
+
+
+def mirror_frame(
+    view: View,
+    mirrors: Sequence[Mirror],
+    camera: Camera,
+    views: MirrorViews,
+    rng: np.random.Generator,
+) -> Frame:
+    """Lay out what surrounds the finger in and around one mirror.
+
+    Parameters
+    ----------
+    view : of the mirror
+    mirrors : all, as they truly are
+    camera : of the rig
+    views : settings; the holders stand where the drawing has them
+    rng : draws the dust
+    """
+    name, profile = view.mirror.name, HolderProfile(views.parts)
+    inwards = _inwards(name)
+
+    def plate(low: Array, high: Array, albedo: float) -> Plate:
+        corners = profile.quad(name, camera, low, high)
+        return Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
+
+    low, high = profile.glass
+    glass = plate(low, high, views.glass_albedo)
+    back = plate(*profile.back, views.plastic_albedo)
+    inside, outside, start = profile.lip
+    lip = (plate(outside, start, views.plastic_albedo), plate(inside, outside, views.plastic_albedo))
+    shown = tuple(
+        replace(one, coverage=outline_coverage(camera, view.reflection.points(profile.quad(name, camera, *ends))))
+        for one, ends in ((plate(*profile.shade, 0.0), profile.shade), (lip[1], (inside, outside)))
+    )
+    opposite = tuple(
+        outline_coverage(camera, view.reflection.points(np.asarray(other.corners_mm)))
+        for other in mirrors
+        if other.name != name
+    )
+    middle = np.append(_TUBE_MM * inwards[:2], -5.0)
+    wall = Plate(view.coverage, middle, -inwards, views.plastic_albedo)
+    specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
+    return Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
+
+
+def _inwards(name: str) -> Array:
+    """(3,) horizontal direction from a mirror towards the finger and beyond."""
+    return {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
+
+
+def _face_normal(corners: Array, inwards: Array) -> Array:
+    """(3,) unit normal of a rectangle, upwards."""
+    normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
+    normal /= np.linalg.norm(normal)
+    lean = normal[2] if abs(normal[2]) > 1e-6 else float(normal @ inwards)
+    return np.asarray(normal if lean > 0 else -normal)
+
+
+def blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, free: BoolArray | None = None) -> None:
+    """Replace what `cover` covers of `frame` (H, W, 3) by `over` (H, W, 3), in place; only where `free` (H, W)."""
+    share = cover.share if free is None else cover.share * free[cover.window]
+    some = frame[cover.window]
+    some += share[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
+
+
+def visible(view: View, frame: Frame, free: BoolArray) -> BoolArray:
+    """(H, W) pixels that show the finger in a mirror: not the lip, not the lip in the mirror, not the finger itself."""
+    mask = view.mask & free
+    for plate in (*frame.reflected_lip, *frame.lip):
+        mask[plate.coverage.window] &= plate.coverage.share < 0.5
+    return mask
+
+
+def background_of(frame: Frame, camera: Camera, led: Led) -> FloatArray:
+    """(H, W, 3) radiance of what a mirror shows behind the finger."""
+    above = np.array([0.0, 0.0, 1.0])
+    stray = _STRAY_SHARE * frame.wall.albedo / np.pi * irradiance(led, np.zeros(3), above)
+    wall = frame.wall.radiance(led) + stray
+    content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
+    for cover in frame.opposite:
+        blend(content, cover, np.float32(_LID_SHARE * wall))
+    return content

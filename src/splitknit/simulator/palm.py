@@ -20,11 +20,69 @@ from splitknit.model import Camera
 from splitknit.simulator.master_print import MasterPrintSettings, ridge_profile, twice_as_fine
 from splitknit.simulator.orientation_field import smooth_noise
 from splitknit.simulator.palm_lines import PalmLine, draw_lines, groove_map
-from splitknit.simulator.palm_settings import PalmSettings
-from splitknit.simulator.palm_shape import PalmShape, draw_shape
 from splitknit.simulator.pores import scatter_pores
 from splitknit.simulator.ridge_growth import grow_ridges
 from splitknit.simulator.surface import Surface
+
+# The palm without its skin relief: a gently curved sheet with the pads of thumb and little finger.
+
+
+@dataclass(frozen=True, slots=True)
+class PalmShape:
+    """Height of the sheet: a tilted quadric and round pads."""
+
+    tilt: tuple[float, float]
+    """Slopes along x and y in the middle."""
+    curvature_per_mm: tuple[float, float]
+    """Along the two principal axes; positive is domed."""
+    axis_rad: float
+    """Of the first principal axis, counter-clockwise from x."""
+    pads: tuple[tuple[float, float, float, float], ...]
+    """x, y, height (negative is a hollow) and standard deviation of each, all in mm."""
+    top_mm: float = 0.0
+    """Subtracted from the height."""
+
+    def on_grid(self, x_mm: Array, y_mm: Array) -> tuple[Array, Array, Array]:
+        """Height and its slopes along x and y, (H, W) on the axes `x_mm` (W,) and `y_mm` (H,)."""
+        x, y = x_mm[None, :], y_mm[:, None]
+        cosine, sine = np.cos(self.axis_rad), np.sin(self.axis_rad)
+        u, v = cosine * x + sine * y, cosine * y - sine * x
+        first, second = self.curvature_per_mm
+        height = self.tilt[0] * x + self.tilt[1] * y - 0.5 * (first * u**2 + second * v**2) - self.top_mm
+        slope_x = self.tilt[0] - first * u * cosine + second * v * sine
+        slope_y = self.tilt[1] - first * u * sine - second * v * cosine
+        for px, py, rise, sigma in self.pads:
+            bump = rise * np.exp(-0.5 * ((x - px) / sigma) ** 2) * np.exp(-0.5 * ((y - py) / sigma) ** 2)
+            height = height + bump
+            slope_x = slope_x - bump * (x - px) / sigma**2
+            slope_y = slope_y - bump * (y - py) / sigma**2
+        return height, slope_x, slope_y
+
+
+def draw_shape(
+    rng: np.random.Generator, half_size_mm: tuple[float, float], radius_mm: tuple[float, float]
+) -> PalmShape:
+    """Draw one sheet; its highest point within the patch lies on the finger plane, z = 0."""
+    low, high = radius_mm
+    radii = low * (high / low) ** rng.random(2)
+    tilt = np.clip(0.06 * rng.standard_normal(2), -0.12, 0.12)
+    pads = []
+    for _ in range(int(rng.integers(2, 6))):
+        sigma = float(rng.uniform(4.0, 11.0))
+        # slopes of a pad stay below about 8 degrees
+        rise = float(np.clip(0.1 * sigma * rng.standard_normal(), -0.2 * sigma, 0.22 * sigma))
+        px, py = rng.uniform(-1.1, 1.1, 2) * half_size_mm
+        pads.append((float(px), float(py), rise, sigma))
+    shape = PalmShape(
+        (float(tilt[0]), float(tilt[1])),
+        (float(1.0 / radii[0]), float(1.0 / radii[1])),
+        float(rng.uniform(0.0, np.pi)),
+        tuple(pads),
+    )
+    grid = [np.linspace(-half, half, 201) for half in half_size_mm]
+    top = float(shape.on_grid(grid[0], grid[1])[0].max())
+    return PalmShape(shape.tilt, shape.curvature_per_mm, shape.axis_rad, shape.pads, top)
+
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -206,3 +264,66 @@ def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> Array32
     normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.where(seen[..., None], normals, 0.0).astype(np.float32)
+
+
+# Ranges that palms are drawn from.
+
+
+@dataclass(frozen=True, slots=True)
+class PalmSettings:
+    """Ranges that a palm is drawn from."""
+
+    size_mm: tuple[float, float] = (44.0, 34.0)
+    """Width and height of the patch."""
+    pitch_mm: float = 0.05
+    """Grid pitch of the patch's relief."""
+    period_mm: tuple[float, float] = (0.48, 0.62)
+    """Mean ridge period."""
+    period_variation: float = 0.06
+    """Relative standard deviation within a palm, over distances of about 5 mm."""
+    ridge_depth_um: tuple[float, float] = (20.0, 60.0)
+    """Mean height of ridges over valleys: flatter than on fingers."""
+    turn_per_mm: float = 0.02
+    """Standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis."""
+    delta_share: float = 0.15
+    """Share of the patches that hold a triradius."""
+    principal: tuple[int, int] = (0, 3)
+    """Principal lines in the patch, inclusive."""
+    principal_depth_um: tuple[float, float] = (90.0, 280.0)
+    """Of the principal lines, 0 to 300."""
+    wrinkles: tuple[int, int] = (10, 60)
+    """Finer lines, inclusive."""
+    wrinkle_depth_um: tuple[float, float] = (18.0, 50.0)
+    """Of the finer lines, 0 to 100."""
+    darkening: tuple[float, float] = (0.05, 0.25)
+    """Loss of diffuse reflectance at the bottom of a line of 0.2 mm."""
+    mottling: tuple[float, float] = (0.01, 0.06)
+    """Standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm."""
+    radius_mm: tuple[float, float] = (35.0, 150.0)
+    """Radii of curvature of the patch along its two axes."""
+
+    def __post_init__(self) -> None:
+        require(min(self.size_mm) >= 4.0, f"palm.size_mm must be at least 4 mm each way, but it is {self.size_mm}.")
+        for name, low, high in (
+            ("period_mm", 0.3, 1.0),
+            ("ridge_depth_um", 0.0, 200.0),
+            ("principal", 0, 10),
+            ("principal_depth_um", 0.0, 300.0),
+            ("wrinkles", 0, 400),
+            ("wrinkle_depth_um", 0.0, 100.0),
+            ("darkening", 0.0, 0.8),
+            ("mottling", 0.0, 0.2),
+            ("radius_mm", 20.0, 1e6),
+        ):
+            least, most = getattr(self, name)
+            require(
+                low <= least <= most <= high,
+                f"palm.{name} must be (low, high) within {low} to {high}, but it is ({least}, {most}).",
+            )
+        require(
+            0 < self.pitch_mm <= self.period_mm[0] / 8,
+            f"palm.pitch_mm must be an eighth of the least ridge period or less, but it is {self.pitch_mm}.",
+        )
+        require(0 <= self.period_variation <= 0.15, "palm.period_variation must lie in [0, 0.15].")
+        require(0 <= self.turn_per_mm <= 0.2, "palm.turn_per_mm must lie in [0, 0.2].")
+        require(0 <= self.delta_share <= 1, "palm.delta_share must lie in [0, 1].")

@@ -122,7 +122,7 @@ def assembled_shape(
 
     Parameters
     ----------
-    fields : (32, h, w) of :func:`splitknit.skin.shape_features.shape_features`
+    fields : (32, h, w) of :func:`splitknit.skin.learned.shape_features`
     true_mm : (H, W) true shape on the fine grid
     known : (H, W) where it means something
     low : coarse grid

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.training.relief_card import UNIT_UM, network_metrics, write_network
 from splitknit.apps.training.relief_crops import training_crops
 from splitknit.apps.training.relief_data import training_sample
 from splitknit.apps.training.relief_scenes import ReliefData
+from splitknit.apps.training.training_card import mean_figures, rounded, runner_of, stride_of, write_files
 from splitknit.apps.training.training_data import HELD_OUT_FROM, load_data, make_data, require_fingers
 from splitknit.apps.training.training_folder import Progress, files_of, open_folder
 from splitknit.apps.training.training_stretches import DATA_PART, train_in_stretches
+from splitknit.skin.learned import RELIEF_MM
 from splitknit.training.network import load_torch
-from splitknit.training.relief import CHANNELS, NAME, ReliefSettings, ReliefTrainer
+from splitknit.training.relief import (
+    CHANNELS,
+    JUDGED_PX,
+    NAME,
+    ReliefSettings,
+    ReliefTrainer,
+    Sample,
+    judge_middle,
+    packed,
+)
 
 FILES = files_of(NAME, "fingers")
 
@@ -101,3 +112,41 @@ def _numbers(data: ReliefData) -> tuple[range, range, range]:
         range(data.first_whole, data.first_whole + data.whole_fingers),
         range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out),
     )
+
+
+# Network and card of the relief as files, and what the card says of how good the network is.
+
+UNIT_UM = 1000.0 * float(RELIEF_MM)
+"""Unit of the network's relief, micrometres."""
+
+
+def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write network and card of a training's ``state_dict``, as :func:`write_files` does."""
+    return write_files(out, NAME, state, facts, packed)
+
+
+def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
+    """What a card says of how a network does on fingers that it was not trained on.
+
+    Parameters
+    ----------
+    state : torch's ``state_dict`` of the network
+    samples : fingers (41, h, w) by their numbers
+
+    Returns
+    -------
+    dict with the figures of each finger, see :func:`splitknit.training.relief.judged`, and their means
+    """
+    run, stride = runner_of(state), stride_of(state)
+    figures = {number: judge_middle(run, sample, stride) for number, sample in samples.items()}
+
+    def in_um(entry: Mapping[str, float]) -> dict[str, float | None]:
+        others = {name: value for name, value in entry.items() if name != "rms"}
+        return rounded({**others, "rms_um": UNIT_UM * entry["rms"]})
+
+    return {
+        "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges; the middle "
+        f"{JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be trained on",
+        "mean": in_um(mean_figures(list(figures.values()))),
+        "fingers": [{"finger": number, **in_um(entry)} for number, entry in figures.items()],
+    }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.training.shape_card import UNIT, shape_metrics, write_shape_network
 from splitknit.apps.training.shape_data import shape_sample
 from splitknit.apps.training.shape_scenes import ShapeData
+from splitknit.apps.training.training_card import mean_figures, rounded, runner_of, stride_of, write_files
 from splitknit.apps.training.training_data import HELD_OUT_FROM, load_data, make_data, require_fingers
 from splitknit.apps.training.training_folder import Progress, files_of, open_folder
 from splitknit.apps.training.training_stretches import DATA_PART, train_in_stretches
+from splitknit.skin.learned import SHAPE_SLOPE
 from splitknit.training.network import load_torch
-from splitknit.training.shape import CHANNELS, NAME, ShapeSettings, ShapeTrainer
+from splitknit.training.shape import (
+    CHANNELS,
+    JUDGED_WIDE_PX,
+    NAME,
+    Sample,
+    ShapeSettings,
+    ShapeTrainer,
+    judge_whole,
+    packed,
+)
 
 FILES = files_of(NAME, "fingers")
 
@@ -83,3 +94,40 @@ def train_shape(
     }
     written = write_shape_network(out, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
+
+
+# Network and card of what mends the shape as files, and what the card says of how good the network is.
+
+UNIT = float(SHAPE_SLOPE)
+"""Unit of the network's slopes."""
+
+
+def write_shape_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write network and card of a training's ``state_dict``, as :func:`write_files` does."""
+    return write_files(out, NAME, state, facts, packed)
+
+
+def shape_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
+    """What a card says of how a network does on fingers that it was not trained on.
+
+    Parameters
+    ----------
+    state : torch's ``state_dict`` of the network
+    samples : fingers (35, h, w) by their numbers
+
+    Returns
+    -------
+    dict with the figures of each finger, see :func:`splitknit.training.shape.judged`, as slopes, and their means
+    """
+    run, stride = runner_of(state), stride_of(state)
+    figures = {
+        number: {name: UNIT * value for name, value in judge_whole(run, sample, stride).items()}
+        for number, sample in samples.items()
+    }
+    return {
+        "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges: error of the "
+        "shape's slopes (rms of one slope, steep parts count less) before and after mending, and of their means over "
+        f"{JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the coarse grid",
+        "mean": rounded(mean_figures(list(figures.values()))),
+        "fingers": [{"finger": number, **rounded(entry)} for number, entry in figures.items()],
+    }
