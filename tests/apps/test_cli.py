@@ -92,7 +92,7 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) 
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [
-        (BadInput("the mask is\nempty."), 2, "capture: the mask is empty."),
+        (BadInput("the mask is\nempty."), 2, r"capture: the mask is\nempty."),
         (KeyError("height"), 1, "KeyError: 'height' (this is our failure; --traceback shows where)"),
         (ValueError("no BadInput"), 1, "this is our failure"),
         (MemoryError(), 1, "not enough memory"),
