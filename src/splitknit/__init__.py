@@ -5,8 +5,6 @@ The surface of the package is imported when it is first used, so that ``import s
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
-
 TYPE_CHECKING = False  # as typing's, whose import would take longer than all the rest of the command line's start
 if TYPE_CHECKING:
     from typing import Any
@@ -19,6 +17,8 @@ if TYPE_CHECKING:
     from splitknit.model import Led as Led
     from splitknit.model import Reconstruction as Reconstruction
     from splitknit.model import Rig as Rig
+
+    __version__: str
     from splitknit.pipeline import preset_settings as preset_settings
     from splitknit.pipeline import reconstruct as reconstruct
     from splitknit.simulator.twin import simulate_capture as simulate_capture
@@ -54,6 +54,10 @@ __all__ = [  # noqa: RUF022 - what a user needs first comes first
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib import metadata  # noqa: PLC0415
+
+        return metadata.version("splitknit")
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'splitknit' has no attribute {name!r}")

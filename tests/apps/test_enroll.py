@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from enrolled import facts_of, refusal_of, words_of
-from first_gallery import of_version_1
 
+from first_gallery import of_version_1
 from splitknit.apps.cli import main
 from splitknit.errors import BadInput
 from splitknit.gallery.entry import Entry

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from first_gallery import of_version_1
 from test_gallery import KEY, SETTINGS, new, payload
 
+from first_gallery import of_version_1
 from splitknit.errors import BadInput
 from splitknit.gallery.file import ROWS
 from splitknit.gallery.gallery import Gallery

@@ -32,12 +32,12 @@ def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) ->
     dict with ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``; equal input gives an equal
     result (no date, no host).
     """
-    import splitknit  # noqa: PLC0415 - the package may import us
+    from importlib import metadata  # noqa: PLC0415 - slow to import
 
     plain = plain_json({} if settings is None else settings)
     return {
         "software": "splitknit",
-        "version": splitknit.__version__,
+        "version": metadata.version("splitknit"),
         "settings": plain,
         "settings_sha256": settings_hash(plain),
         "inputs": dict(sorted((hashes or {}).items())),
