@@ -98,11 +98,9 @@ def read_npz(
         require(plain and not any(one.flag_bits & 1 for one in chosen.values()), damaged)
         size = sum(one.file_size for one in chosen.values())
         require(size <= max_bytes, f"{name} holds arrays of {size} bytes, but at most {max_bytes} are read.")
-        result = {}
-        for key, one in chosen.items():
-            with archive.open(one) as member:
-                result[key] = _read_member(member, one.file_size, damaged)
-        return result
+        with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+            jobs = {key: pool.submit(_read_member, archive, one, damaged) for key, one in chosen.items()}
+            return {key: job.result() for key, job in jobs.items()}
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.ndarray[Any, Any]:
@@ -121,20 +119,21 @@ def map_npy(path: str | os.PathLike[str]) -> np.ndarray[Any, Any]:
         return np.memmap(stream, dtype, "r", start, shape, order)
 
 
-def _read_member(member: IO[bytes], size: int, damaged: str) -> np.ndarray[Any, Any]:
-    """Read an array of an archive; its header must fit the `size` that the archive gives."""
-    dtype, shape, order, start = _header(member, damaged)
-    require(size - start == dtype.itemsize * math.prod(shape), damaged)
-    array = np.empty(shape, dtype, order)
-    body = (array.T if order == "F" else array).reshape(-1).view(np.uint8)
-    done = 0
-    while done < len(body):
-        block = member.read(min(_BLOCK, len(body) - done))
-        require(len(block) > 0, damaged)
-        body[done : done + len(block)] = np.frombuffer(block, np.uint8)
-        done += len(block)
-    require(member.read(1) == b"", damaged)  # the end, where the checksum is compared
-    return array
+def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, damaged: str) -> np.ndarray[Any, Any]:
+    """Read an array of an archive; its header must fit the size that the archive gives."""
+    with archive.open(info) as member:
+        dtype, shape, order, start = _header(member, damaged)
+        require(info.file_size - start == dtype.itemsize * math.prod(shape), damaged)
+        array = np.empty(shape, dtype, order)
+        body = (array.T if order == "F" else array).reshape(-1).view(np.uint8)
+        done = 0
+        while done < len(body):
+            block = member.read(min(_BLOCK, len(body) - done))
+            require(len(block) > 0, damaged)
+            body[done : done + len(block)] = np.frombuffer(block, np.uint8)
+            done += len(block)
+        require(member.read(1) == b"", damaged)  # the end, where the checksum is compared
+        return array
 
 
 def _header(stream: IO[bytes], damaged: str) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"], int]:

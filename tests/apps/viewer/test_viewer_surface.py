@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import time
-import tracemalloc
-import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +103,7 @@ def arrays(shown: Path, tmp_path: Path) -> tuple[dict[str, np.ndarray], Path]:
         ({"height_mm": np.full((440, 640), np.nan, np.float32)}, "holds no heights"),
         ({"mask": np.zeros((440, 640), bool)}, "holds no heights"),
         ({"mask": np.zeros(440, bool)}, "another shape"),
-        ({"ridge_mm": np.array("text")}, "damaged"),
+        ({"ridge_mm": np.array("text")}, "'ridge_mm' has another shape or kind"),
     ],
 )
 def test_arrays_of_another_kind_are_refused(arrays, change: dict, words: str) -> None:
@@ -135,47 +131,6 @@ def test_a_damaged_result_is_refused_in_one_sentence(shown: Path, tmp_path: Path
         read_surface(tmp_path)
     assert "\n" not in str(refused.value)
     assert str(tmp_path) in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("shape", "stored", "words"),
-    [((2,), 1 << 26, "damaged"), ((20_000, 20_000, 20_000), 16, "damaged"), ((19_000, 19_000), 16, "damaged"),
-     ((21_000, 2), 21_000 * 8, "damaged"), ((2000, 1250), 10_000_000, "10000128 bytes, but at most 9999999 are")],
-)  # fmt: skip
-def test_arrays_of_other_sizes_than_stated_or_too_large_take_no_memory(
-    tmp_path: Path, shape: tuple[int, ...], stored: int, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An archive of zeros is a thousandth of what is in it."""
-    file = tmp_path / "height.npz"
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as stream:
-        np.lib.format.write_array_header_1_0(stream, {"descr": "<f4", "fortran_order": False, "shape": shape})
-        for done in range(0, stored, 1 << 24):
-            stream.write(bytes(min(1 << 24, stored - done)))
-    monkeypatch.setattr("splitknit.apps.viewer.surface._MOST_BYTES", 9_999_999)
-    tracemalloc.start()
-    with pytest.raises(BadInput, match=words):
-        read_members(file, ("a",))
-    assert tracemalloc.get_traced_memory()[1] < 3_000_000
-    tracemalloc.stop()
-
-
-def test_headers_are_parsed_one_at_a_time(shown: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python 3.11 cannot parse them in several threads (now and then: AST constructor recursion depth mismatch)."""
-    parse, at_work, most = np.lib.format.read_array_header_1_0, [], []
-
-    def watched(stream):
-        at_work.append(stream)
-        time.sleep(0.002)
-        most.append(len(at_work))
-        at_work.remove(stream)
-        return parse(stream)
-
-    monkeypatch.setattr(np.lib.format, "read_array_header_1_0", watched)
-    file = shown / "metric" / "height.npz"
-    with ThreadPoolExecutor(8) as pool:
-        jobs = [pool.submit(read_members, file, ("pitch_mm", "input_from_upright")) for _ in range(16)]
-        assert {float(job.result()["pitch_mm"]) for job in jobs} == {0.05}
-    assert max(most) == 1
 
 
 def test_arrays_by_columns_are_read(tmp_path: Path) -> None:

@@ -5,28 +5,21 @@ Places are those of ``phalange.ply``: x right, y to the fingertip, z to the came
 
 from __future__ import annotations
 
-import math
-import os
-import threading
-import zipfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import require
+from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, FloatArray
 
 _LONGEST = 20_000
-_MOST_BYTES = 600_000_000
-"""Of arrays that are read at once: those of a result of 25 million pixels, three times the rig's."""
 _NEEDED = ("height_mm", "ridge_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
 _RAYS = ("x_mm", "y_mm")
-_PARSING = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +153,7 @@ def _places(
 
 
 def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
-    """Read some arrays of an ``.npz`` file, side by side; sizes are checked before anything is unpacked.
+    """Read some arrays of a result's ``height.npz``.
 
     Parameters
     ----------
@@ -171,55 +164,10 @@ def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) 
     Raises
     ------
     BadInput
-        If the file is missing, a link, damaged, or lacks an array.
+        If the file is missing, a link, damaged, too large, or lacks an array.
     """
     require(path.is_file() and not path.is_symlink(), f"'{path.parent}' is not a result: it holds no height.npz.")
-    damaged = f"{path} cannot be read as arrays (it is damaged or not a result's); reconstruct the capture again."
-    try:
-        with zipfile.ZipFile(path) as archive:
-            there = set(archive.namelist())
-            names = [name for name in (*needed, *wanted) if f"{name}.npy" in there]
-            missing = [name for name in needed if name not in names]
-            require(not missing, f"{path} holds no '{''.join(missing[:1])}'; reconstruct the capture again.")
-            sizes = [_checked_size(archive, f"{name}.npy", damaged) for name in names]
-            require(
-                sum(sizes) <= _MOST_BYTES,
-                f"{path} holds arrays of {sum(sizes)} bytes, but at most {_MOST_BYTES} are read.",
-            )
-        # the longest first: two cores are done soonest
-        with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-            jobs = {name: pool.submit(_read_member, path, name, damaged) for name in names}
-            return {name: job.result() for name, job in jobs.items()}
-    except BadInput:
-        raise
-    except Exception as error:  # zipfile, zlib and numpy each have their own
-        raise BadInput(damaged) from error
-
-
-def _checked_size(archive: zipfile.ZipFile, member: str, damaged: str) -> int:
-    """Return the bytes of an array: those that its header and the archive both state."""
-    with archive.open(member) as stream:
-        shape, _, dtype = _header(stream, damaged)
-        size = stream.tell() + dtype.itemsize * math.prod(shape)
-    sides_fit = len(shape) <= 3 and all(0 <= side <= _LONGEST for side in shape)
-    require(sides_fit and dtype.kind in "fiub" and dtype.itemsize <= 8, damaged)
-    stated = archive.getinfo(member)
-    require(stated.file_size == size and stated.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED), damaged)
-    return size
-
-
-def _header(stream: IO[bytes], damaged: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type of an array; one thread at a time, as Python 3.11 cannot parse in several."""
-    with _PARSING:
-        require(np.lib.format.read_magic(stream) == (1, 0), damaged)
-        return np.lib.format.read_array_header_1_0(stream)
-
-
-def _read_member(path: Path, name: str, damaged: str) -> NDArray[Any]:
-    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
-        shape, by_columns, dtype = _header(stream, damaged)
-        size = dtype.itemsize * math.prod(shape)
-        data = stream.read(size)  # without it, zipfile unpacks whatever follows, too
-    require(len(data) == size, damaged)
-    values = np.frombuffer(data, dtype)
-    return values.reshape(shape[::-1]).T if by_columns else values.reshape(shape)
+    arrays = read_npz(path, (*needed, *wanted))
+    missing = [name for name in needed if name not in arrays]
+    require(not missing, f"{path} holds no '{''.join(missing[:1])}'; reconstruct the capture again.")
+    return arrays
