@@ -55,13 +55,13 @@ GUARD_MB = 2500
 """Address space beyond what a process begins with: nothing takes the whole machine."""
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
-    "radiance.image.decode_table": "makes a table, reads nothing",
+    "imaging.image.decode_table": "makes a table, reads nothing",
     "capture.pi.open_lights": "opens a device",
     "capture.pi.open_camera": "opens a device",
     "capture.pi.open_pi": "opens devices",
     "apps.capture_devices.read_settings": "sorts settings that are read already",
     "apps.printing_rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
-    "separate.train_network.load_torch": "imports a package",
+    "training.network.load_torch": "imports a package",
     "simulator.diffusion.load_walks": "reads a table of the package",
 }
 """Functions named as readers that need no target, and why."""
