@@ -46,7 +46,7 @@ def test_missing_files_are_named(copy: Path, tmp_path: Path) -> None:
 
 
 def test_files_are_checked_before_they_are_read(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weights, "MAX_BYTES", copy.stat().st_size - 1)
+    monkeypatch.setattr(weights, "_MAX_BYTES", copy.stat().st_size - 1)
     with pytest.raises(BadInput, match=r"the weights '.*net\.onnx' cannot be read \(.* too large"):
         load_network(copy)
     copy.unlink()
