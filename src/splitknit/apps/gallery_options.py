@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.check import BadInput, require, shown_path
+from splitknit.check import BadInput, open_at_once, require, shown_path
 
 if TYPE_CHECKING:
     from splitknit.match.gallery_key import Key
@@ -64,9 +64,8 @@ def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
 def _read_key(file: Path) -> bytes:
     """Content of a file, or of a pipe such as the shell makes for ``--key-file <(...)``, up to a byte too many."""
     try:
-        descriptor = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with os.fdopen(descriptor, "rb", buffering=0) as stream:
-            mode = os.fstat(descriptor).st_mode
+        with io.FileIO(file, "rb", opener=open_at_once) as stream:
+            mode = os.fstat(stream.fileno()).st_mode
             sound = stat.S_ISREG(mode) or stat.S_ISFIFO(mode)
             require(sound, f"the key file {shown_path(file)} is neither a file nor a pipe.")
             if stat.S_ISFIFO(mode):
