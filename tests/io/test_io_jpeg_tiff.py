@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import io
 import struct
+import subprocess
 import tracemalloc
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import cv2
@@ -12,6 +16,7 @@ import pytest
 import tifffile
 
 from splitknit.check import BadInput
+from splitknit.io import c_messages
 from splitknit.io.images import decode_image
 
 
@@ -40,6 +45,45 @@ def test_jpeg(shape: tuple[int, ...], progressive: int, capfd: pytest.CaptureFix
         with pytest.raises(BadInput, match=r"^shot\.jpg "):
             decode_image(data[:length], "shot.jpg")
     assert capfd.readouterr().err == ""
+
+
+def damaged_jpeg() -> bytes:
+    data = cv2.imencode(".jpg", smooth((40, 56, 3)))[1].tobytes()
+    end = data.rindex(b"\xff\xd9")
+    return data[: end - 40] + data[end:]
+
+
+@pytest.mark.skipif(c_messages.c_stream() is None, reason="another C library: the line is printed")
+def test_a_jpeg_is_refused_where_the_decoder_warns(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BadInput, match=r"^shot\.jpg is damaged: the decoder reports 'Corrupt JPEG data: premature end"):
+        decode_image(damaged_jpeg(), "shot.jpg")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.skipif(c_messages.c_stream() is None, reason="another C library: the line is printed")
+def test_each_thread_hears_of_its_own_jpeg(capfd: pytest.CaptureFixture[str]) -> None:
+    libc = ctypes.CDLL(None)
+    sound, damaged = cv2.imencode(".jpg", smooth((400, 560, 3)))[1].tobytes(), damaged_jpeg()
+
+    def refused(k: int) -> bool:
+        try:
+            decode_image(damaged if k % 3 == 0 else sound, "x")
+        except BadInput:
+            return True
+        return False
+
+    with c_messages.c_messages() as heard:
+        with ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(refused, range(60))) == [k % 3 == 0 for k in range(60)]
+        assert subprocess.run(["sh", "-c", "echo child >&2"], check=True).returncode == 0
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(libc.perror, b"not listening").result()
+        libc.perror(b"listening")
+    assert b"".join(heard).startswith(b"listening: ")
+    libc.perror(b"after")
+    said = capfd.readouterr().err
+    assert said.count("\n") == 3
+    assert "child" in said and "not listening" in said and "after" in said
 
 
 def test_jpeg_orientation_is_ignored() -> None:
@@ -108,6 +152,8 @@ def test_tiff_with_lzw(capfd: pytest.CaptureFixture[str]) -> None:
     longer = lzw[:place] + (len(lzw)).to_bytes(4, "little") + lzw[place + 4 :]
     with pytest.raises(BadInput, match="truncated"):
         decode_image(longer, "x")
+    with contextlib.suppress(BadInput):
+        decode_image(lzw[:8] + b"\xff" * (offset - 8) + lzw[offset:], "x")
     assert capfd.readouterr().err == ""
 
 
@@ -197,7 +243,8 @@ def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
     ("tag", "entry", "words"),
     [
         (256, struct.pack("<HII", 3, 0, 0), "tags are damaged"),  # no value
-        (256, struct.pack("<HII", 2, 4, 0), "not a single flat image"),  # a text: its first letter is a zero
+        (256, struct.pack("<HII", 2, 4, 30), "tags are damaged"),  # a text
+        (277, struct.pack("<HII", 5, 1, 0), "tags are damaged"),  # a fraction
         (256, struct.pack("<HII", 12, 1, 0), "tags are damaged"),  # a type that no width has
         (258, struct.pack("<HII", 3, 3, 1 << 31), "tags are damaged"),  # beyond the file
         (258, struct.pack("<HIHH", 3, 2, 8, 16), "8- or 16-bit"),

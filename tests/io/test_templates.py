@@ -51,7 +51,7 @@ def test_other_files_are_refused(tmp_path: Path, change, words: str) -> None:
 def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="does not exist"):
         read_template(tmp_path / "none.skt", 1)
-    with pytest.raises(BadInput, match="cannot be read"):
+    with pytest.raises(BadInput, match="is not a file"):
         read_template(tmp_path, 1)
     with pytest.raises(BadInput, match="version"):
         encode_template(b"x", 70_000)

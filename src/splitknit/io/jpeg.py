@@ -1,7 +1,7 @@
 """JPEG files: the structure is checked before the decoder sees them.
 
-JPEG has no checksums, so a changed byte inside the image data cannot be told from a picture; what can be found is
-a file that ends early, has a damaged header, or is of a kind that is not supported.
+JPEG has no checksums, so not every changed byte inside the image data can be found; what can be is a file that ends
+early, has a damaged header, is of a kind that is not supported, or about which the decoder warns.
 
 References
 ----------
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splitknit.check import BadInput, require
+from splitknit.io.c_messages import c_messages
 from splitknit.io.png import check_size, copy_rgb
 from splitknit.types import PixelArray
 
@@ -101,9 +102,13 @@ def decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelA
 
     header = jpeg_header(data, name)
     try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        with c_messages() as warnings:
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise BadInput(f"{name} cannot be decoded: {error.err}.") from error
+    if warnings:
+        words = b"".join(warnings).decode("utf-8", "replace").strip()
+        raise BadInput(f"{name} is damaged: the decoder reports '{words[:200]}'; copy it again.")
     if image is None or image.shape[:2] != (header.rows, header.columns):
         raise BadInput(f"{name} cannot be decoded; capture or export it again.")
     if out is None:
