@@ -99,6 +99,15 @@ def test_only_whole_regular_files_of_the_budget_are_read(tmp_path: Path) -> None
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files cannot be listed")
+def test_a_refused_folder_is_closed(tmp_path: Path) -> None:
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(5):
+        with pytest.raises(BadInput, match="is not a file"):
+            read_bytes(tmp_path, 4)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
 @pytest.mark.parametrize(
     ("raised", "expected"),
     [(KeyError("x"), BadInput), (RecursionError(), BadInput), (MemoryError(), MemoryError), (BadInput("x"), BadInput)],

@@ -60,7 +60,7 @@ def refusing(message: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io.BufferedReader, int]]:
+def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io.BufferedReader[io.FileIO], int]]:
     """Open a regular file of at most `max_bytes`; yield the stream and the file's size.
 
     Devices and pipes are refused without being opened for reading, and what cannot be read in the block is refused too.
@@ -72,10 +72,8 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
     """
     name = shown_path(path)
     try:
-        # a pipe without a writer would block the open itself
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with os.fdopen(descriptor, "rb") as stream:
-            status = os.fstat(descriptor)
+        with io.BufferedReader(io.FileIO(path, "rb", opener=open_at_once)) as stream:  # closes a folder, unlike fdopen
+            status = os.fstat(stream.fileno())
             require(stat.S_ISREG(status.st_mode), f"{name} is not a file.")
             require(
                 status.st_size <= max_bytes,
@@ -90,6 +88,11 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
         raise
     except (OSError, ValueError) as error:
         raise BadInput(f"{name} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+
+
+def open_at_once(path: str, flags: int) -> int:
+    """Opener for files: a pipe without a writer would block otherwise."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:

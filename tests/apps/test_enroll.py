@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import re
 import shutil
 import stat
+import subprocess
 import zipfile
 from pathlib import Path
 
@@ -16,6 +18,7 @@ import pytest
 from enrolled import facts_of, refusal_of, words_of
 
 from first_gallery import of_version_1
+from splitknit.apps import gallery_export, gallery_options
 from splitknit.apps.cli import main
 from splitknit.errors import BadInput
 from splitknit.gallery.entry import Entry
@@ -229,6 +232,28 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
     assert one == other
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_a_key_comes_from_a_pipe_that_somebody_writes_into(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(gallery_options, "_WRITER_S", 0.3)
+    pipe = tmp_path / "key"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInput, match="a pipe that no program writes into"):
+        gallery_options.key_of(pipe)
+    key = tmp_path / "plain"
+    key.write_text(PHRASE + "\n")
+    slowly = 'sleep 0.1; exec >"$1"; sleep 0.5; printf %s "$2"; sleep 0.1; echo'
+    with subprocess.Popen(["sh", "-c", slowly, "sh", pipe, PHRASE]) as writer:
+        assert gallery_options.key_of(pipe) == gallery_options.key_of(key)
+    assert writer.returncode == 0
+    ours, theirs = os.pipe()
+    os.write(theirs, PHRASE.encode())
+    os.close(theirs)
+    assert gallery_options.key_of(Path(f"/dev/fd/{ours}")) == gallery_options.key_of(key)  # --key-file <(...)
+    os.close(ours)
+    with pytest.raises(BadInput, match="is neither a file nor a pipe"):
+        gallery_options.key_of(Path("/dev/zero"))
+
+
 def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     file, key, new = tmp_path / "g.skg", tmp_path / "key", tmp_path / "new"
     key.write_text(PHRASE + "\n")
@@ -277,6 +302,14 @@ def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
     assert [path.name for path in gallery.parent.iterdir()] == [gallery.name]
 
 
+def test_doubled_rows_are_refused_before_a_file_is_read(gallery: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    facts_of(capsys, "gallery", "export", gallery, "--out", tmp_path / "out")
+    table = tmp_path / "out/gallery.csv"
+    table.write_bytes(table.read_bytes() + table.read_bytes().splitlines()[-1] + b"\n")
+    monkeypatch.setattr(gallery_export, "read_template", lambda *unused: pytest.fail("a template was read"))
+    assert "remove one of them" in refusal_of(capsys, "gallery", "import", tmp_path / "new.skg", tmp_path / "out")
+
+
 def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "out"
     assert "not encrypted" in words_of(capsys, "gallery", "export", gallery, "--out", out)
@@ -311,6 +344,12 @@ def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
         ("gallery.csv", lambda data: data.replace(b"right_index", b"Right Index"), "cannot be a finger"),
         ("gallery.csv", lambda data: data.replace(b"session", b"seance", 1), "columns"),
         ("gallery.csv", lambda data: data.splitlines(keepends=True)[0], "lists no finger"),
+        (
+            "gallery.csv",
+            lambda data: data + data.splitlines()[1],
+            "lines 2 and 8 have the same person, finger, session",
+        ),
+        ("gallery.csv", lambda data: data.replace(b"0005.skt", b"0002.skt"), "lines 3 and 6 have the same template"),
         ("templates/0003.skt", lambda data: data[:-1] + bytes([data[-1] ^ 1]), "line 4: .*damaged"),
         ("templates/0003.skt", None, "line 4: .*does not exist"),
     ],

@@ -555,7 +555,9 @@ def _opened(kind: Key | None) -> Callable[[Path, Files], object]:
 
         def checked() -> None:
             with Gallery.open(path, key) as gallery:
-                gallery.problems()
+                for _, problem in gallery.problems():
+                    said(BadInput(problem))
+                    assert problem.isprintable(), f"a problem is not one printable line: {problem!a}"
 
         return _any(
             contents,

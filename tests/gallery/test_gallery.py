@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -185,6 +186,22 @@ def test_every_seal_has_its_own_nonce(tmp_path: Path) -> None:
         ]
     raw.close()
     assert len({cell[:12] for cell in cells}) == 40
+
+
+def test_each_problem_is_one_printable_line(tmp_path: Path) -> None:
+    path = tmp_path / "g.skg"
+    with Gallery.create(path, SETTINGS) as gallery:
+        gallery.add([new("Ann", 1), new("Bob", 2)])
+    data = bytearray(path.read_bytes())
+    size = int.from_bytes(data[16:18], "big")
+    for page in range(1, len(data) // size):  # the place where the cells begin
+        data[page * size + 5 : page * size + 7] = b"\0\1"
+    path.write_bytes(data)
+    with Gallery.open(path) as gallery, contextlib.suppress(BadInput):
+        problems = gallery.problems()
+        assert problems
+        for _, words in problems:
+            assert words.strip() and words.isprintable()
 
 
 @pytest.mark.parametrize(

@@ -155,6 +155,17 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [entry.name for entry in path.parent.iterdir()] == ["file.bin"]
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    for name in ("pipe", "link"):
+        with pytest.raises(BadInput, match="is a device or a pipe"), atomic_file(tmp_path / name) as stream:
+            stream.write(b"never")
+    assert (tmp_path / "pipe").is_fifo()
+    assert {path.name for path in tmp_path.iterdir()} == {"pipe", "link"}
+
+
 @pytest.mark.parametrize("links", [True, False])
 def test_a_file_may_be_kept_from_replacing_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool

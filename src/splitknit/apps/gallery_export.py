@@ -119,15 +119,28 @@ def _read_table(folder: Path) -> list[NewCapture]:
     with refusing(f"'{file}' cannot be read as a table; export the gallery again."):
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
     require(len(rows) > 0, f"'{file}' lists no finger.")
+    _check_rows(rows, file)
     found = []
     for number, row in enumerate(rows, start=2):
-        complete = all(isinstance(row.get(column), str) for column in _COLUMNS)
-        require(complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected.")
         try:
             found.append(_capture(folder, row))
         except (BadInput, ValueError) as error:
             raise BadInput(f"'{file}', line {number}: {error}") from error
     return found
+
+
+def _check_rows(rows: list[dict[str, str]], file: Path) -> None:
+    """Refuse what is not complete or there twice before any of the files is read."""
+    lines: dict[tuple[str, ...], int] = {}
+    for number, row in enumerate(rows, start=2):
+        complete = all(isinstance(row.get(column), str) for column in _COLUMNS)
+        require(complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected.")
+        for columns in (("person", "finger", "session"), ("template",)):
+            first = lines.setdefault((*columns, *(row[column] for column in columns)), number)
+            require(
+                first == number,
+                f"'{file}', lines {first} and {number} have the same {', '.join(columns)}; remove one of them.",
+            )
 
 
 def _capture(folder: Path, row: dict[str, str]) -> NewCapture:

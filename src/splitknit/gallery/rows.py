@@ -357,11 +357,15 @@ class Rows:
         return sorted(out)
 
     def problems(self) -> list[tuple[int | None, str]]:
-        """What is wrong, by row (None: with the file): SQLite's own check, the state, every seal, every template."""
+        """What is wrong, by row (None: with the file): SQLite's own check, the state, every seal, every template.
+
+        Each is one printable line.
+        """
         found: list[tuple[int | None, str]] = []
         with self.reading(verified=False) as database:
-            said = [str(row[0]) for row in database.execute("PRAGMA integrity_check(20)").fetchall()]
-            found += [(None, one) for one in said if one != "ok"]
+            checked = database.execute("PRAGMA integrity_check(20)").fetchall()
+            said = [line for (text,) in checked for line in str(text).splitlines() if line.strip()]
+            found += [(None, str(BadInput(line))) for line in said if line != "ok"]
             self._verified = None
             try:
                 self.verify()

@@ -77,11 +77,13 @@ def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iter
     Raises
     ------
     BadInput
-        If `path` is a folder, exists while `overwrite` is false, or cannot be written.
+        If `path` is a folder or a device, exists while `overwrite` is false, or cannot be written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):
         require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
+        # the renaming would take the place of /dev/null, where one may do that
+        require(target.is_file() or not target.exists(), f"'{target}' is a device or a pipe; name a file to write.")
     with _parents(target), _refuse_os_errors(target):
         _sweep(target.parent)
         temporary, descriptor = _new_sibling(target, _make_file)

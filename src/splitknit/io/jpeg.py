@@ -1,7 +1,9 @@
 """JPEG files: the structure is checked before the decoder sees them.
 
-JPEG has no checksums, so a changed byte inside the image data cannot be told from a picture; what can be found is
-a file that ends early, has a damaged header, or is of a kind that is not supported.
+JPEG has no checksums, so that a changed byte inside the image data cannot be told from a picture; what can be found is
+a
+file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to the same pixels as
+OpenCV, whose decoder prints on stderr where a file is damaged.
 
 References
 ----------
@@ -10,13 +12,14 @@ ITU-T T.81 (1992), annex B: markers and segments.
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.errors import BadInput, require
-from splitknit.io.png import check_size, copy_rgb
+from splitknit.errors import BadInput, refusing, require
+from splitknit.io.png import check_size
 from splitknit.model import PixelArray
 
 SIGNATURE = b"\xff\xd8\xff"
@@ -97,22 +100,16 @@ def decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelA
     BadInput
         If the file is truncated, damaged or of a kind that is not supported.
     """
-    import cv2  # noqa: PLC0415 - slow to import
+    from PIL import JpegImagePlugin  # noqa: PLC0415 - slow to import
 
     header = jpeg_header(data, name)
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise BadInput(f"{name} cannot be decoded: {error.err}.") from error
-    if image is None or image.shape[:2] != (header.rows, header.columns):
-        raise BadInput(f"{name} cannot be decoded; capture or export it again.")
+    with refusing(f"{name} cannot be decoded; capture or export it again."):
+        image = np.asarray(JpegImagePlugin.JpegImageFile(io.BytesIO(data)))
+    shape = (header.rows, header.columns) if header.channels == 1 else (header.rows, header.columns, header.channels)
+    require(image.shape == shape, f"{name} cannot be decoded; export it again.")
     if out is None:
         out = np.empty((header.rows, header.columns, header.channels), dtype=np.uint8)
-    require(image.ndim == (2 if header.channels == 1 else 3), f"{name} cannot be decoded; export it again.")
-    if header.channels == 1:
-        out[..., 0] = image
-    else:
-        copy_rgb(image, out)
+    out[...] = image.reshape(out.shape)
     return out
 
 

@@ -41,6 +41,8 @@ _READ = frozenset(
 )
 _TYPES = {1: ("u1", 1), 2: ("u1", 1), 3: ("u2", 1), 4: ("u4", 1), 5: ("u4", 2), 7: ("u1", 1), 16: ("u8", 1)}
 """Of a tag's values: kind, and how many make one value."""
+_WHOLE = frozenset({1, 3, 4, 16})
+"""Types of whole numbers, which all tags but the optional ones hold."""
 _KINDS = {1: "uint", 2: "int", 3: "float"}
 _NONE, _LZW, _DEFLATE, _OLD_DEFLATE, _PACKBITS = 1, 5, 8, 32946, 32773
 _RATIO = {_NONE: 1, _LZW: 2560, _DEFLATE: DEFLATE_RATIO, _OLD_DEFLATE: DEFLATE_RATIO, _PACKBITS: 64}
@@ -243,7 +245,7 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
             continue
         if tag in _OPTIONAL and kind not in _TYPES:
             continue
-        require(tag not in tags and kind in _TYPES and number > 0, damaged)
+        require(tag not in tags and number > 0 and (kind in _WHOLE or tag in _OPTIONAL), damaged)
         dtype, parts = np.dtype(_TYPES[kind][0]).newbyteorder(order), _TYPES[kind][1]
         if number * parts * dtype.itemsize <= len(inline):
             where = place + (k + 1) * entry.size - len(inline)
@@ -286,6 +288,8 @@ def _unpacked(stored: bytes, size: int) -> bytes:
 def _decode_lzw(data: bytes, page: TiffPage, name: str, out: PixelArray) -> PixelArray:
     import cv2  # noqa: PLC0415 - slow to import
 
+    # libtiff's errors go to OpenCV's log, which is printed; what cannot be decoded comes as None all the same
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

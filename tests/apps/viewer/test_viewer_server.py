@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import os
 import shutil
 import socket
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlencode
 
 import cv2
@@ -20,7 +22,8 @@ from viewer_server import Asking
 
 from splitknit.apps.viewer import handler, service
 from splitknit.apps.viewer.guard import HEADERS
-from splitknit.apps.viewer.surface import Surface
+from splitknit.apps.viewer.surface import Surface, read_surface
+from splitknit.errors import BadInput
 from splitknit.io import read_image, read_ply
 from splitknit.io.glb import read_glb
 from splitknit.rig.stl import read_stl
@@ -121,6 +124,48 @@ def test_what_is_a_link_in_a_result_is_not_sent(shown: Path, asking: Serve, tmp_
     assert document(server.get("api/result/0/minutiae"))["minutiae"] is None
     status, _, mesh = server.get("api/result/0/export/ply")  # made anew, from the arrays
     assert status == 200 and mesh.startswith(b"ply\n")
+
+
+def changed(shown: Path, folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -> Path:
+    """Copy a result and change arrays of its `height.npz`."""
+    shutil.copytree(shown / "metric", folder)
+    with np.load(folder / "height.npz") as file:
+        arrays = dict(file)
+    for name, change in changes.items():
+        arrays[name] = change(arrays[name])
+    np.savez(folder / "height.npz", **arrays)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("height_mm", lambda x: x.astype(np.float64) + 1e300, "beyond 1000 mm"),
+        ("ridge_mm", lambda x: x + np.float32(1e30), "beyond 1000 mm"),
+        ("input_from_upright", lambda x: x * [[1e5, 1, 1], [1, 1, 1], [1, 1, 1]], "no rotation"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(shown: Path, tmp_path: Path, name: str, change: Any, words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        read_surface(changed(shown, tmp_path / "result", **{name: change}))
+
+
+def test_normals_that_are_none_are_not_exported(shown: Path, asking: Serve, tmp_path: Path) -> None:
+    server = asking(changed(shown, tmp_path / "result", normals=lambda normals: normals * np.float32(1e38)))
+    status, _, body = server.get("api/result/0/export/glb?step=1")
+    assert status == 404 and b"not of unit length" in body
+
+
+def test_an_answer_that_is_not_finite_is_refused() -> None:
+    with pytest.raises(BadInput, match="NaN or infinite"):
+        service._json({"pitch_mm": float("nan")})
+
+
+def test_a_picture_that_is_too_large_is_not_sent(shown: Path, asking: Serve, tmp_path: Path) -> None:
+    folder = changed(shown, tmp_path / "result")
+    os.truncate(folder / "preview.png", service._MOST_PICTURE_BYTES + 1)
+    status, _, body = asking(folder).get("api/result/0/picture/preview.png")
+    assert status == 404 and b"is too large" in body
 
 
 def test_facts_tiles_and_figures(shown: Path, asking: Serve) -> None:

@@ -104,6 +104,7 @@ def _normals(entry: Entry, surface: Surface) -> FloatArray:
         slice(corner, corner + side) for corner, side in zip(surface.corner, surface.mask.shape, strict=True)
     )
     normals = arrays[rows, columns].astype(np.float32)
+    require(not (np.abs(normals) > 1.01).any(), "the result's normals are not of unit length.")
     turn = surface.turn.astype(np.float32)
     normals[..., :2] = normals[..., :2] @ turn.T
     return normals

@@ -37,6 +37,8 @@ _PICTURES = ("normals.png", "albedo.png", "print.png", "preview.png")
 _KEPT_BYTES = 200_000_000
 """Of surfaces, but two are kept however large they are: a pair is looked at by turns."""
 _THUMB_PX = 360
+_MOST_PICTURE_BYTES = 400_000_000
+"""Of a picture that is sent as it is; reconstructions of the rig's images write at most some 40 MB."""
 _NOT_FOUND = "there is nothing at this address."
 
 Query = Mapping[str, str]
@@ -225,7 +227,12 @@ def _thumb(folder: Path) -> bytes:
 
 
 def _json(document: Any) -> Answer:
-    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    try:
+        text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    except ValueError as error:
+        raise BadInput(
+            "a figure of this answer is NaN or infinite: the result is damaged; reconstruct the capture again."
+        ) from error
     return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
 
 
@@ -235,6 +242,9 @@ def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) 
 
 def _file(folder: Path, name: str, kind: str) -> Answer:
     pieces = Pieces(open_below(folder, name))
+    if pieces.size > _MOST_PICTURE_BYTES:
+        pieces.close()
+        raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MOST_PICTURE_BYTES} are sent.")
     return Answer(kind, pieces.size, pieces)
 
 

@@ -18,6 +18,8 @@ from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, FloatArray
 
 _LONGEST = 20_000
+_LONGEST_MM = 1000.0
+"""No place of a finger is as far from the origin."""
 _NEEDED = ("height_mm", "ridge_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
 _RAYS = ("x_mm", "y_mm")
 
@@ -104,13 +106,17 @@ def read_surface(folder: Path) -> Surface:
     require(bool(mask.any()), f"{again} (it holds no heights).")
     box = _box(mask)
     inside = np.ascontiguousarray(mask[box])
-    height = np.where(inside, arrays["height_mm"][box], np.nan).astype(np.float32)
-    ridge = np.where(inside, np.nan_to_num(arrays["ridge_mm"][box]), 0.0).astype(np.float32)
     turn = _turn(matrix)
-    x, y = _places(arrays, shape, box, pitch_mm, turn)
+    require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is no rotation).")
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
+        height = np.where(inside, arrays["height_mm"][box], np.nan).astype(np.float32)
+        ridge = np.where(inside, np.nan_to_num(arrays["ridge_mm"][box]), 0.0).astype(np.float32)
+        x, y = _places(arrays, shape, box, pitch_mm, turn)
     corner = (box[0].start, box[1].start)
     low, high = zip(*(_range(values, inside) for values in (x, y, height)), strict=True)
     relief = max(float(ridge.max()), -float(ridge.min()))
+    within = max(*np.abs([*low, *high]), relief) < _LONGEST_MM  # not of NaN either
+    require(bool(within), f"{again} (it holds places beyond {_LONGEST_MM:g} mm, which are no finger's).")
     return Surface(
         height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, (rows, columns),
         low, high, relief,
@@ -119,7 +125,7 @@ def read_surface(folder: Path) -> Surface:
 
 def _range(values: FloatArray, mask: BoolArray) -> tuple[float, float]:
     known = values[mask]
-    return float(np.nanmin(known)), float(np.nanmax(known))
+    return float(np.fmin.reduce(known)), float(np.fmax.reduce(known))
 
 
 def _box(mask: BoolArray) -> tuple[slice, slice]:
