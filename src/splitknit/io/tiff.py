@@ -1,7 +1,8 @@
 """TIFF files with one flat image, grey or RGB: the tags are read and checked here, LZW alone is decoded by OpenCV.
 
 Nothing is allocated before the strips or tiles that the tags name are known to lie in the file, side by side, and to be
-long enough for the image. Tags that no reader here needs are passed over.
+long enough for the image. Tags that no reader here needs are passed over. Damage inside LZW data may go unnoticed, as
+inside JPEG data: OpenCV decodes on.
 
 References
 ----------
