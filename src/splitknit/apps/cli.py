@@ -13,8 +13,6 @@ import os
 import signal
 import sys
 
-from splitknit import __version__
-
 TYPE_CHECKING = False  # typing itself takes longer to import than all of the above
 if TYPE_CHECKING:
     import argparse
@@ -76,6 +74,7 @@ def _leave(*unused: object) -> NoReturn:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
+    from splitknit import __version__  # noqa: PLC0415
     from splitknit.apps.batch_verb import add_batch  # noqa: PLC0415
     from splitknit.apps.capture_verb import add_capture  # noqa: PLC0415
     from splitknit.apps.enroll_verb import add_enroll  # noqa: PLC0415

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import socket
+import socketserver
 import threading
 import time
 from collections.abc import Callable
@@ -448,3 +449,19 @@ def test_our_own_failure_says_nothing_of_the_inside(
     assert status == 500 and b"inside" not in words
     assert "inside" in caplog.text
     assert server.server.token not in caplog.text
+
+
+def test_an_interrupt_is_not_lost_while_an_answer_begins(
+    shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that answers may have ended, and let the next one in, when the interrupt comes."""
+    server = asking(shown / "metric").server
+
+    def interrupted(self: Any, request: socket.socket, address: Any) -> None:
+        self._free.release()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(socketserver.ThreadingMixIn, "process_request", interrupted)
+    ours, theirs = socket.socketpair()
+    with ours, theirs, pytest.raises(KeyboardInterrupt):
+        server.process_request(ours, ("127.0.0.1", 1))

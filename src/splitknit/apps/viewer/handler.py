@@ -59,7 +59,7 @@ class ViewerServer(ThreadingHTTPServer):
             return
         try:
             super().process_request(request, client_address)
-        except BaseException:  # no thread could be started
+        except Exception:  # no thread could be started; an interrupt may come when it has been, and passes
             self._free.release()
             raise
 
