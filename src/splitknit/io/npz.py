@@ -111,11 +111,10 @@ def map_npy(path: str | os.PathLike[str]) -> np.ndarray[Any, Any]:
     BadInput
         If the file is missing or damaged.
     """
-    damaged = f"{os.fspath(path)} is damaged or no .npy file of numbers"
-    with open_file(path, 1 << 50) as (stream, size), refusing(f"{damaged}."):
-        dtype, shape, order, start = _header(stream, f"{damaged}.")
-        fits = 0 < size - start == dtype.itemsize * math.prod(shape)
-        require(fits, f"{damaged}: its length does not fit its header.")
+    damaged = f"'{os.fspath(path)}' is damaged or no .npy file of numbers; make it again."
+    with open_file(path, 1 << 50) as (stream, size), refusing(damaged):
+        dtype, shape, order, start = _header(stream, damaged)
+        require(0 < size - start == dtype.itemsize * math.prod(shape), damaged)
         return np.memmap(stream, dtype, "r", start, shape, order)
 
 

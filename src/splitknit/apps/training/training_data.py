@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.training.training_folder import read_file, write_file
+from splitknit.apps.training.training_folder import write_file
 from splitknit.errors import BadInput, require
-from splitknit.io.fields import parse_json
+from splitknit.io.fields import read_json
 from splitknit.io.npz import map_npy
 
 HELD_OUT_FROM = 1_000_000
@@ -61,7 +61,12 @@ def load_data(out: Path, kind: str, numbers: Sequence[int], fits: Callable[[tupl
         if "refused" in _facts(out, kind, number):
             continue
         file = _name(out, kind, number).with_suffix(".npy")
-        sample = map_npy(file)
+        try:
+            sample = map_npy(file)
+        except BadInput as error:
+            raise BadInput(
+                f"'{file}' is damaged (no array of numbers); delete it and its .json, and resume."
+            ) from error
         require(
             sample.dtype == np.float16 and fits(sample.shape),
             f"'{file}' is damaged (it holds {sample.dtype} of the shape {sample.shape}); delete it and its .json, and "
@@ -100,6 +105,7 @@ def _name(out: Path, kind: str, number: int) -> Path:
 
 def _facts(out: Path, kind: str, number: int) -> dict[str, Any]:
     file = _name(out, kind, number).with_suffix(".json")
-    facts = parse_json(read_file(file), str(file))
-    require(isinstance(facts, dict), f"'{file}' is damaged (no table); delete it and resume.")
+    damaged = f"'{file}' is damaged; delete it and resume."
+    facts, _ = read_json(file, damaged)
+    require(isinstance(facts, dict), damaged)
     return dict(facts)
