@@ -41,7 +41,7 @@ def require(condition: bool, message: str) -> None:
 def refusing(message: str) -> Iterator[None]:
     """Turn whatever a parser raises in the block into :class:`BadInput` with `message`, one sentence.
 
-    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it says nothing about the input.
+    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is no fault of the input.
 
     Examples
     --------

@@ -212,7 +212,7 @@ class SealedBox:
             raise Damaged from error
 
     def tag(self, names: bytes) -> bytes:
-        """Begin of the names' HMAC: says nothing without the key."""
+        """Begin of the names' HMAC: reveals nothing without the key."""
         return hmac.digest(self._tag_key, names, "sha256")[:TAG_BYTES]
 
     def leaf(self, row: bytes) -> int:

@@ -103,15 +103,19 @@ def read_npz(
             return {key: job.result() for key, job in jobs.items()}
 
 
-def map_npy(path: str | os.PathLike[str]) -> np.ndarray[Any, Any]:
+def map_npy(path: str | os.PathLike[str], damaged: str | None = None) -> np.ndarray[Any, Any]:
     """Map an ``.npy`` file into memory, read-only: it may be larger than the memory.
+
+    Parameters
+    ----------
+    damaged : the whole message where it is damaged; what to do about it
 
     Raises
     ------
     BadInput
         If the file is missing or damaged.
     """
-    damaged = f"'{os.fspath(path)}' is damaged or no .npy file of numbers; make it again."
+    damaged = damaged or f"'{os.fspath(path)}' is damaged or no .npy file of numbers; make it again."
     with open_file(path, 1 << 50) as (stream, size), refusing(damaged):
         dtype, shape, order, start = _header(stream, damaged)
         require(0 < size - start == dtype.itemsize * math.prod(shape), damaged)

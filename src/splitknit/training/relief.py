@@ -151,7 +151,7 @@ def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     }
 
 
-# What the relief's network is punished for.
+# Loss of the relief network.
 
 PARTS = ("relief", "slope", "likelihood", "glare")
 VARIANCE_LIMITS = (-6.0, 4.0)

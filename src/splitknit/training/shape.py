@@ -89,7 +89,7 @@ class ShapeTrainer(FieldsTrainer):
         return judge_whole(self.run, sample, self.settings.stride)
 
 
-# What the network that mends the shape is punished for, and how it is judged.
+# Loss of the shape network, and how it is evaluated.
 
 PARTS = ("slope", "wide")
 LEAST_SHARE = 0.05

@@ -143,11 +143,12 @@ def _store(out: Path, kind: str, index: int, data: DataSettings, seed: int) -> N
 def _load(out: Path, kind: str, index: int, data: DataSettings) -> Iterator[Photograph]:
     for view in range(data.views):
         name = out / "data" / f"{kind}_{index:07d}_{view:02d}"
-        with refusing(f"'{name}.npy' is damaged; delete it and its .json, and resume."):
+        damaged = f"'{name}.npy' is damaged; delete it and its .json, and resume."
+        with refusing(damaged):
             facts = parse_json(read_file(name.with_suffix(".json")), f"{name}.json")
             corners = np.asarray(facts.pop("corners"), dtype=np.int32).reshape(-1, 2)
             # read as it is needed: a data set may be larger than the memory
-            pixels = map_npy(name.with_suffix(".npy"))
+            pixels = map_npy(name.with_suffix(".npy"), damaged)
             low, high = corners.min(), corners.max(axis=0) + data.patch_px
             require(
                 bool(low >= 0 and (high <= pixels.shape[:2]).all()),

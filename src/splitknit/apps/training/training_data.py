@@ -61,12 +61,7 @@ def load_data(out: Path, kind: str, numbers: Sequence[int], fits: Callable[[tupl
         if "refused" in _facts(out, kind, number):
             continue
         file = _name(out, kind, number).with_suffix(".npy")
-        try:
-            sample = map_npy(file)
-        except BadInput as error:
-            raise BadInput(
-                f"'{file}' is damaged (no array of numbers); delete it and its .json, and resume."
-            ) from error
+        sample = map_npy(file, f"'{file}' is damaged (no array of numbers); delete it and its .json, and resume.")
         require(
             sample.dtype == np.float16 and fits(sample.shape),
             f"'{file}' is damaged (it holds {sample.dtype} of the shape {sample.shape}); delete it and its .json, and "
