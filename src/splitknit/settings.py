@@ -1,4 +1,4 @@
-"""Changing single fields of nested, frozen settings by name: ``stage.field = value``."""
+"""Settings: frozen dataclasses whose ranges stand on the field, and changes by name, ``stage.field = value``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,112 @@ import math
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from typing import Annotated, Any, TypeVar
 
 from splitknit.errors import BadInput, require
 
 Settings = TypeVar("Settings")
 _LONGEST_NAME, _LONGEST_TEXT = 100, 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Range of a field, declared on its type: ``Annotated[float, Limits(0, 1)]``.
+
+    It holds for a number, for every number of a tuple, and not for None; what is not finite lies in no range.
+    """
+
+    min: float = -math.inf
+    max: float = math.inf
+    above: bool = False
+    """Whether `min` itself is excluded."""
+
+    def hold(self, value: Any) -> bool:
+        """Whether a value, or every part of a tuple, lies in the range."""
+        if isinstance(value, tuple):
+            return all(self.hold(part) for part in value)
+        if value is None:
+            return True
+        low = value > self.min if self.above else value >= self.min
+        return bool(low and value <= self.max and math.isfinite(value))
+
+    def __str__(self) -> str:
+        if math.isinf(self.max):
+            if self.min == 0:
+                return "positive" if self.above else "zero or more"
+            return f"{'above' if self.above else 'at least'} {self.min:g}"
+        if math.isinf(self.min):
+            return f"at most {self.max:g}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {self.max:g}"
+
+
+class Checked:
+    """Base of settings dataclasses: what the fields' types declare (:class:`Limits`, ``Literal``) is checked.
+
+    A class whose messages need another group's name than its own in snake case (``MaskSettings``: ``mask``) says so by
+    ``_group = "name"``; one with rules between fields writes its own ``__post_init__``, which begins with
+    ``check_fields(self)``.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, slots=True)
+    ... class BlurSettings(Checked):
+    ...     sigma_mm: Annotated[float, Limits(0, 4)] = 1.0
+    >>> BlurSettings(sigma_mm=5.0)
+    Traceback (most recent call last):
+    splitknit.errors.BadInput: blur.sigma_mm must be from 0 to 4, but it is 5.0.
+    """
+
+    __slots__ = ()
+    _group = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def check_fields(settings: Checked) -> None:
+    """Check every field of a settings dataclass against the range or the choices that its type declares.
+
+    Raises
+    ------
+    BadInput
+        Which field, what was expected, and what came.
+    """
+    kind: type[Any] = type(settings)
+    for name, rule in _rules(kind):
+        value = getattr(settings, name)
+        if isinstance(rule, Limits):
+            sound, wanted = rule.hold(value), str(rule)
+        else:
+            wanted = "one of " + ", ".join(str(choice) for choice in rule)
+            sound = value in rule
+        if not sound:
+            raise BadInput(f"{_group(kind)}{name} must be {wanted}, but it is {_shown(value)}.")
+
+
+def _group(kind: type[Checked]) -> str:
+    own = kind._group or "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:]
+    return own.removesuffix("_settings") + "."
+
+
+@cache
+def _rules(kind: type[Any]) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
+    """Fields of a class whose types declare a range or choices."""
+    found: list[tuple[str, Limits | tuple[Any, ...]]] = []
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        if typing.get_origin(hint) is Annotated:
+            found += [(name, item) for item in hint.__metadata__ if isinstance(item, Limits)]
+        elif typing.get_origin(hint) is typing.Literal:
+            found.append((name, typing.get_args(hint)))
+    return tuple(found)
+
+
+def _shown(value: Any) -> str:
+    shown = ascii(value)
+    return shown if len(shown) <= 100 else shown[:97] + "..."
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -82,11 +181,8 @@ def _converted(value: Any, expected: Any, name: str) -> Any:
         done, result = _as_type(value, option)
         if done:
             return result
-    shown = ascii(value)
     wanted = " or ".join(_type_name(option) for option in options)
-    raise BadInput(
-        f"setting '{name}' must be {wanted}, but it is {shown if len(shown) <= 100 else shown[:97] + '...'}."
-    )
+    raise BadInput(f"setting '{name}' must be {wanted}, but it is {_shown(value)}.")
 
 
 def _options(expected: Any) -> list[Any]:
