@@ -6,7 +6,7 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import Annotated, Any, TypeVar
@@ -81,8 +81,8 @@ def check_fields(settings: Checked) -> None:
     BadInput
         Which field, what was expected, and what came.
     """
-    kind: type[Any] = type(settings)
-    for name, rule in _rules(kind):
+    kind = type(settings)
+    for name, rule in _rules(typing.cast(Hashable, kind)):
         value = getattr(settings, name)
         if isinstance(rule, Limits):
             sound, wanted = rule.hold(value), str(rule)
@@ -99,7 +99,7 @@ def _group(kind: type[Checked]) -> str:
 
 
 @cache
-def _rules(kind: type[Any]) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
+def _rules(kind: Any) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
     """Fields of a class whose types declare a range or choices."""
     found: list[tuple[str, Limits | tuple[Any, ...]]] = []
     for name, hint in typing.get_type_hints(kind, include_extras=True).items():
