@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 
 from splitknit.mirrors import mirror_shape, view_binning
+from splitknit.mirrors.captured import views_in
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.mirrors import views_in
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
 from splitknit.simulator.mirror_parts import mirror_rig
@@ -78,7 +78,7 @@ def bench(image: np.ndarray, rig: Any, names: tuple[str, ...], rounds: int) -> d
     def views() -> Any:
         size = (image.shape[1] // binning, image.shape[0] // binning)
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        return views_in(small, rig.camera, mirrors, binning, settings)
+        return views_in(small, rig.camera, mirrors, binning, settings.mask, settings.shape.mirror)
 
     found, first = timed(views, rounds)
     shape, second = timed(lambda: mirror_shape(found, rig.camera, mirrors), rounds)

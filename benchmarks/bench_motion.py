@@ -17,11 +17,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from splitknit.finger.locate import find_finger
+from splitknit.finger.steady import register, resampled
 from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.steady import register, resampled
-from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
 from splitknit.simulator.motion import HandMotion
 from splitknit.simulator.twin import TwinSettings, simulate_capture
@@ -78,11 +77,11 @@ def main() -> None:
     twin = TwinSettings(scale=small, motion=HandMotion(amplitude_mm=0.5))
     capture = enlarged(simulate_capture(3, None, twin)[0], 3.0)
     on = override(preset_settings("metric"), {"motion.correct": "on"})
-    finger = find_finger(capture, on, Stopwatch())
+    finger = find_finger(capture, on)
     registered = register(capture, finger, on)
     times = {
         "finding the finger (once for a still one, twice for one that moved)": timed(
-            lambda: find_finger(capture, on, Stopwatch()), options.rounds
+            lambda: find_finger(capture, on), options.rounds
         ),
         "registration": timed(lambda: register(capture, finger, on), options.rounds),
         "resampling": timed(lambda: resampled(capture, finger, registered), options.rounds),

@@ -20,7 +20,9 @@ from splitknit.io import write_image
 from splitknit.matching import ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import Minutiae
-from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
+from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.model import surface_of
+from splitknit.prints.ridges import surface_print
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 

@@ -19,7 +19,7 @@ from splitknit.apps.compare import compare
 from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import upright_frame
 from splitknit.io import write_image
-from splitknit.recipe.presets import PRESETS
+from splitknit.presets import PRESETS
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

@@ -17,8 +17,9 @@ import numpy as np
 import splitknit
 from splitknit.apps.compare import compare
 from splitknit.io import write_image
-from splitknit.recipe.matchable import surface_of, surface_print
-from splitknit.recipe.presets import PRESETS
+from splitknit.model import surface_of
+from splitknit.presets import PRESETS
+from splitknit.prints.ridges import surface_print
 from splitknit.simulator.motion import HandMotion
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

@@ -13,11 +13,11 @@ from small_capture import edit
 from splitknit.apps.cli import main
 from splitknit.errors import BadInput
 from splitknit.imaging import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
+from splitknit.imaging.coloured import COMPOSED, balanced, colour_factors, composed
 from splitknit.io import read_capture, read_rig, write_capture, write_rig
 from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import PRESETS, reconstruct
-from splitknit.recipe.coloured import COMPOSED, balanced, colour_factors, composed
-from splitknit.recipe.settings_document import LATER, settings_document
+from splitknit.presets import settings_document
 from splitknit.settings import override
 from splitknit.simulator.coloured import CROSSTALK, coloured_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
@@ -218,13 +218,10 @@ def test_balanced_images_fit_a_matt_surface_better(twin: Capture) -> None:
     assert left[1] < 0.5 * left[0]
 
 
-def test_documents_of_earlier_cases_stay_what_they_were() -> None:
-    document = settings_document(PRESETS["ea"])
-    assert "lights" not in document
-    assert "lights" in settings_document(PRESETS["lin"])
+def test_settings_of_coloured_leds_are_in_every_document() -> None:
+    assert settings_document(PRESETS["ea"])["lights"] == {"compose": 0, "balance": False}
+    assert settings_document(PRESETS["lin"])["lights"] == {"compose": 2, "balance": True}
     assert settings_document(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
-    for name in LATER:
-        assert name.count(".") <= 1
 
 
 def test_simulate_takes_coloured_lights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from kinds import turned
+from splitknit import pipeline
 from splitknit.apps.compare import compare
 from splitknit.apps.outputs import upright_mesh
 from splitknit.errors import BadInput
@@ -18,12 +19,11 @@ from splitknit.imaging.view import pixel_axes_mm
 from splitknit.io import read_capture, read_npz
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
-from splitknit.recipe import surfaces
-from splitknit.recipe.memory import Memory
-from splitknit.recipe.settings_document import settings_document
+from splitknit.presets import settings_document
 from splitknit.settings import flatten
 from splitknit.simulator.finger import Pose
 from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.steps import Memory
 
 Truth = dict[str, np.ndarray]
 
@@ -247,8 +247,8 @@ def test_cases_that_share_a_memory_are_what_they_are_alone(
     capture: Capture, results: dict[str, Reconstruction], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[int] = []
-    network = surfaces.direct_light
-    monkeypatch.setattr(surfaces, "direct_light", lambda *given: (asked.append(1), network(*given))[1])
+    network = pipeline.direct_light
+    monkeypatch.setattr(pipeline, "direct_light", lambda *given: (asked.append(1), network(*given))[1])
     memory = Memory(capture)
     for preset, alone in results.items():
         shared = reconstruct(capture, preset, memory=memory)

@@ -12,15 +12,14 @@ from splitknit import reconstruct
 from splitknit.apps.cli import main
 from splitknit.apps.compare import compare
 from splitknit.errors import BadInput
+from splitknit.finger.steady import find_steady_finger
 from splitknit.io import write_capture
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.memory import Memory
-from splitknit.recipe.steady import find_steady_finger
-from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.motion import HandMotion
 from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.steps import Memory
 
 OFF = {"motion.correct": "off"}
 
@@ -42,7 +41,7 @@ def undone(moved):
 
 def steadied(capture, **changes):
     settings = override(preset_settings("ea"), {f"motion.{name}": value for name, value in changes.items()})
-    return find_steady_finger(capture, settings, Stopwatch())
+    return find_steady_finger(capture, settings)
 
 
 def correlation(result, truth):

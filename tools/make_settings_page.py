@@ -25,8 +25,8 @@ from splitknit.apps.printing_folder import PrintingSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.matching.search import SearchSettings
+from splitknit.matching.surface import MatchingSettings
 from splitknit.pipeline import PRESETS
-from splitknit.recipe.matchable import MatchingSettings
 from splitknit.rig.circuit import CircuitSettings
 from splitknit.rig.part_settings import PartSettings
 from splitknit.simulator.device import TwinDeviceSettings

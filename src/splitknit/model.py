@@ -373,3 +373,29 @@ class Reconstruction:
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, float] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The part of a reconstruction that prints and matching need."""
+
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    normals: FloatArray
+    mask: BoolArray
+    pitch_mm: float
+    input_from_upright: NDArray[np.float64]
+    upright_size: tuple[int, int]
+
+
+def surface_of(result: Reconstruction) -> Surface:
+    """Part of a reconstruction that matching needs."""
+    return Surface(
+        result.ridge_mm,
+        result.shape_mm,
+        result.normals,
+        result.mask,
+        result.pitch_mm,
+        result.input_from_upright,
+        result.upright_size,
+    )

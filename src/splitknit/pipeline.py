@@ -1,55 +1,58 @@
-"""From a capture to a metric fingerprint: one line a stage, and the presets.
+"""The algorithm: from a capture to a metric fingerprint, one named step a line.
 
-`ea`, `pr` and `snk` are the thesis's three cases; `metric` is the default. Every choice is a field of a frozen settings
-dataclass, so that an experiment changes one thing at a time.
+:func:`split_and_knit` is the thesis's algorithm (chapter 3), :func:`metric` the default method of this package, and
+:func:`reconstruct` takes the one that a preset names. Time, progress and results that several cases share wrap the
+steps from outside (:mod:`splitknit.steps`); every choice is a field of the settings (:mod:`splitknit.presets`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
-from splitknit.errors import BadInput, require
-from splitknit.model import Capture, Reconstruction
-from splitknit.recipe.coloured import as_lit
-from splitknit.recipe.finger import finger_key
-from splitknit.recipe.memory import Memory
-from splitknit.recipe.mirrors import on_mirror_shape, seen_in_mirrors
-from splitknit.recipe.presets import PRESETS, PipelineSettings
-from splitknit.recipe.rays import as_modelled
-from splitknit.recipe.result import assemble
-from splitknit.recipe.settings_document import settings_document
-from splitknit.recipe.skin import metric_skin
-from splitknit.recipe.steady import find_steady_finger
-from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.recipe.surfaces import metric_opaque, thesis
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import steps
+from splitknit.errors import require
+from splitknit.finger.contrast import clahe
+from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
+from splitknit.finger.steady import find_steady_finger
+from splitknit.imaging.band import has_colour, linear_channels, linear_stack
+from splitknit.imaging.coloured import LightsSettings, balanced
+from splitknit.imaging.geometry import gradients_from_normals, smoothed
+from splitknit.imaging.view import view_of
+from splitknit.integration.frankot_chellappa import frankot_chellappa
+from splitknit.integration.knit import add, crossover
+from splitknit.integration.poisson import poisson
+from splitknit.integration.rays import place
+from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
+from splitknit.model import Band, Capture, FloatArray, Reconstruction, Rig
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.near_light import NearLightSettings, near_light
+from splitknit.photometric.robust import robust
+from splitknit.presets import (
+    PRESETS,
+    DirectSettings,
+    EnhanceSettings,
+    NormalsSettings,
+    PipelineSettings,
+    preset_settings,
+    settings_document,
+)
+from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
+from splitknit.skin.images import HOW, working_images
+from splitknit.skin.surface import reconstruct_skin
+from splitknit.steps import Memory, shared, step
 
-__all__ = ["PRESETS", "PipelineSettings", "preset_settings", "reconstruct"]
+__all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings", "reconstruct", "split_and_knit"]
 
-
-def preset_settings(preset: str) -> PipelineSettings:
-    """Settings of a preset.
-
-    Parameters
-    ----------
-    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``kumar``, ``zheng``, ``lin`` or ``xie``
-
-    Returns
-    -------
-    PipelineSettings
-        Frozen; :func:`splitknit.settings.override` gives changed ones.
-
-    Raises
-    ------
-    BadInput
-        If there is no such preset.
-    """
-    if preset not in PRESETS:
-        raise BadInput(f"there is no preset '{preset}'; known are {', '.join(PRESETS)}.")
-    return PRESETS[preset]
+Slopes = tuple[FloatArray, FloatArray]
+"""dz/dx and dz/dy (h, w), y up."""
+NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
 
 
 def reconstruct(
@@ -69,7 +72,7 @@ def reconstruct(
     preset : a name of :data:`PRESETS`
     settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
         Changes to the preset.
-    progress : called with the name of the stage and the share done, optional
+    progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.
 
@@ -91,39 +94,366 @@ def reconstruct(
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
-    capture, notes = as_lit(as_modelled(capture, chosen), chosen)
-    watch = Stopwatch(progress)
-    capture, finger = memory(finger_key(chosen), partial(find_steady_finger, capture, chosen, watch))
-    mirrors = None
-    if chosen.shape.source == "mirror":
-        with watch("finger"):
-            mirrors = seen_in_mirrors(capture, chosen)
-    if chosen.method == "thesis":
-        surface = thesis(capture, finger, chosen, watch, memory)
-    elif undoes_blur(capture, chosen):
-        require(
-            not capture.bands["white"].colours,
-            "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea "
-            "or another of the published cases.",
-        )
-        surface = metric_skin(capture, finger, chosen, watch)
-    else:
-        surface = metric_opaque(capture, finger, chosen, watch)
-    if mirrors is not None:
-        finger, surface = on_mirror_shape(finger, surface, mirrors, chosen)
-    with watch("result"):
-        result = assemble(capture, finger, surface, chosen)
+    algorithm = split_and_knit if chosen.method == "thesis" else metric
+    with steps.running(progress, memory) as seconds:
+        result = algorithm(capture, chosen)
     return replace(
-        result,
-        preset=preset,
-        settings=settings_document(chosen),
-        hashes=capture.hashes,
-        warnings=(*notes, *finger.warnings, *surface.warnings),
-        timings_s=watch.seconds,
+        result, preset=preset, settings=settings_document(chosen), hashes=capture.hashes, timings_s=dict(seconds)
     )
+
+
+def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstruction:
+    """Split and Knit: relief from white light, shape from near-infrared light, and both in one surface.
+
+    References
+    ----------
+    The thesis, chapter 3; its cases EA and PR (section 5.4) knit nothing and keep the visible surface whole.
+    """
+    capture, finger = locate_finger(capture, settings.finding())
+    mirrors = views_in_mirrors(capture, settings)
+    white, nir, warnings = bands_of(capture, settings)
+
+    # Split: direct visible light shows the ridges, near-infrared light the shape beneath them.
+    seen_by = settings.lights, settings.enhance, settings.direct, settings.normals
+    slopes, albedo = visible_slopes(capture, white, finger, *seen_by)
+    ridge_mm = ridge_relief(slopes, finger, capture, settings)
+    if settings.knit.method == "none":
+        height_mm = integrate(slopes, finger, capture, settings)
+        shape_mm = height_mm - ridge_mm
+    else:
+        below = shape_slopes(capture, nir, finger, settings.enhance, settings.normals)
+        shape_mm = integrate(below, finger, capture, settings)
+        # Knit: the sum of both.
+        height_mm, ridge_mm = knit(ridge_mm, shape_mm, slopes, finger, capture, settings)
+    if settings.smooth.sigma_mm > 0:
+        height_mm, ridge_mm, shape_mm = smooth(height_mm, ridge_mm, finger, capture, settings)
+
+    facts = {"shape_source": "white" if nir is white else "nir", "separation": separation_of(capture, settings)}
+    surface = Surface(height_mm, ridge_mm, shape_mm, albedo, None, facts, warnings)
+    return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
+
+
+def metric(capture: Capture, settings: PipelineSettings) -> Reconstruction:
+    """The `metric` method: near lights; on skin, scattering and specular light undone by analysis and synthesis.
+
+    A current surface predicts what photometric stereo would find on it behind the skin's blur; the difference from what
+    it did find corrects the surface (:func:`splitknit.skin.surface.reconstruct_skin`). Opaque things need no such
+    model: near lights with robust weights, masked integration, and a crossover of the bands.
+    """
+    capture, finger = locate_finger(capture, settings.finding())
+    mirrors = views_in_mirrors(capture, settings)
+    white, nir, warnings = bands_of(capture, settings)
+    shape_source = "white" if nir is white else "nir"
+
+    if undoes_blur(capture, settings):
+        refuse_coloured_leds(white)
+        bands = (white,) if nir is white else (white, nir)
+        images = linear_images(capture, bands, finger.window, finger.inside, settings.metric)
+        skin = skin_surface(images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks)
+        shape_mm, ridge_mm = images.on_pixels(skin.shape_mm), images.on_pixels(skin.relief_mm)
+        deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
+        facts = {"shape_source": shape_source, "separation": HOW[skin.facts["relief_by"]], "optics": skin.facts}
+        albedo, warnings = images.on_pixels(skin.albedo), (*warnings, *images.warnings)
+        surface = Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, warnings)
+    else:
+        slopes, albedo = near_slopes(capture, white, finger, settings)
+        height_mm = integrate(slopes, finger, capture, settings)
+        ridge_mm = ridge_relief(slopes, finger, capture, settings)
+        if nir is not white:
+            below, _ = near_slopes(capture, nir, finger, settings)
+            shape_mm = integrate(below, finger, capture, settings)
+            height_mm = crossover(height_mm, shape_mm, ridge_response(capture, settings), finger.inside)
+        facts = {"shape_source": shape_source, "separation": "none (opaque material)"}
+        surface = Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, warnings)
+    return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
+
+
+# The steps. Arrays (h, w) lie on the finger's window; heights are in mm and finite inside the mask.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A surface in the finger's window, finite inside the mask."""
+
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    albedo: FloatArray
+    uncertainty_um: FloatArray | None
+    facts: Mapping[str, Any]
+    warnings: tuple[str, ...]
+
+
+@shared
+@step("finger")
+def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
+    """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
+    lit, notes = prepared_capture(capture, settings)
+    steady, finger = find_steady_finger(lit, settings)
+    return steady, replace(finger, warnings=(*notes, *finger.warnings))
+
+
+def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
+    """The band of the ridges, that of the shape, and a warning where they are one by necessity."""
+    white = capture.bands["white"]
+    whole = settings.method == "thesis" and settings.knit.method == "none"
+    if settings.shape.source != "nir" or whole:
+        return white, white, ()
+    if "nir" not in capture.bands:
+        skin = capture.material == "skin"
+        return white, white, (NO_NIR.format("ridges, scattering and glare" if skin else "ridges and glare"),)
+    return white, capture.bands["nir"], ()
+
+
+@shared
+def visible_slopes(  # noqa: PLR0917
+    capture: Capture,
+    white: Band,
+    finger: Finger,
+    lights: LightsSettings,
+    enhance: EnhanceSettings,
+    direct: DirectSettings,
+    photometric: NormalsSettings,
+) -> tuple[Slopes, FloatArray]:
+    """Slopes and albedo from the direct visible light (thesis, section 3.3.1): contrast, separation, normals."""
+    images = grey_images(capture, white, finger)
+    if lights.balance and white.colours:
+        images = balanced(images, capture.rig, white, finger.mask[finger.window])
+    if enhance.clahe:
+        images = equalised(images, finger, capture, enhance)
+    if direct.method == "network" and capture.material == "skin":  # what does not scatter has direct light alone
+        images = direct_images(images, capture, white, finger, direct)
+    normals, albedo = distant_normals(images, capture.rig.select(white.lights), finger, enhance, photometric)
+    return slopes_of(normals, finger, capture, photometric), albedo
+
+
+@shared
+def shape_slopes(
+    capture: Capture, nir: Band, finger: Finger, enhance: EnhanceSettings, photometric: NormalsSettings
+) -> Slopes:
+    """Slopes from the band of the shape (thesis, section 3.3.2)."""
+    images = grey_images(capture, nir, finger)
+    normals, _ = distant_normals(images, capture.rig.select(nir.leds), finger, enhance, photometric)
+    return slopes_of(normals, finger, capture, photometric)
+
+
+@step("light")
+def grey_images(capture: Capture, band: Band, finger: Finger) -> FloatArray:
+    """(L, h, w) linear grey images."""
+    return np.maximum(linear_stack(band, capture.encoding, "grey", finger.window), np.float32(0.0))
+
+
+@step("light")
+def equalised(images: FloatArray, finger: Finger, capture: Capture, enhance: EnhanceSettings) -> FloatArray:
+    """Contrast-limited adaptive histogram equalisation of every image."""
+    px_per_mm = capture.rig.camera.px_per_mm
+    return np.stack([clahe(image, px_per_mm, enhance.cells, mask=finger.inside) for image in images])
+
+
+@step("light")
+def direct_images(
+    images: FloatArray, capture: Capture, white: Band, finger: Finger, direct: DirectSettings
+) -> FloatArray:
+    """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
+    inside = images * finger.inside
+    if not (direct.from_colours and has_colour(white)):
+        return direct_light(inside, direct.network)
+    channels = linear_channels(white, capture.encoding, ("red", "green", "blue"), finger.window)
+    colours = np.moveaxis(channels, 0, 1)
+    return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
+
+
+@step("normals")
+def distant_normals(
+    images: FloatArray, rig: Rig, finger: Finger, enhance: EnhanceSettings, photometric: NormalsSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Normals (h, w, 3) and albedo by photometric stereo under distant lights."""
+    lights, mask = rig.light_vectors(), finger.inside
+    if enhance.clahe:  # equalised images have no common scale of brightness
+        lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    if photometric.method == "robust":
+        return robust(images, lights, mask, photometric.robust)
+    if photometric.method == "hanrahan_krueger":
+        normals, albedo, _ = hanrahan_krueger(images, lights, mask, photometric.hanrahan_krueger)
+        return normals, albedo
+    return lambertian(images, lights, mask)
+
+
+@step("normals")
+def slopes_of(normals: FloatArray, finger: Finger, capture: Capture, photometric: NormalsSettings) -> Slopes:
+    """Slopes of normals of the rig's frame, in the frames of the pixels' rays."""
+    view = view_of(capture.rig.camera, *finger.window, along_rays=True)
+    own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
+    return gradients_from_normals(own, finger.inside, photometric.max_slope)
+
+
+def near_slopes(capture: Capture, band: Band, finger: Finger, settings: PipelineSettings) -> tuple[Slopes, FloatArray]:
+    """Slopes and albedo of one band of an opaque thing: near lights and the surface that they reach, in turns."""
+    images = step("light")(linear_stack)(band, capture.encoding, "grey", finger.window)
+    rig, photometric = capture.rig.select(band.lights), settings.normals
+    if photometric.method != "near_light":
+        normals, albedo = distant_normals(images, rig, finger, settings.enhance, photometric)
+        return slopes_of(normals, finger, capture, photometric), albedo
+    view = view_of(capture.rig.camera, *finger.window, along_rays=True)
+    near = NearLightSettings(robust=photometric.robust)
+    surface: FloatArray | float = settings.metric.plane_mm
+    distant = all(led.position_mm is None for led in rig.leds)
+    for turn in range(rounds := 1 if distant else photometric.rounds):
+        normals, albedo = step("normals")(near_light)(images, rig, surface, finger.inside, settings=near, view=view)
+        slopes = gradients_from_normals(normals, finger.inside, photometric.max_slope)
+        if turn < rounds - 1:
+            height = integrate(slopes, finger, capture, settings)
+            surface = (height + np.float32(settings.metric.plane_mm)).astype(np.float32)
+    return slopes, albedo
+
+
+@step("surface")
+def integrate(slopes: Slopes, finger: Finger, capture: Capture, settings: PipelineSettings) -> FloatArray:
+    """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
+    pitch = np.float32(capture.rig.camera.pitch_mm)
+    if settings.height.method == "frankot_chellappa":
+        return frankot_chellappa(*slopes, finger.inside, settings.height.padding) * pitch
+    steepness = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
+    return poisson(*slopes, finger.inside, steepness, settings.height.poisson) * pitch
+
+
+@step("surface")
+def ridge_relief(slopes: Slopes, finger: Finger, capture: Capture, settings: PipelineSettings) -> FloatArray:
+    """(h, w) relief in mm that a bank of shapelets finds in slopes (thesis, section 3.3.1.3)."""
+    return shapelets(*slopes, finger.inside, _bank(capture, settings)) * np.float32(capture.rig.camera.pitch_mm)
+
+
+@step("surface")
+def knit(  # noqa: PLR0917
+    ridge_mm: FloatArray,
+    shape_mm: FloatArray,
+    slopes: Slopes,
+    finger: Finger,
+    capture: Capture,
+    settings: PipelineSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """Height and relief of both parts in one surface (thesis, section 3.3.3), or by a crossover of frequencies."""
+    if settings.knit.method == "addition":
+        return add(ridge_mm, shape_mm, finger.inside), ridge_mm
+    visible = integrate(slopes, finger, capture, settings)
+    height_mm = crossover(visible, shape_mm, ridge_response(capture, settings), finger.inside)
+    return height_mm, height_mm - shape_mm
+
+
+def ridge_response(capture: Capture, settings: PipelineSettings) -> Callable[[NDArray[np.float64]], Any]:
+    """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover keeps all detail."""
+    bank = _bank(capture, settings)
+    return lambda omega: shapelet_response(np.minimum(omega, np.sqrt(2.0) / bank.sigma_px), bank)
+
+
+def _bank(capture: Capture, settings: PipelineSettings) -> ShapeletSettings:
+    """The shapelets at the capture's scale; the thesis gives them in its own pixels."""
+    scale = capture.rig.camera.px_per_mm / REFERENCE_PX_PER_MM
+    return replace(settings.shapelets, sigma_px=settings.shapelets.sigma_px * scale)
+
+
+@step("surface")
+def smooth(
+    height_mm: FloatArray, ridge_mm: FloatArray, finger: Finger, capture: Capture, settings: PipelineSettings
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Height, relief and shape after a Gaussian over the finished surface (Kumar's case)."""
+    sigma_px = settings.smooth.sigma_mm * capture.rig.camera.px_per_mm
+    height_mm, ridge_mm = (smoothed(part, finger.inside, sigma_px) for part in (height_mm, ridge_mm))
+    return height_mm, ridge_mm, height_mm - ridge_mm
+
+
+linear_images = step("light")(working_images)
+skin_surface = step("surface")(reconstruct_skin)
+
+
+def _report_surface(fraction: float) -> None:
+    steps.report("surface", fraction)
 
 
 def undoes_blur(capture: Capture, settings: PipelineSettings) -> bool:
     """Whether subsurface scattering is undone: as the settings say, else where the capture's material is skin."""
     wanted = settings.skin.invert_blur
     return capture.material == "skin" if wanted is None else wanted
+
+
+def refuse_coloured_leds(white: Band) -> None:
+    """Refuse a band of coloured LEDs, whose light the skin blurs differently."""
+    require(
+        not white.colours,
+        "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea "
+        "or another of the published cases.",
+    )
+
+
+def separation_of(capture: Capture, settings: PipelineSettings) -> str:
+    """How direct light was separated in the thesis's cases."""
+    if settings.direct.method != "network":
+        return "none"
+    if capture.material != "skin":
+        return "none (opaque material: all light is direct)"
+    return f"direct light by the network '{settings.direct.network}'"
+
+
+@step("finger")
+def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> Any:
+    """What mirrors beside the finger show, where the shape comes from them; else None."""
+    if settings.shape.source != "mirror":
+        return None
+    from splitknit.mirrors.captured import seen_in_mirrors  # noqa: PLC0415 - large, and needed where there are mirrors
+
+    require(
+        settings.method != "thesis" or settings.knit.method != "none",
+        "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
+        "metric or snk.",
+    )
+    return seen_in_mirrors(capture, settings.mask, settings.shape.mirror)
+
+
+def with_mirror_shape(
+    finger: Finger, surface: Surface, mirrors: Any, settings: PipelineSettings
+) -> tuple[Finger, Surface]:
+    """The surface on the shape from mirrors, and the finger as far as the mirrors show it; unchanged without them."""
+    if mirrors is None:
+        return finger, surface
+    from splitknit.mirrors.captured import mirror_shape_of  # noqa: PLC0415
+
+    detail = None if settings.method == "thesis" else surface.shape_mm
+    shape_mm, mask, facts = mirror_shape_of(finger, mirrors, settings.shape.mirror, detail)
+    return replace(finger, mask=mask), replace(
+        surface, height_mm=shape_mm + surface.ridge_mm, shape_mm=shape_mm, facts={**surface.facts, **facts}
+    )
+
+
+@step("result")
+def finished(capture: Capture, finger: Finger, surface: Surface, settings: PipelineSettings) -> Reconstruction:
+    """The window's surface in the full image, cut to the mask, with the normals of the knitted height."""
+    mask, window, camera = finger.mask, finger.window, capture.rig.camera
+    inside = mask[window]
+    done = place(surface.height_mm, surface.shape_mm, inside, camera, window, settings.top_mm)
+
+    def whole(part: FloatArray) -> FloatArray:
+        image = np.full(mask.shape, np.nan, dtype=np.float32)
+        image[window] = np.where(inside, part, np.float32(np.nan))
+        return image
+
+    parallel = done.x_mm is None or done.y_mm is None
+    normals = np.zeros((*mask.shape, 3), dtype=np.float32)
+    normals[window] = done.normals
+    return Reconstruction(
+        height_mm=whole(done.height_mm),
+        ridge_mm=whole(surface.ridge_mm if parallel else done.height_mm - done.shape_mm),
+        shape_mm=whole(done.shape_mm),
+        mask=mask,
+        normals=normals,
+        albedo=whole(surface.albedo),
+        pitch_mm=camera.pitch_mm,
+        x_mm=None if done.x_mm is None else whole(done.x_mm),
+        y_mm=None if done.y_mm is None else whole(done.y_mm),
+        input_from_upright=finger.upright.input_from_upright,
+        upright_size=finger.upright.size,
+        preset="",
+        uncertainty_um=None if surface.uncertainty_um is None else whole(surface.uncertainty_um),
+        quality=finger.quality,
+        facts={**finger.facts, **surface.facts},
+        warnings=(*finger.warnings, *surface.warnings),
+    )

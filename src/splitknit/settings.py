@@ -9,7 +9,7 @@ import typing
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from splitknit.errors import BadInput, require
 
@@ -51,8 +51,8 @@ class Limits:
 class Checked:
     """Base of settings dataclasses: what the fields' types declare (:class:`Limits`, ``Literal``) is checked.
 
-    A class whose messages need another group's name than its own in snake case (``MaskSettings``: ``mask``) says so by
-    ``_group = "name"``; one with rules between fields writes its own ``__post_init__``, which begins with
+    Messages name a class by its own name in snake case (``MaskSettings``: ``mask``), or by its ``_group``; an empty one
+    names none. A class with rules between fields writes its own ``__post_init__``, which begins with
     ``check_fields(self)``.
 
     Examples
@@ -67,7 +67,7 @@ class Checked:
     """
 
     __slots__ = ()
-    _group = ""
+    _group: ClassVar[str | None] = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -94,8 +94,9 @@ def check_fields(settings: Checked) -> None:
 
 
 def _group(kind: type[Checked]) -> str:
-    own = kind._group or "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:]
-    return own.removesuffix("_settings") + "."
+    if kind._group is not None:
+        return kind._group and kind._group + "."
+    return "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix("_settings") + "."
 
 
 @cache

@@ -17,7 +17,7 @@ from splitknit.io.minutiae3d import read_minutiae3d
 from splitknit.io.ply import read_ply
 from splitknit.model import Capture
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipe"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "mirrors"))
 import rolled_scene as scene
 
 sys.path.pop(0)
@@ -45,7 +45,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
     views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
-    monkeypatch.setattr("splitknit.recipe.rolled_capture.find_mirror_views", lambda *_: views)
+    monkeypatch.setattr("splitknit.mirrors.rolled.views.find_mirror_views", lambda *_: views)
     out = tmp_path / "out"
     arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), *QUICK, "--json"]
     assert main(["print", *arguments]) == 0

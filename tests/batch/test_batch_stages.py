@@ -18,9 +18,10 @@ from splitknit.errors import BadInput
 from splitknit.io import read_capture, read_print_png
 from splitknit.io.scores import read_scores
 from splitknit.matching import TemplateSettings, ThesisSettings, pack, ridge_match, thesis_match, unpack
+from splitknit.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.prints import relief_print
-from splitknit.recipe.matchable import MatchingSettings, surface_images, surface_of, surface_template
 
 RIDGE = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",))
 

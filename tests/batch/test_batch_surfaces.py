@@ -12,7 +12,7 @@ import pytest
 from splitknit.batch.surfaces import pack_surface, unpack_surface
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.recipe.matchable import Surface
+from splitknit.model import Surface
 
 
 def surface() -> tuple[Surface, np.ndarray]:

@@ -13,11 +13,11 @@ from splitknit.batch.population import read_population
 from splitknit.batch.store import open_store
 from splitknit.errors import BadInput
 from splitknit.io import read_capture
+from splitknit.matching.leave_one_out import LeaveOneOutSettings, voted_minutiae
 from splitknit.matching.minutiae_record import pack_minutiae
+from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.voted_minutiae import VoteSettings
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.leave_one_out import LeaveOneOutSettings, voted_minutiae
-from splitknit.recipe.matchable import MatchingSettings
 
 MATCHING = MatchingSettings(
     leave_one_out=LeaveOneOutSettings(pictures=("albedo",)), voted=VoteSettings(least_share=0.3)

@@ -8,8 +8,8 @@ import pytest
 from splitknit.calibration.drift import DriftSettings, drift_words, led_drift
 from splitknit.errors import BadInput
 from splitknit.imaging import linear_stack
+from splitknit.imaging.light_field import light_field
 from splitknit.model import Rig
-from splitknit.photometric.light_field import light_field
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from splitknit.finger import MaskSettings
 from splitknit.io.images import read_image
+from splitknit.mirrors import MirrorShapeSettings
+from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
-from splitknit.pipeline import preset_settings
-from splitknit.recipe.mirrors import SeenInMirrors, seen_in_mirrors
-from splitknit.settings import override
 
 pytestmark = pytest.mark.external
 
@@ -61,7 +61,7 @@ def capture(data_dir: Path) -> Capture:
 
 @pytest.fixture(scope="module")
 def seen(capture: Capture) -> SeenInMirrors:
-    return seen_in_mirrors(capture, preset_settings("metric"))
+    return seen_in_mirrors(capture, MaskSettings(), MirrorShapeSettings())
 
 
 def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarray:
@@ -113,8 +113,6 @@ def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenI
 
 def test_one_mirror_is_enough(capture: Capture) -> None:
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
-    alone = seen_in_mirrors(
-        replace(capture, rig=rig), override(preset_settings("metric"), {"shape.mirror.slopes": False})
-    )
+    alone = seen_in_mirrors(replace(capture, rig=rig), MaskSettings(), MirrorShapeSettings(slopes=False))
     assert alone.shape.facts["mirrors"] == ["left"]
     assert alone.shape.facts["outline_rms_mm"]["left"] < 0.1

@@ -111,11 +111,11 @@ from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.matchable import MatchingSettings, Surface
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.optimise import SweepFolder
 from splitknit.rig.stl import read_stl, write_stl

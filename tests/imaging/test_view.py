@@ -8,8 +8,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients
 from splitknit.imaging.view import pixels_of, plane_points, view_of
+from splitknit.integration.rays import place
 from splitknit.model import Camera
-from splitknit.recipe.rays import place
 
 SIZE = (180, 240)
 LENS = (-0.15, 0.02, 0.001, -0.0015, 0.0)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors import find_views, mirror_outline, view_binning, without_mirrors
+from splitknit.imaging.areas import mirror_outline, without_mirrors
+from splitknit.mirrors import find_views, view_binning
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 
 CAMERA = Camera(5.0, (300, 460))

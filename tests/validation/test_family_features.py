@@ -12,7 +12,7 @@ import pytest
 from script_folder import Script, scripts_of
 from splitknit.errors import BadInput
 from splitknit.finger.orientation import find_upright
-from splitknit.recipe.matchable import Surface
+from splitknit.model import Surface
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig
 

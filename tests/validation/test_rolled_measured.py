@@ -10,9 +10,9 @@ import pytest
 
 from script_folder import scripts_of
 from splitknit.errors import BadInput
+from splitknit.mirrors.rolled.finger import rolled_finger
+from splitknit.mirrors.rolled.settings import RolledSettings, SearchSettings
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.rolled import rolled_finger
-from splitknit.recipe.rolled_settings import RolledSettings, SearchSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"
@@ -24,7 +24,7 @@ QUICK = RolledSettings(
 
 @pytest.fixture(scope="module")
 def scene():
-    sys.path.insert(0, str(TESTS / "recipe"))
+    sys.path.insert(0, str(TESTS / "mirrors"))
     import rolled_scene
 
     sys.path.pop(0)

@@ -189,8 +189,9 @@ def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None
 
 
 def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
+    from splitknit.matching.surface import surface_images
+    from splitknit.model import surface_of
     from splitknit.pipeline import reconstruct
-    from splitknit.recipe.matchable import surface_images, surface_of
     from splitknit.simulator.twin import TwinSettings, simulate_capture
 
     scales = thesis("scales")

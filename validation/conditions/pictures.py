@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from run import KINDS
 
-from splitknit.model import Capture
+from splitknit.model import Capture, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import surface_of, surface_print
+from splitknit.prints.ridges import surface_print
 from splitknit.simulator.conditions import Condition
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.twin import TwinSettings, simulate_capture

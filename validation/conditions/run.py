@@ -29,13 +29,13 @@ from splitknit.apps.printing_sources import source_of
 from splitknit.errors import BadInput
 from splitknit.matching import Template, pack, ridge_match, unpack
 from splitknit.matching.minutiae import nfiq2
-from splitknit.model import Reconstruction
+from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
-from splitknit.recipe.memory import Memory
 from splitknit.simulator.conditions import Condition
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.steps import Memory
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 KINDS = ("wet", "dry", "dusty", "scarred", "glossy")

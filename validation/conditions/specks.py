@@ -25,11 +25,10 @@ import numpy as np
 from run import KINDS, SEEDS, photographed
 
 import splitknit.simulator.finger as drawing
+from splitknit.finger.locate import find_finger
 from splitknit.io import read_capture
 from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.simulator.twin import simulate_capture
 
 OUT = Path(__file__).with_name("specks.json")
@@ -44,7 +43,7 @@ DARK, BRIGHT = "dark specks", "bright specks"
 
 def facts(capture: Capture) -> dict[str, Any]:
     """Shares under dark and bright specks in each band, and every sentence about specks."""
-    finger = find_finger(capture, preset_settings("metric"), Stopwatch())
+    finger = find_finger(capture, preset_settings("metric"))
     shares = {band: [found["dark_specks"], found["bright_specks"]] for band, found in finger.quality.items()}
     return {"shares": shares, "said": [text for text in finger.warnings if DARK in text or BRIGHT in text]}
 

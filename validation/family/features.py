@@ -34,12 +34,13 @@ from splitknit.evaluation.scores import Scores
 from splitknit.io import read_capture
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae3d import PreparedMinutiae3D, minutiae3d_match
+from splitknit.matching.space_minutiae import space_minutiae
 from splitknit.matching.surface_code_match import PreparedSurface, surface_code_match
+from splitknit.matching.surface_codes import surface_code
 from splitknit.matching.tetrahedra import PreparedTetrahedra, tetrahedra_match
+from splitknit.model import Surface, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import Surface, surface_of, surface_print
-from splitknit.recipe.space_minutiae import space_minutiae
-from splitknit.recipe.surface_codes import surface_code
+from splitknit.prints.ridges import surface_print
 
 RESULTS = Path(__file__).with_name("features.json")
 FINGERS = ("right_thumb", "right_index", "right_middle", "right_ring", "right_little", "left_index")

@@ -20,13 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.apps.compare import compare
+from splitknit.finger.locate import find_finger
 from splitknit.imaging import linear_stack
 from splitknit.io import atomic_file
 from splitknit.model import COLOURS, Capture
 from splitknit.photometric.left_out import left_out
 from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
@@ -60,7 +59,7 @@ def ridge_contrast(capture: Capture, truth: Truth) -> dict[str, float]:
 
 def spread_of_sets(capture: Capture, truth: Truth) -> dict[str, float]:
     """Normals of the seven leave-one-out sets: error of each against the truth (mean), and among themselves."""
-    finger = find_finger(capture, preset_settings("zheng"), Stopwatch(None))
+    finger = find_finger(capture, preset_settings("zheng"))
     white, window = capture.bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0))
     mask = finger.mask[window] & np.asarray(truth["mask"][window], dtype=np.bool_)

@@ -17,15 +17,14 @@ from agreement_truth import Truth, read_truth
 from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
+from splitknit.finger.locate import Finger, find_finger
 from splitknit.io import read_capture
 from splitknit.io.png import decode_png
+from splitknit.matching.leave_one_out import left_out_pictures
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.pipeline import preset_settings
 from splitknit.prints import plane_map, resample
-from splitknit.recipe.finger import Finger, find_finger
-from splitknit.recipe.leave_one_out import left_out_pictures
-from splitknit.recipe.stopwatch import Stopwatch
 
 PPI = 500.0
 
@@ -57,7 +56,7 @@ class Judge:
     def __init__(self, population: Path, capture: tuple[str, int, str]) -> None:
         """Read the truth and find the finger."""
         read = read_capture(population / name_of(capture))
-        finger: Finger = find_finger(read, preset_settings("zheng"), Stopwatch(None))
+        finger: Finger = find_finger(read, preset_settings("zheng"))
         pitch = read.rig.camera.pitch_mm
         print_map = plane_map(pitch, finger.upright.input_from_upright, finger.upright.size, PPI)
         _, weight = resample(finger.mask.astype(np.float32), finger.mask, pitch, print_map)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.finger.orientation import find_upright
-from splitknit.recipe.matchable import Surface
+from splitknit.model import Surface
 from splitknit.simulator.finger import draw_finger, finger_surface
 from splitknit.simulator.pose_ranges import PoseRanges
 from splitknit.simulator.rig import default_rig

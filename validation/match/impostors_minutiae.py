@@ -21,7 +21,7 @@ from drawn import drawn_surface
 from splitknit.matching import calibrate_scores
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
-from splitknit.recipe.matchable import surface_print
+from splitknit.prints.ridges import surface_print
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr_minutiae.json"
 SCALE = 0.27

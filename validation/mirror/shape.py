@@ -25,9 +25,9 @@ import numpy as np
 from splitknit.errors import BadInput
 from splitknit.imaging import linear_survey
 from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Views, mirror_shape
+from splitknit.mirrors.captured import found_views, skin_slopes
 from splitknit.model import Capture, Mirror
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.mirrors import found_views, skin_slopes
 from splitknit.settings import override
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
@@ -92,7 +92,7 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
         own = MirrorShapeSettings(method=method)
         try:
             if off not in seen:
-                views = found_views(taken, settings)
+                views = found_views(taken, settings.mask, settings.shape.mirror)
                 _, grey = linear_survey(taken.bands["white"], taken.encoding, views.binning)
                 seen[off] = views, grey
             views, grey = seen[off]

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from splitknit import read_capture, reconstruct
 from splitknit.apps.compare import CompareSettings, compare, high_pass
 from splitknit.errors import BadInput
+from splitknit.finger.locate import find_finger
+from splitknit.finger.steady import find_steady_finger
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.steady import find_steady_finger
-from splitknit.recipe.stopwatch import Stopwatch
 
 Truth = Mapping[str, NDArray[Any]]
 MARGIN_MM = 1.0
@@ -76,11 +75,11 @@ def registration_cpu_s(capture: Capture) -> float:
     found = []
     for _ in range(3):
         marks = [time.process_time()]
-        find_finger(capture, settings, Stopwatch())
+        find_finger(capture, settings)
         marks.append(time.process_time())
-        steady, _ = find_steady_finger(capture, settings, Stopwatch())  # finds it before and after
+        steady, _ = find_steady_finger(capture, settings)  # finds it before and after
         marks.append(time.process_time())
-        find_finger(steady, settings, Stopwatch())
+        find_finger(steady, settings)
         marks.append(time.process_time())
         first, all_of_it, second = np.diff(marks)
         found.append(float(all_of_it - first - second))

@@ -16,10 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from splitknit import read_capture
+from splitknit.finger.locate import find_finger
+from splitknit.finger.steady import HELPS, register, seen_motion_mm
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.steady import HELPS, register, seen_motion_mm
-from splitknit.recipe.stopwatch import Stopwatch
 
 RESULTS = Path(__file__).resolve().parent / "stills.json"
 
@@ -28,7 +27,7 @@ def measured(folder: Path) -> dict[str, float]:
     """One capture."""
     settings = preset_settings("metric")
     capture = read_capture(folder)
-    finger = find_finger(capture, settings, Stopwatch())
+    finger = find_finger(capture, settings)
     found = register(capture, finger, settings)
     told = {"seen_mm": seen_motion_mm(finger, settings), "registered_mm": found.most_mm}
     return {name: round(value, 4) for name, value in {**told, "left_over_before": found.after / found.before}.items()}

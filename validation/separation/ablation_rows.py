@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 from unittest import mock
 
@@ -13,18 +13,14 @@ import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 import splitknit.skin.surface as metric_surface
+from splitknit import pipeline
 from splitknit.apps.compare import compare
 from splitknit.errors import BadInput, require
+from splitknit.finger.locate import Finger, find_finger
 from splitknit.imaging import linear_channels
 from splitknit.model import Capture, FloatArray, Reconstruction
-from splitknit.pipeline import preset_settings, undoes_blur
-from splitknit.recipe import surfaces
-from splitknit.recipe.finger import Finger, find_finger
-from splitknit.recipe.memory import Memory
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.result import assemble
-from splitknit.recipe.skin import metric_skin
-from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.pipeline import preset_settings
+from splitknit.presets import PipelineSettings
 from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
 
@@ -145,7 +141,7 @@ class Bench:
         """Photograph the finger and find it in the images as they are."""
         self.options = options
         self.twin = twin_of(seed, options.scale)
-        self.finger = find_finger(self.twin.capture, preset_settings("metric"), Stopwatch())
+        self.finger = find_finger(self.twin.capture, preset_settings("metric"))
 
     def figures(self, name: str) -> dict[str, Any]:
         """Of one row, or why there are none."""
@@ -164,7 +160,7 @@ class Bench:
             return reconstruct(capture, self.finger, settings)
         share = self._coloured if row.share == "network" else self._shares[row.share]
         share = share[(slice(None), *self.finger.window)]
-        with mock.patch.object(surfaces, "direct_light", lambda visible, _network: visible * share):
+        with mock.patch.object(pipeline, "direct_light", lambda visible, _network: visible * share):
             return reconstruct(capture, self.finger, settings)
 
     def _capture(self, row: Row) -> Capture:
@@ -218,10 +214,9 @@ class Bench:
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
-    way = metric_skin if undoes_blur(capture, settings) else surfaces.metric_opaque
-    if settings.method == "thesis":
-        way = partial(surfaces.thesis, memory=Memory(capture))
-    return assemble(capture, finger, way(capture, finger, settings, Stopwatch()), settings)
+    algorithm = pipeline.split_and_knit if settings.method == "thesis" else pipeline.metric
+    with mock.patch.object(pipeline, "locate_finger", lambda capture, _: (capture, finger)):
+        return algorithm(capture, settings)
 
 
 def _on_pixels(fields: FloatArray, finger: Finger, shape: tuple[int, int]) -> FloatArray:

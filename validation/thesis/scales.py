@@ -30,7 +30,7 @@ from splitknit.matching.lbp import LbpSettings, lbp_features
 from splitknit.matching.score import dissimilarity
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.recipe.memory import Memory
+from splitknit.steps import Memory
 
 SCALES = (2, 3, 4, 5, 6, 7)
 SESSIONS = ("1", "2")

@@ -69,10 +69,10 @@ def load(way: str) -> Any:
     if way == "colour":
         return None
     try:
-        from splitknit.recipe.presets import PRESETS  # noqa: PLC0415
-        from splitknit.recipe.skin import shipped_networks  # noqa: PLC0415
+        from splitknit.presets import PRESETS  # noqa: PLC0415
+        from splitknit.skin.images import shipped_networks  # noqa: PLC0415
 
-        return shipped_networks(PRESETS["metric"])
+        return shipped_networks(PRESETS["metric"].metric)
     except (ImportError, ValueError, FileNotFoundError) as error:
         print("no networks:", error)
         return None

@@ -13,7 +13,7 @@ from splitknit.apps.report import make_report
 from splitknit.apps.targets import check_target
 from splitknit.io import atomic_folder, read_capture, write_capture
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import surface_print
+from splitknit.prints.ridges import surface_print
 from splitknit.simulator.twin import simulate_capture
 
 PRESETS = ("metric", "ea")

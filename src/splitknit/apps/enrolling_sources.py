@@ -16,7 +16,7 @@ from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import file_hash, read_capture, read_image
 from splitknit.io.prints import encode_print_png
 from splitknit.matching import pack
-from splitknit.recipe.matchable import surface_print
+from splitknit.prints.ridges import surface_print
 
 KEEP = ("none", "thumbnail", "raw")
 _THUMBNAIL_PPI = 250.0

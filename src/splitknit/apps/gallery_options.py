@@ -15,7 +15,7 @@ from splitknit.errors import BadInput, open_at_once, require, shown_path
 
 if TYPE_CHECKING:
     from splitknit.gallery.key import Key
-    from splitknit.recipe.matchable import MatchingSettings
+    from splitknit.matching.surface import MatchingSettings
 
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
 COUNTER = ".counter"

@@ -14,8 +14,9 @@ from splitknit.errors import BadInput, require
 from splitknit.io import read_capture, read_image, read_npz, read_print_png
 from splitknit.io.templates import read_template
 from splitknit.matching import VERSION, Template, make_template, print_band, unpack
+from splitknit.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit.model import Surface, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import MatchingSettings, Surface, surface_images, surface_of, surface_template
 
 __all__ = [
     "MatchingSettings",

@@ -15,7 +15,7 @@ from splitknit.matching import ridge_match
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_joined import joined_similarity
-from splitknit.recipe.matchable import surface_print
+from splitknit.prints.ridges import surface_print
 
 _FMR_TABLE = "match_fmr_minutiae.json"
 """Made by validation/match/impostors_minutiae.py."""

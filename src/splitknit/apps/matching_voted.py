@@ -7,11 +7,11 @@ from typing import Any
 from splitknit.apps.matching_inputs import Side, naming
 from splitknit.errors import BadInput
 from splitknit.io import read_capture
+from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.surface import MatchingSettings
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.leave_one_out import voted_minutiae
-from splitknit.recipe.matchable import MatchingSettings
 
 
 def compare_voted(a: Side, b: Side, preset: str, settings: MatchingSettings) -> dict[str, Any]:

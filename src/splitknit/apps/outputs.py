@@ -37,7 +37,7 @@ from splitknit.io import (
 from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import JsonValue
 from splitknit.model import Capture, FloatArray, Reconstruction
-from splitknit.recipe.matchable import surface_print
+from splitknit.prints.ridges import surface_print
 
 PRINT_PPI = 500.0
 FILES = (

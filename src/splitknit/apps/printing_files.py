@@ -19,10 +19,10 @@ from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.provenance import JsonValue
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.space_minutiae import in_space
 from splitknit.model import FloatArray
 from splitknit.prints import Enhanced, PrintMap, Unrolled, phase_minutiae
 from splitknit.prints.print_map import NOWHERE
-from splitknit.recipe.space_minutiae import in_space
 
 Array = NDArray[np.float64]
 AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3

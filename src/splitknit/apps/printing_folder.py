@@ -19,6 +19,8 @@ from splitknit.apps.printing_sources import Source, read_source
 from splitknit.apps.targets import check_target
 from splitknit.errors import BadInput, require
 from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
+from splitknit.mirrors.rolled.finger import Rolled
+from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.model import FloatArray
 from splitknit.prints import (
     CurvatureSettings,
@@ -46,8 +48,6 @@ from splitknit.prints import (
     unrolled_map,
 )
 from splitknit.prints.unroll import KINDS
-from splitknit.recipe.rolled import Rolled
-from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.settings import override
 
 RESOLUTIONS = (500.0, 1000.0)

@@ -22,8 +22,8 @@ from splitknit.prints import PrintMap, SurfaceGrid, Unrolled, UnrollSettings, un
 from splitknit.prints.unroll_grid import extrapolated
 
 if TYPE_CHECKING:
-    from splitknit.recipe.rolled import Rolled
-    from splitknit.recipe.rolled_settings import RolledSettings
+    from splitknit.mirrors.rolled.finger import Rolled
+    from splitknit.mirrors.rolled.settings import RolledSettings
 
 Progress = Callable[[str, float], None]
 Array = NDArray[np.float64]
@@ -40,9 +40,9 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, tell: Progres
     BadInput
         If it is no capture, has no mirrors beside the finger, or fewer than two of its views can be used.
     """
+    from splitknit.mirrors.rolled.finger import rolled_finger  # noqa: PLC0415
+    from splitknit.mirrors.rolled.views import find_mirror_views  # noqa: PLC0415
     from splitknit.pipeline import preset_settings  # noqa: PLC0415 - large
-    from splitknit.recipe.rolled import rolled_finger  # noqa: PLC0415
-    from splitknit.recipe.rolled_capture import find_mirror_views  # noqa: PLC0415
 
     require(
         (path / "capture.json").is_file(),

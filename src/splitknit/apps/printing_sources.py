@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from splitknit.apps.matching_inputs import LARGEST_MM, naming
 from splitknit.errors import BadInput, require
+from splitknit.finger.locate import find_finger
 from splitknit.imaging import has_colour, linear_channels
 from splitknit.io import file_hash, read_capture, read_npz
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.stopwatch import Stopwatch
 
 Progress = Callable[[str, float], None]
 NEEDED = ("height_mm", "ridge_mm", "shape_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
@@ -143,7 +142,7 @@ def _of_capture(path: Path, photo: bool, surface: bool, preset: str, tell: Progr
         )
     if "white" not in capture.bands:
         raise BadInput("the capture has no band 'white', in which fingers are photographed.")
-    finger = find_finger(capture, preset_settings(preset), Stopwatch(None))
+    finger = find_finger(capture, preset_settings(preset))
     return Source(
         "capture", finger.mask, capture.rig.camera.pitch_mm, finger.upright.input_from_upright, finger.upright.size,
         photo=light, hashes=capture.hashes, subject=capture.subject,

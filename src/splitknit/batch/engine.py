@@ -31,10 +31,10 @@ from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.errors import BadInput, require
 from splitknit.io import read_capture
 from splitknit.io.atomic import private_modes
+from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
+from splitknit.matching.surface import MatchingSettings
 from splitknit.pipeline import PipelineSettings
-from splitknit.recipe.leave_one_out import voted_minutiae
-from splitknit.recipe.matchable import MatchingSettings
 
 Progress = Callable[[str, float], None]
 

@@ -22,10 +22,11 @@ from splitknit.errors import BadInput
 from splitknit.io import canonical_json, provenance, read_capture, settings_hash
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.matching import pack
-from splitknit.model import Capture, Reconstruction
+from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.model import Capture, Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
-from splitknit.recipe.memory import Memory
+from splitknit.prints.ridges import surface_print
+from splitknit.steps import Memory
 
 PRINT_PPI = 500.0
 QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")

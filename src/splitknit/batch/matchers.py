@@ -22,13 +22,13 @@ from splitknit.matching.minutiae3d import PreparedMinutiae3D, minutiae3d_match
 from splitknit.matching.minutiae3d_record import unpack_space_minutiae
 from splitknit.matching.minutiae_edge import EDGE_MM
 from splitknit.matching.minutiae_record import unpack_minutiae
+from splitknit.matching.space_minutiae import SLOPE_SIGMA_MM
+from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import unpack_surface_code
 from splitknit.matching.surface_code_match import PreparedSurface, surface_code_match
 from splitknit.matching.tetrahedra import PreparedTetrahedra, tetrahedra_match
 from splitknit.matching.thesis import ATTRIBUTES
 from splitknit.matching.thesis_many import database_finger, match_database
-from splitknit.recipe.matchable import MatchingSettings
-from splitknit.recipe.space_minutiae import SLOPE_SIGMA_MM
 
 Values = Mapping[str, float]
 

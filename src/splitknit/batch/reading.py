@@ -15,7 +15,7 @@ from splitknit.batch.chunks import read_chunk
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.matching import FingerImages
-from splitknit.recipe.matchable import surface_images
+from splitknit.matching.surface import surface_images
 
 
 @dataclass(frozen=True, slots=True)

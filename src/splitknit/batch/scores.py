@@ -16,7 +16,7 @@ from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.packages import load
 from splitknit.batch.reading import Place, small_column
 from splitknit.io import canonical_json, provenance
-from splitknit.recipe.matchable import MatchingSettings
+from splitknit.matching.surface import MatchingSettings
 
 VERSION = 1
 """Of the columns of a chunk."""

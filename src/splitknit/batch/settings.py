@@ -10,9 +10,9 @@ from typing import Any
 
 from splitknit.errors import require
 from splitknit.io.provenance import settings_hash
+from splitknit.matching.surface import MatchingSettings
 from splitknit.pipeline import PipelineSettings, preset_settings
-from splitknit.recipe.matchable import MatchingSettings
-from splitknit.recipe.settings_document import settings_document
+from splitknit.presets import settings_document
 from splitknit.settings import override
 
 MATCHERS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")

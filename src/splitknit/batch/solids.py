@@ -20,10 +20,11 @@ from splitknit.batch.prints import MinutiaeDone
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae3d_record import pack_space_minutiae
+from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import pack_surface_code
-from splitknit.recipe.matchable import MatchingSettings, Surface
-from splitknit.recipe.space_minutiae import space_minutiae
-from splitknit.recipe.surface_codes import surface_code
+from splitknit.matching.surface_codes import surface_code
+from splitknit.model import Surface
 
 VERSION = 1
 SOLIDS: Mapping[str, str] = MappingProxyType({"minutiae3d": "minutiae3d", "surface_codes": "surface_code"})

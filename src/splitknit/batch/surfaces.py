@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import refusing, require
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.model import BoolArray, FloatArray
-from splitknit.recipe.matchable import Surface
+from splitknit.model import BoolArray, FloatArray, Surface
 
 _HEAD = struct.Struct("<4sII4IId9dII")
 """Magic; rows, columns; top, left, rows and columns of the box; whether normals are stored; pitch in mm; matrix that

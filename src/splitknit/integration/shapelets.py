@@ -32,6 +32,9 @@ from splitknit.model import FloatArray
 
 VARIANTS = ("slant_tilt", "ambiguous_tilt", "slant_only", "tilt_only")
 
+REFERENCE_PX_PER_MM = 75.7
+"""Scale at which the thesis gives its sizes in pixels."""
+
 
 @dataclass(frozen=True, slots=True)
 class ShapeletSettings:

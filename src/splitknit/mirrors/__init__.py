@@ -4,7 +4,7 @@ from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
 from splitknit.mirrors.settings import MirrorShapeSettings, ViewSettings
 from splitknit.mirrors.state import Slopes
-from splitknit.mirrors.views import Views, find_views, mirror_outline, view_binning, without_mirrors
+from splitknit.mirrors.views import Views, find_views, view_binning
 
 __all__ = [
     "MirrorShape",
@@ -14,8 +14,6 @@ __all__ = [
     "Views",
     "find_views",
     "medial_line",
-    "mirror_outline",
     "mirror_shape",
     "view_binning",
-    "without_mirrors",
 ]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.imaging.chunks import for_each_chunk, gather
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.photometric.chunks import for_each_chunk, gather
 from splitknit.photometric.equations import solve, unit_normals
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, fitted
 from splitknit.photometric.lambertian import lambertian

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.imaging.chunks import for_each_chunk
 from splitknit.model import FloatArray
-from splitknit.photometric.chunks import for_each_chunk
 from splitknit.photometric.equations import linear_map, unit_normals
 
 

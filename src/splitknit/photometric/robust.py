@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.imaging.chunks import for_each_chunk, gather
 from splitknit.model import FloatArray
-from splitknit.photometric.chunks import for_each_chunk, gather
 from splitknit.photometric.equations import unit_normals
 from splitknit.photometric.weights import RobustSettings, robust_fit
 

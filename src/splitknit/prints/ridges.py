@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import warp
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
 
 MM_PER_INCH = 25.4
 _PAPER = 255.0
@@ -149,4 +149,16 @@ def _box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
     return (
         slice(max(0, int(rows[0]) - margin), min(mask.shape[0], int(rows[-1]) + margin + 1)),
         slice(max(0, int(columns[0]) - margin), min(mask.shape[1], int(columns[-1]) + margin + 1)),
+    )
+
+
+def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
+    """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
+    return relief_print(
+        surface.ridge_mm,
+        surface.mask,
+        1.0 / surface.pitch_mm,
+        surface.input_from_upright,
+        surface.upright_size,
+        ppi,
     )

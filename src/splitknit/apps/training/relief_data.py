@@ -17,16 +17,15 @@ from scipy import ndimage
 
 from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
 from splitknit.apps.training.scene_ranges import photograph_scene
+from splitknit.finger.locate import find_finger
 from splitknit.imaging import Window, bin_mean
 from splitknit.model import BoolArray, Capture, FloatArray, Rig
-from splitknit.pipeline import preset_settings
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.skin import skin_images
-from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.pipeline import bands_of, preset_settings
+from splitknit.presets import PipelineSettings
 from splitknit.skin.bands import BandImages
 from splitknit.skin.features import RIDGE_BAND_MM, azimuth_waves, features
 from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE, RELIEF_MM
 from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
 from splitknit.skin.surface import first_shape
@@ -73,8 +72,10 @@ def sample_of(
     settings : of the reconstruction
     mix : share of the reconstruction's smooth shape in [0, 1]; the rest is the true shape
     """
-    finger = find_finger(capture, settings, Stopwatch())
-    grid, bands, binning = skin_images(capture, finger, settings)
+    finger = find_finger(capture, settings)
+    white, nir, _ = bands_of(capture, settings)
+    seen = (white,) if nir is white else (white, nir)
+    grid, bands, binning = skin_images(capture, seen, finger.window, finger.inside, settings.metric.working_pitch_mm)
     found = first_shape(bands, grid, settings.skin, settings.metric)
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
     true = on_grid.shape_mm()

@@ -17,16 +17,15 @@ from splitknit.apps.training.relief_data import TRUTH_SHARE, TruthOnGrid
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.errors import require
+from splitknit.finger.locate import find_finger
 from splitknit.imaging import bin_mean
 from splitknit.imaging.geometry import height_gradients
 from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.pipeline import preset_settings
-from splitknit.recipe.finger import find_finger
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.skin import skin_images
-from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.pipeline import bands_of, preset_settings
+from splitknit.presets import PipelineSettings
 from splitknit.skin.features import RIDGE_BAND_MM
 from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.images import skin_images
 from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
 from splitknit.skin.light import slant_of, trust_of
 from splitknit.skin.surface import reconstruct_skin
@@ -73,8 +72,10 @@ def shape_sample_of(
     settings : of the reconstruction
     gain : height of the relief that it is given, over the true one
     """
-    finger = find_finger(capture, settings, Stopwatch())
-    grid, bands, binning = skin_images(capture, finger, settings)
+    finger = find_finger(capture, settings)
+    white, nir, _ = bands_of(capture, settings)
+    seen = (white,) if nir is white else (white, nir)
+    grid, bands, binning = skin_images(capture, seen, finger.window, finger.inside, settings.metric.working_pitch_mm)
     require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
     relief, wide = split_relief(on_grid, grid)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from splitknit.mirrors.rolled import ridge_band
+from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.views import find_mirror_views
+from splitknit.mirrors.rolled.work import Work
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.rolled_capture import find_mirror_views
-from splitknit.recipe.rolled_settings import RolledSettings
-from splitknit.recipe.rolled_work import Work
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

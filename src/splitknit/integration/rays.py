@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import View, view_of
-from splitknit.integration import poisson
-from splitknit.model import BoolArray, Camera, Capture, FloatArray
-from splitknit.recipe.presets import PipelineSettings
+from splitknit.integration.poisson import poisson
+from splitknit.model import BoolArray, Camera, FloatArray
 
 COARSE_MM = 0.2
 """Pitch at which the grid's unevenness, which is smooth, is accounted for."""
@@ -33,15 +32,6 @@ class Placed:
     x_mm: FloatArray | None = None
     """(h, w) of the surface points, where they are not those of the pixels on the finger plane."""
     y_mm: FloatArray | None = None
-
-
-def as_modelled(capture: Capture, settings: PipelineSettings) -> Capture:
-    """The capture with the camera that the settings believe in."""
-    camera = capture.rig.camera
-    if settings.camera == "calibrated" or camera.model == "orthographic":
-        return capture
-    plain = replace(camera, model="orthographic", matrix=None, distortion=None)
-    return replace(capture, rig=replace(capture.rig, camera=plain))
 
 
 def place(  # noqa: PLR0917

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.mirrors.rolled import Blended, Chart, blend, surface_normals, view_weight
+from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.view_lights import Glass
+from splitknit.mirrors.rolled.work import LEAST_MEETING, MirrorViews, Work
 from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rolled_light import Glass
-from splitknit.recipe.rolled_settings import RolledSettings
-from splitknit.recipe.rolled_work import LEAST_MEETING, MirrorViews, Work
+
+if TYPE_CHECKING:  # the pipeline lies above
+    from splitknit.presets import PipelineSettings
 
 Array = NDArray[np.float64]
 

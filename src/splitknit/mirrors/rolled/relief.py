@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,19 +14,21 @@ from scipy import ndimage
 from splitknit.imaging import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
-from splitknit.integration import shapelets
+from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, shapelets
 from splitknit.mirrors.rolled import Chart, Sight, heights, read
+from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric import pseudo_normals
-from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images
-from splitknit.recipe.presets import REFERENCE_PX_PER_MM, PipelineSettings
-from splitknit.recipe.rolled_light import Glass, skin_points, view_light
-from splitknit.recipe.skin import shipped_networks
 from splitknit.skin import can_learn
 from splitknit.skin.coarse import BandImages
+from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.skin.grid import Grid, coarsen, refine
+from splitknit.skin.images import shipped_networks
 from splitknit.skin.learned import relief_by_network
 from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
+
+if TYPE_CHECKING:  # the pipeline lies above
+    from splitknit.presets import PipelineSettings
 
 Array = NDArray[np.float64]
 
@@ -87,7 +90,7 @@ def view_relief(  # noqa: PLR0917
     glasses : all mirrors of the rig
     chart, radius_mm : the finger without its ridges
     settings : of the pipeline
-    prior : see :func:`splitknit.recipe.rolled_relief.held_normals`
+    prior : see :func:`splitknit.mirrors.rolled.relief.held_normals`
     """
     white = capture.bands["white"]
     camera = capture.rig.camera
@@ -153,7 +156,7 @@ def _ridges(  # noqa: PLR0917
     light = fine_lighting(images.rig, low, low_height, factor, grid)
     lit = _lit(light, grid)
     light = replace(light, trust=np.maximum(light.trust * _enlarged(inner, factor, grid.shape), np.float32(1e-3)))
-    networks = shipped_networks(settings) if can_learn(images, grid.pitch_mm) else None
+    networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
         g = held_normals(images.stack / light.entering, light, smooth, grid, prior)
         found = relief_by_network(images, grid, smooth, light, networks.relief, g)

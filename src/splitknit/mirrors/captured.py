@@ -11,29 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger import finger_outline, finger_region
+from splitknit.finger import MaskSettings, finger_outline, finger_region
+from splitknit.finger.locate import Finger
 from splitknit.imaging import Window, linear_survey
+from splitknit.imaging.areas import mirror_outline
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
+from splitknit.integration.rays import unevenness
 from splitknit.mirrors import (
     MirrorShape,
+    MirrorShapeSettings,
     Slopes,
     Views,
     find_views,
     medial_line,
-    mirror_outline,
     mirror_shape,
     view_binning,
 )
 from splitknit.mirrors.rolled import facing_share, led_image, mirrored_share
+from splitknit.mirrors.rolled.view_lights import Glass, glass_in
 from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
 from splitknit.photometric import pseudo_normals
-from splitknit.recipe.finger import Finger
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rays import unevenness
-from splitknit.recipe.rolled_light import Glass, glass_in
-from splitknit.recipe.surfaces import SurfaceParts
 
 SLOPES_MM = 0.25
 """Pitch of the images from which slopes are measured."""
@@ -54,35 +53,45 @@ class SeenInMirrors:
     capture: Capture
 
 
-def on_mirror_shape(
-    finger: Finger, surface: SurfaceParts, seen: SeenInMirrors, settings: PipelineSettings
-) -> tuple[Finger, SurfaceParts]:
-    """The surface on the shape from mirrors, and the finger as far as the mirrors show it.
+def mirror_shape_of(
+    finger: Finger, seen: SeenInMirrors, settings: MirrorShapeSettings, detail_mm: FloatArray | None
+) -> tuple[FloatArray, BoolArray, dict[str, Any]]:
+    """The shape from mirrors on the finger's window.
 
-    Every pixel of the front view has its own z of the shape, so that relief and shape need no other mapping. The
-    thesis's knitting adds the two; ours takes what is finer than ``shape.mirror.detail_mm`` from white light: creases,
-    and what no smooth section has.
+    Every pixel of the front view has its own z of the shape, so that relief and shape need no other mapping.
+
+    Parameters
+    ----------
+    finger : Finger
+    seen : SeenInMirrors
+    settings : MirrorShapeSettings
+    detail_mm : (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
+        and what no smooth section has; None: nothing is
+
+    Returns
+    -------
+    shape_mm : (h, w)
+    mask : (H, W) the finger's mask as far as the mirrors show it
+    facts : for the result
     """
     camera = seen.capture.rig.camera
-    window = finger.window
-    inside = finger.wider[window]
+    window, inside = finger.window, finger.inside
     z, known = seen.shape.continued(*window)
     shape = _along_rays(z, inside, camera, window)
-    if settings.method != "thesis":
-        cut = 2.0 * np.pi * camera.pitch_mm / settings.shape.mirror.detail_mm
+    if detail_mm is not None:
+        cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
         finer = crossover(
-            np.where(inside, surface.shape_mm, np.float32(0)),
+            np.where(inside, detail_mm, np.float32(0)),
             shape,
             lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2),
             inside,
         )
         shape = np.where(inside, finer, shape)
-    facts = {**surface.facts, "shape_source": "mirror", "mirror_shape": seen.shape.facts}
     kept = finger.mask.copy()
     kept[window] &= known
     require(bool(kept.any()), "the mirrors show another part of the finger than the front view; check the rig file.")
-    facts["mirror_drawing"] = drawing(seen)
-    return replace(finger, mask=kept), replace(surface, height_mm=shape + surface.ridge_mm, shape_mm=shape, facts=facts)
+    facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": drawing(seen)}
+    return shape, kept, facts
 
 
 def _along_rays(z: FloatArray, inside: BoolArray, camera: Camera, window: Window) -> FloatArray:
@@ -121,7 +130,7 @@ def drawing(seen: SeenInMirrors) -> dict[str, Any]:
     return drawn
 
 
-def seen_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
+def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture.
 
     Raises
@@ -135,25 +144,18 @@ def seen_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirro
         "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take --shape nir or "
         "white.",
     )
-    require(
-        settings.method != "thesis" or settings.knit.method != "none",
-        "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
-        "metric or snk.",
-    )
-    views, grey = _views_and_images(capture, settings)
+    views, grey = _views_and_images(capture, mask, settings)
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
     tip = capture.tip_direction_deg or 0.0
-    shape = mirror_shape(views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip)
-    if settings.shape.mirror.slopes and settings.shape.mirror.method == "outlines":
+    shape = mirror_shape(views, rig.camera, mirrors, settings, tip_direction_deg=tip)
+    if settings.slopes and settings.method == "outlines":
         slopes = skin_slopes(capture, grey, views, shape)
         if slopes is not None:
-            shape = mirror_shape(
-                views, rig.camera, mirrors, settings.shape.mirror, tip_direction_deg=tip, slopes=slopes
-            )
+            shape = mirror_shape(views, rig.camera, mirrors, settings, tip_direction_deg=tip, slopes=slopes)
     return SeenInMirrors(views, shape, capture)
 
 
-def found_views(capture: Capture, settings: PipelineSettings) -> Views:
+def found_views(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> Views:
     """Which part of a capture's images shows the finger itself, and which parts show it in mirrors.
 
     Raises
@@ -161,26 +163,31 @@ def found_views(capture: Capture, settings: PipelineSettings) -> Views:
     BadInput
         See :func:`splitknit.mirrors.find_views`.
     """
-    return _views_and_images(capture, settings)[0]
+    return _views_and_images(capture, mask, settings)[0]
 
 
-def _views_and_images(capture: Capture, settings: PipelineSettings) -> tuple[Views, FloatArray]:
+def _views_and_images(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> tuple[Views, FloatArray]:
     """Views, and the white images (L, h, w) on their grid."""
     rig = capture.rig
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
-    binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
+    binning = view_binning(rig.camera.px_per_mm, settings.views)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
-    return views_in(mean, rig.camera, mirrors, binning, settings), grey
+    return views_in(mean, rig.camera, mirrors, binning, mask, settings), grey
 
 
-def views_in(
-    mean: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int, settings: PipelineSettings
+def views_in(  # noqa: PLR0917
+    mean: FloatArray,
+    camera: Camera,
+    mirrors: Mapping[str, Mirror],
+    binning: int,
+    mask: MaskSettings,
+    settings: MirrorShapeSettings,
 ) -> Views:
     """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
     mask = replace(
-        settings.mask,
-        fine_px_per_mm=min(settings.mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
-        coarse_px_per_mm=min(settings.mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
+        mask,
+        fine_px_per_mm=min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
+        coarse_px_per_mm=min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
     )
     return find_views(
         mean,
@@ -188,7 +195,7 @@ def views_in(
         mirrors,
         lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
         binning,
-        settings.shape.mirror.views,
+        settings.views,
         lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
     )
 

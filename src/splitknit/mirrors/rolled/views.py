@@ -5,22 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger import find_crease, find_upright, finger_mask
+from splitknit.finger.locate import BEYOND_CREASE_MM, enlarged
 from splitknit.imaging import linear_survey, pick_channel
 from splitknit.mirrors import find_views, view_binning
+from splitknit.mirrors.captured import skin_slopes
 from splitknit.mirrors.planes import MirrorPlane
+from splitknit.mirrors.rolled.body import body_between_mirrors
+from splitknit.mirrors.rolled.view_lights import glass_in
+from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
 from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.recipe.finger import BEYOND_CREASE_MM, enlarged
-from splitknit.recipe.mirrors import skin_slopes
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rolled_body import body_between_mirrors
-from splitknit.recipe.rolled_light import glass_in
-from splitknit.recipe.rolled_work import MirrorView, MirrorViews
+
+if TYPE_CHECKING:  # the pipeline lies above
+    from splitknit.presets import PipelineSettings
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")

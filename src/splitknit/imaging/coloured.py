@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging import linear_channels, saturation_levels
+from splitknit.imaging.band import linear_channels, saturation_levels
 from splitknit.model import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
-from splitknit.recipe.presets import PipelineSettings
+from splitknit.settings import Checked, Limits
 
 _ROUNDS = 200
 """At most: with LEDs of each colour all around the finger a handful is enough."""
@@ -18,7 +19,18 @@ _SETTLED = 1e-6
 _SAMPLE = 40_000
 
 
-def as_lit(capture: Capture, settings: PipelineSettings) -> tuple[Capture, tuple[str, ...]]:
+@dataclass(frozen=True, slots=True)
+class LightsSettings(Checked):
+    """Coloured LEDs: Lin's case only."""
+
+    compose: Annotated[int, Limits(0, 3)] = 0
+    """Put so many coloured exposures together from the images under white LEDs, three images for each (fewer where
+    images are few); 0, and any capture under coloured LEDs: take the images as they are."""
+    balance: bool = False
+    """Divide the images of each colour by how bright the finger is in it; one factor a colour."""
+
+
+def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[str, ...]]:
     """The capture under the lights that the settings ask for, and what is to be said about it.
 
     Raises
@@ -27,9 +39,9 @@ def as_lit(capture: Capture, settings: PipelineSettings) -> tuple[Capture, tuple
         If coloured exposures are to be put together from white images that are grey or too few.
     """
     white = capture.bands["white"]
-    if settings.lights.compose == 0 or white.colours:
+    if settings.compose == 0 or white.colours:
         return capture, ()
-    exposures = max(1, min(settings.lights.compose, len(white.leds) // len(COLOURS)))
+    exposures = max(1, min(settings.compose, len(white.leds) // len(COLOURS)))
     words = "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
     return composed(capture, exposures), (f"{words} {COMPOSED}",)
 

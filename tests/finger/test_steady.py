@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from splitknit.finger.steady import Registered, worth_undoing
 from splitknit.pipeline import preset_settings
-from splitknit.recipe.steady import Registered, worth_undoing
 
 
 def registered(most_mm: float, before: float, after: float) -> Registered:

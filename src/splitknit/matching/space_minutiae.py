@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.geometry import height_gradients, smoothed
 from splitknit.io.minutiae3d import angles_of
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, no_space_minutiae
-from splitknit.model import FloatArray
+from splitknit.model import FloatArray, Surface
 from splitknit.prints.print_map import PrintMap, plane_map
-from splitknit.recipe.matchable import Surface, surface_print
-from splitknit.recipe.smooth import smoothed
+from splitknit.prints.ridges import surface_print
 
 Array = NDArray[np.float64]
 SLOPE_SIGMA_MM = 0.2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.recipe.rolled_relief import held_normals
+from splitknit.mirrors.rolled.relief import held_normals
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import FineLight
 

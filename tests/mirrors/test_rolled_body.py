@@ -10,8 +10,8 @@ import rolled_scene as scene
 
 from splitknit.errors import BadInput
 from splitknit.mirrors import Views
-from splitknit.recipe.rolled_body import ROLL_OF_SHEAR, body_between_mirrors, outside, radius_of, rolled_pad
-from splitknit.recipe.rolled_work import shape_of
+from splitknit.mirrors.rolled.body import ROLL_OF_SHEAR, body_between_mirrors, outside, radius_of, rolled_pad
+from splitknit.mirrors.rolled.work import shape_of
 
 RIG = scene.rig()
 MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}

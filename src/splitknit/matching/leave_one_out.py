@@ -9,19 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
+from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging import linear_stack
+from splitknit.imaging.coloured import balanced
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
 from splitknit.model import Capture, FloatArray
 from splitknit.photometric.left_out import left_out
 from splitknit.prints import PrintSettings, ink, plane_map, resample
-from splitknit.recipe.coloured import as_lit, balanced
-from splitknit.recipe.finger import Finger
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rays import as_modelled
-from splitknit.recipe.steady import find_steady_finger
-from splitknit.recipe.stopwatch import Stopwatch
 
 PICTURES = ("x", "y", "z", "albedo")
 """Components of the normals in the upright frame, and the albedo."""
@@ -58,7 +55,7 @@ class LeftOut:
 
 def left_out_pictures(
     capture: Capture,
-    settings: PipelineSettings,
+    settings: FingerSettings,
     chosen: LeaveOneOutSettings | None = None,
     finger: Finger | None = None,
 ) -> Iterator[LeftOut]:
@@ -90,9 +87,9 @@ def left_out_pictures(
     the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
     """
     chosen = chosen or LeaveOneOutSettings()
-    capture, _ = as_lit(as_modelled(capture, settings), settings)
+    capture, _ = prepared_capture(capture, settings)
     if finger is None:
-        capture, finger = find_steady_finger(capture, settings, Stopwatch(None))
+        capture, finger = find_steady_finger(capture, settings)
     white, window = capture.bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
     require(
@@ -119,7 +116,7 @@ def left_out_pictures(
 
 def voted_minutiae(
     capture: Capture,
-    settings: PipelineSettings,
+    settings: FingerSettings,
     chosen: LeaveOneOutSettings | None = None,
     votes: VoteSettings | None = None,
 ) -> Minutiae:

@@ -11,21 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.finger import Seen, register_band, register_shots, without_glare
+from splitknit.finger.locate import Finger, FingerSettings, find_finger
+from splitknit.finger.registration import register_shots, without_glare
+from splitknit.finger.registration_band import Seen, register_band
 from splitknit.finger.registration_flow import Flow
 from splitknit.imaging import Window, has_colour, linear_channels, linear_stack
+from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import plane_points
 from splitknit.model import Band, Capture
-from splitknit.photometric import light_vectors_at
-from splitknit.recipe.finger import Finger, find_finger
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.stopwatch import Stopwatch
 
 HELPS = 0.95
 """Undoing motion must bring what no surface explains below this share of what it was."""
 
 
-def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) -> tuple[Capture, Finger]:
+def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
     """Find the finger; where it moved between the shots, undo that first.
 
     Returns
@@ -41,7 +40,7 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
     BadInput
         If there is no finger, or it moved by more than can be undone.
     """
-    finger = find_finger(capture, settings, watch)
+    finger = find_finger(capture, settings)
     motion = settings.motion
     seen_mm = seen_motion_mm(finger, settings)
     suspect = capture.material == "skin" and seen_mm >= motion.correct_mm  # gloss of other things looks like motion
@@ -49,13 +48,12 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
     enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
     if not wanted or not enough:
         return capture, finger
-    with watch("finger"):
-        registered = register(capture, finger, settings)
-        if motion.correct == "auto" and not worth_undoing(registered, seen_mm, settings):
-            return capture, finger
-        _check(registered, settings)
-        steadied = resampled(capture, finger, registered)
-    again = find_finger(steadied, settings, watch)
+    registered = register(capture, finger, settings)
+    if motion.correct == "auto" and not worth_undoing(registered, seen_mm, settings):
+        return capture, finger
+    _check(registered, settings)
+    steadied = resampled(capture, finger, registered)
+    again = find_finger(steadied, settings)
     facts = {**again.facts, **registered.facts}
     note = (
         f"the finger moved by {registered.most_mm:.2f} mm between the shots; that was undone, and the images resampled."
@@ -77,7 +75,7 @@ class Registered:
     facts: dict[str, Any]
 
 
-def seen_motion_mm(finger: Finger, settings: PipelineSettings) -> float:
+def seen_motion_mm(finger: Finger, settings: FingerSettings) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
@@ -86,7 +84,7 @@ def seen_motion_mm(finger: Finger, settings: PipelineSettings) -> float:
     return max(found)
 
 
-def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Registered:
+def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Registered:
     """Registration of the white band, of the others to it, and what a report says of them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
@@ -124,7 +122,7 @@ def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Re
     return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
 
 
-def worth_undoing(registered: Registered, seen_mm: float, settings: PipelineSettings) -> bool:
+def worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
@@ -134,7 +132,7 @@ def worth_undoing(registered: Registered, seen_mm: float, settings: PipelineSett
     return registered.after < HELPS * registered.before
 
 
-def _check(registered: Registered, settings: PipelineSettings) -> None:
+def _check(registered: Registered, settings: FingerSettings) -> None:
     """Refuse motion that cannot be undone."""
     motion = settings.motion
     require(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from splitknit.imaging.geometry import smoothed
 from splitknit.matching.surface_code import SurfaceCode, SurfaceCodeSettings, make_surface_code
+from splitknit.model import Surface
 from splitknit.prints.curvature import REFERENCE_PX_PER_MM, CurvatureSettings, curvature
-from splitknit.recipe.matchable import Surface
-from splitknit.recipe.smooth import smoothed
 
 
 def surface_code(surface: Surface, settings: SurfaceCodeSettings | None = None) -> SurfaceCode:

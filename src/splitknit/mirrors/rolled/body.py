@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.imaging.areas import mirror_outline
 from splitknit.imaging.view import pixels_of
-from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Slopes, Views, mirror_outline
+from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Slopes, Views
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.first import cap, first_body, turn_of_tips
 from splitknit.mirrors.fit import fit_body

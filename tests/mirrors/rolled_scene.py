@@ -6,10 +6,10 @@ import numpy as np
 
 from splitknit.mirrors import MirrorShapeSettings, Views
 from splitknit.mirrors.rolled import plane_of
+from splitknit.mirrors.rolled.body import body_between_mirrors
+from splitknit.mirrors.rolled.view_lights import Glass
+from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
-from splitknit.recipe.rolled_body import body_between_mirrors
-from splitknit.recipe.rolled_light import Glass
-from splitknit.recipe.rolled_work import MirrorView, MirrorViews
 
 A, B, CAP, TOP = 8.0, 6.5, 8.0, -0.5
 """Half breadth, half height, length of the cap, height of the pad; mm."""

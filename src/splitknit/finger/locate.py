@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -13,20 +13,12 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.drift import drift_words, led_drift
 from splitknit.errors import BadInput, require
-from splitknit.finger import (
-    Upright,
-    capture_quality,
-    check_borders,
-    find_crease,
-    find_upright,
-    finger_mask,
-    motion_warnings,
-    phalange_mask,
-    photometric_mask,
-    quality_warnings,
-    shot_motion,
-)
-from splitknit.finger.phalange import Crease
+from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
+from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
+from splitknit.finger.orientation import OrientationSettings, Upright, find_upright
+from splitknit.finger.phalange import Crease, CreaseSettings, find_crease, phalange_mask
+from splitknit.finger.photometric import PhotometricMaskSettings, photometric_mask
+from splitknit.finger.quality import QualitySettings, capture_quality, quality_warnings
 from splitknit.imaging import (
     Window,
     has_colour,
@@ -36,11 +28,10 @@ from splitknit.imaging import (
     pick_channel,
     saturation_levels,
 )
-from splitknit.mirrors import without_mirrors
+from splitknit.imaging.areas import without_mirrors
+from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
-from splitknit.recipe.coloured import colour_factors_of
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.stopwatch import Stopwatch
+from splitknit.settings import Checked
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
@@ -48,6 +39,24 @@ LEAST_WIDTH_MM = 2.0
 """A mask that is nowhere as wide as this, about four ridges, is no surface to reconstruct."""
 BEYOND_CREASE_MM = 2.5
 """Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerSettings(Checked):
+    """How a capture is read, and how the finger is found in it."""
+
+    _group = ""
+    camera: Literal["calibrated", "orthographic"] = "calibrated"
+    """``calibrated``: rays run as the rig file's camera model says; ``orthographic``: parallel, whatever it says."""
+    lights: LightsSettings = field(default_factory=LightsSettings)
+    mask: MaskSettings = field(default_factory=MaskSettings)
+    orientation: OrientationSettings = field(default_factory=OrientationSettings)
+    crease: CreaseSettings = field(default_factory=CreaseSettings)
+    cut_at_crease: bool = True
+    """Keep only the finger's first phalange."""
+    photometric: PhotometricMaskSettings = field(default_factory=PhotometricMaskSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,15 +74,28 @@ class Finger:
     quality: Mapping[str, Any]
     warnings: tuple[str, ...]
 
-
-def finger_key(settings: PipelineSettings) -> tuple[Hashable, ...]:
-    """What a finger follows from, beside its capture: equal keys, equal fingers."""
-    camera = settings.camera, settings.top_mm
-    found = settings.mask, settings.orientation, settings.crease, settings.cut_at_crease, settings.photometric
-    return "finger", *camera, *found, settings.quality, settings.motion, settings.lights
+    @property
+    def inside(self) -> BoolArray:
+        """(h, w) pixels of the window that are reconstructed."""
+        return self.wider[self.window]
 
 
-def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) -> Finger:
+def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
+    """The capture under the camera model and the lights that the settings ask for, and notes on it.
+
+    Raises
+    ------
+    BadInput
+        If coloured exposures are to be composed from white images that are grey or too few.
+    """
+    camera = capture.rig.camera
+    if settings.camera == "orthographic" and camera.model != "orthographic":
+        plain = replace(camera, model="orthographic", matrix=None, distortion=None)
+        capture = replace(capture, rig=replace(capture.rig, camera=plain))
+    return as_lit(capture, settings.lights)
+
+
+def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
     Raises
@@ -81,51 +103,50 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
     BadInput
         If there is no finger, or it touches three borders.
     """
-    with watch("finger"):
-        px_per_mm = capture.rig.camera.px_per_mm
-        binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
-        white = capture.bands["white"]
-        mean, stack = linear_survey(white, capture.encoding, binning)
-        grey = pick_channel(mean, "grey")
-        small_px = px_per_mm / binning
-        given = capture.mask is not None
-        if given:
-            outline = _reduced(capture.mask, grey.shape)
-        else:
-            image = mean if has_colour(white) else grey
-            if capture.rig.mirrors:  # the finger itself, not its mirror images
-                mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
-                image = without_mirrors(image, capture.rig.camera, mirrors, binning)
-            outline = finger_mask(image, small_px, settings.mask)
-            check_borders(outline)
-        upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
-        crease = find_crease(grey, outline, upright, small_px, settings.crease)
-        cut = settings.cut_at_crease and not given
-        kept = phalange_mask(outline, crease, upright) if cut else outline
-        limits = saturation_levels(white, capture.encoding)
-        usable = photometric_mask(stack, kept, small_px, settings.photometric, saturation=limits) if not given else kept
-        wider = _beyond(outline, crease, upright, small_px) if cut else outline
-        quality, warnings = _quality(capture, settings, stack, outline, small_px, limits, binning)
-        full = capture.shape
-        if given:
-            mask = np.asarray(capture.mask)
-            wide = mask
-        else:
-            wide = enlarged(wider & (usable | ~kept), full, binning)
-            mask = enlarged(usable, full, binning) & wide
-        _check_width(kept if given else usable, small_px, given)
-        notes = [upright.note] if upright.note else []
-        if cut and not crease.found:
-            notes.append(crease.verdict)
-        large = _scaled(upright, binning)
-        facts = {
-            "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
-            "mask": "given" if given else "found",
-            "crease_found": bool(crease.found and cut),
-            "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
-            "crease_verdict": crease.verdict,
-            "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
-        }
+    px_per_mm = capture.rig.camera.px_per_mm
+    binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
+    white = capture.bands["white"]
+    mean, stack = linear_survey(white, capture.encoding, binning)
+    grey = pick_channel(mean, "grey")
+    small_px = px_per_mm / binning
+    given = capture.mask is not None
+    if given:
+        outline = _reduced(capture.mask, grey.shape)
+    else:
+        image = mean if has_colour(white) else grey
+        if capture.rig.mirrors:  # the finger itself, not its mirror images
+            mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
+            image = without_mirrors(image, capture.rig.camera, mirrors, binning)
+        outline = finger_mask(image, small_px, settings.mask)
+        check_borders(outline)
+    upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
+    crease = find_crease(grey, outline, upright, small_px, settings.crease)
+    cut = settings.cut_at_crease and not given
+    kept = phalange_mask(outline, crease, upright) if cut else outline
+    limits = saturation_levels(white, capture.encoding)
+    usable = photometric_mask(stack, kept, small_px, settings.photometric, saturation=limits) if not given else kept
+    wider = _beyond(outline, crease, upright, small_px) if cut else outline
+    quality, warnings = _quality(capture, settings, stack, outline, small_px, limits, binning)
+    full = capture.shape
+    if given:
+        mask = np.asarray(capture.mask)
+        wide = mask
+    else:
+        wide = enlarged(wider & (usable | ~kept), full, binning)
+        mask = enlarged(usable, full, binning) & wide
+    _check_width(kept if given else usable, small_px, given)
+    notes = [upright.note] if upright.note else []
+    if cut and not crease.found:
+        notes.append(crease.verdict)
+    large = _scaled(upright, binning)
+    facts = {
+        "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
+        "mask": "given" if given else "found",
+        "crease_found": bool(crease.found and cut),
+        "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
+        "crease_verdict": crease.verdict,
+        "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
+    }
     return Finger(mask, wide, _window(wide, px_per_mm), large, facts, quality, (*notes, *warnings))
 
 
@@ -145,7 +166,7 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> None:
 
 def _quality(  # noqa: PLR0917
     capture: Capture,
-    settings: PipelineSettings,
+    settings: FingerSettings,
     white: FloatArray,
     outline: BoolArray,
     px_per_mm: float,

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.imaging.chunks import row_chunks
 from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, FloatArray, Led, Rig, Shade
-from splitknit.photometric.chunks import row_chunks
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""

@@ -13,17 +13,17 @@ import pytest
 from splitknit.apps.cli import main
 from splitknit.errors import BadInput
 from splitknit.io import write_capture
-from splitknit.matching.minutiae_record import Minutiae
-from splitknit.model import Band, Capture
-from splitknit.pipeline import preset_settings, reconstruct
-from splitknit.recipe.leave_one_out import (
+from splitknit.matching.leave_one_out import (
     PICTURES,
     LeaveOneOutSettings,
     _component,
     left_out_pictures,
     voted_minutiae,
 )
-from splitknit.recipe.matchable import surface_print
+from splitknit.matching.minutiae_record import Minutiae
+from splitknit.model import Band, Capture
+from splitknit.pipeline import preset_settings, reconstruct
+from splitknit.prints.ridges import surface_print
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 ZHENG = preset_settings("zheng")

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Annotated, Any, Literal
 
-from splitknit.errors import require
-from splitknit.finger import (
-    ClaheSettings,
-    CreaseSettings,
-    MaskSettings,
-    MotionSettings,
-    OrientationSettings,
-    PhotometricMaskSettings,
-    QualitySettings,
-)
+from splitknit.errors import BadInput, require
+from splitknit.finger.contrast import ClaheSettings
+from splitknit.finger.locate import FingerSettings
+from splitknit.imaging.coloured import LightsSettings
 from splitknit.integration import PoissonSettings, ShapeletSettings
 from splitknit.integration.knit import KnitSettings
-from splitknit.mirrors import MirrorShapeSettings
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.photometric import HanrahanKruegerSettings, RobustSettings
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin import MetricSettings, SkinSettings
-
-REFERENCE_PX_PER_MM = 75.7
-"""Scale at which the thesis gives its sizes in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
-class EnhanceSettings:
+class EnhanceSettings(Checked):
     """Contrast enhancement before photometric stereo."""
 
     clahe: bool = False
@@ -34,10 +27,10 @@ class EnhanceSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class DirectSettings:
+class DirectSettings(Checked):
     """Separation of direct light before photometric stereo: the thesis's cases only."""
 
-    method: str = "none"
+    method: Literal["network", "none"] = "none"
     """``network`` (the thesis's U-Net) or ``none``."""
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
@@ -45,103 +38,62 @@ class DirectSettings:
     """Find the share of direct light in the colours, where there are any, and apply it to the grey images; the thesis
     gives the network the grey images themselves."""
 
-    def __post_init__(self) -> None:
-        require(self.method in ("network", "none"), f"direct.method must be network or none, not '{self.method}'.")
-
 
 @dataclass(frozen=True, slots=True)
-class NormalsSettings:
+class NormalsSettings(Checked):
     """Photometric stereo of opaque surfaces and of the thesis's cases."""
 
-    method: str = "near_light"
+    method: Literal["lambertian", "robust", "near_light", "hanrahan_krueger"] = "near_light"
     """``lambertian``, ``robust``, ``near_light``, or ``hanrahan_krueger`` (two-layer skin under distant lights)."""
     robust: RobustSettings = field(default_factory=RobustSettings)
     """Weights of ``robust`` and ``near_light``."""
-    rounds: int = 3
+    rounds: Annotated[int, Limits(1, 20)] = 3
     """Turns of ``near_light`` and integration."""
-    max_slope: float = 6.0
+    max_slope: Annotated[float, Limits(0, above=True)] = 6.0
     """Steeper slopes are shortened to this."""
     hanrahan_krueger: HanrahanKruegerSettings = field(default_factory=HanrahanKruegerSettings)
     """Of that method alone."""
 
-    def __post_init__(self) -> None:
-        known = ("lambertian", "robust", "near_light", "hanrahan_krueger")
-        require(self.method in known, f"normals.method must be one of {', '.join(known)}, not '{self.method}'.")
-        require(1 <= self.rounds <= 20, "normals.rounds must lie between 1 and 20.")
-        require(self.max_slope > 0, "normals.max_slope must be positive.")
-
 
 @dataclass(frozen=True, slots=True)
-class HeightSettings:
+class HeightSettings(Checked):
     """Integration of normals to heights."""
 
-    method: str = "poisson"
+    method: Literal["poisson", "frankot_chellappa"] = "poisson"
     """``poisson`` (masked least squares) or ``frankot_chellappa``."""
-    padding: str = "zero"
+    padding: Literal["zero", "mirror"] = "zero"
     """Of Frankot-Chellappa: ``zero`` as the thesis, or ``mirror``."""
     poisson: PoissonSettings = field(default_factory=PoissonSettings)
 
-    def __post_init__(self) -> None:
-        known = ("poisson", "frankot_chellappa")
-        require(self.method in known, f"height.method must be one of {', '.join(known)}, not '{self.method}'.")
-
 
 @dataclass(frozen=True, slots=True)
-class SmoothSettings:
+class SmoothSettings(Checked):
     """Smoothing of a finished surface: Kumar's case only."""
 
-    sigma_mm: float = 0.0
+    sigma_mm: Annotated[float, Limits(0, 1)] = 0.0
     """Of the Gaussian that heights and relief are convolved with; 0 leaves them as they are."""
 
-    def __post_init__(self) -> None:
-        require(0.0 <= self.sigma_mm <= 1.0, f"smooth.sigma_mm must lie between 0 and 1, but it is {self.sigma_mm}.")
-
 
 @dataclass(frozen=True, slots=True)
-class LightsSettings:
-    """Coloured LEDs: Lin's case only."""
-
-    compose: int = 0
-    """Put so many coloured exposures together from the images under white LEDs, three images for each (fewer where
-    images are few); 0, and any capture under coloured LEDs: take the images as they are."""
-    balance: bool = False
-    """Divide the images of each colour by how bright the finger is in it; one factor a colour."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.compose <= 3, f"lights.compose must be 0 to 3 exposures, but it is {self.compose}.")
-
-
-@dataclass(frozen=True, slots=True)
-class ShapeSettings:
+class ShapeSettings(Checked):
     """Where the finger's shape comes from."""
 
-    source: str = "nir"
+    source: Literal["nir", "white", "mirror"] = "nir"
     """``nir`` (the white band where there is none), ``white``, or ``mirror``: outlines in mirrors beside the finger."""
     mirror: MirrorShapeSettings = field(default_factory=MirrorShapeSettings)
     """How the last is done."""
 
-    def __post_init__(self) -> None:
-        known = ("nir", "white", "mirror")
-        require(self.source in known, f"shape.source must be nir, white or mirror, not '{self.source}'.")
-
 
 @dataclass(frozen=True, slots=True)
-class PipelineSettings:
+class PipelineSettings(FingerSettings):
     """Everything that can be changed in a reconstruction."""
 
-    method: str = "metric"
+    _group = ""
+    method: Literal["metric", "thesis"] = "metric"
     """``metric``, or ``thesis``: distant lights, and integration as the thesis has it."""
-    camera: str = "calibrated"
-    """``calibrated``: rays run as the rig file's camera model says; ``orthographic``: parallel, whatever it says."""
     top_mm: float = 0.0
     """Assumed height of the finger's highest point above the finger plane; with a perspective camera sizes follow from
     it, 0.7 % for each mm at 140 mm."""
-    mask: MaskSettings = field(default_factory=MaskSettings)
-    orientation: OrientationSettings = field(default_factory=OrientationSettings)
-    crease: CreaseSettings = field(default_factory=CreaseSettings)
-    cut_at_crease: bool = True
-    """Keep only the finger's first phalange."""
-    photometric: PhotometricMaskSettings = field(default_factory=PhotometricMaskSettings)
     enhance: EnhanceSettings = field(default_factory=EnhanceSettings)
     direct: DirectSettings = field(default_factory=DirectSettings)
     normals: NormalsSettings = field(default_factory=NormalsSettings)
@@ -150,23 +102,20 @@ class PipelineSettings:
     shapelets: ShapeletSettings = field(default_factory=ShapeletSettings)
     knit: KnitSettings = field(default_factory=KnitSettings)
     smooth: SmoothSettings = field(default_factory=SmoothSettings)
-    lights: LightsSettings = field(default_factory=LightsSettings)
     skin: SkinSettings = field(default_factory=SkinSettings)
     metric: MetricSettings = field(default_factory=MetricSettings)
-    quality: QualitySettings = field(default_factory=QualitySettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
 
     def __post_init__(self) -> None:
-        require(self.method in ("metric", "thesis"), f"method must be metric or thesis, not '{self.method}'.")
+        check_fields(self)
         rough = not self.smooth.sigma_mm
         require(self.method == "thesis" or rough, "smooth.sigma_mm smooths the thesis's cases only; set method=thesis.")
-        require(
-            self.camera in ("calibrated", "orthographic"),
-            f"camera must be calibrated or orthographic, not '{self.camera}'.",
-        )
+
+    def finding(self) -> FingerSettings:
+        """The part that says how the capture is read and the finger is found in it."""
+        return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
 
 
-def _thesis(split: bool, knit: str) -> PipelineSettings:
+def _thesis(split: bool, knit: Literal["addition", "none"]) -> PipelineSettings:
     """`split`: with contrast enhancement and direct light."""
     return PipelineSettings(
         method="thesis",
@@ -232,3 +181,35 @@ PRESETS: dict[str, PipelineSettings] = {
     "lin": _lin(),
     "xie": _xie(),
 }
+
+
+def preset_settings(preset: str) -> PipelineSettings:
+    """Settings of a preset.
+
+    Parameters
+    ----------
+    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``kumar``, ``zheng``, ``lin`` or ``xie``
+
+    Returns
+    -------
+    PipelineSettings
+        Frozen; :func:`splitknit.settings.override` gives changed ones.
+
+    Raises
+    ------
+    BadInput
+        If there is no such preset.
+
+    Examples
+    --------
+    >>> preset_settings("snk").knit.method
+    'addition'
+    """
+    if preset not in PRESETS:
+        raise BadInput(f"there is no preset '{preset}'; known are {', '.join(PRESETS)}.")
+    return PRESETS[preset]
+
+
+def settings_document(settings: PipelineSettings) -> dict[str, Any]:
+    """All settings by name, nested, as they are kept with a result."""
+    return asdict(settings)

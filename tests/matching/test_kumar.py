@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.imaging.geometry import smoothed
 from splitknit.io import read_capture
+from splitknit.matching.space_minutiae import space_minutiae
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
+from splitknit.matching.surface_codes import surface_code
+from splitknit.model import Surface
 from splitknit.pipeline import PRESETS, preset_settings, reconstruct
-from splitknit.recipe.matchable import Surface
-from splitknit.recipe.smooth import smoothed
-from splitknit.recipe.space_minutiae import space_minutiae
-from splitknit.recipe.surface_codes import surface_code
 from splitknit.settings import override
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.rolled import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
+from splitknit.mirrors.rolled.body import radius_of, rolled_pad
+from splitknit.mirrors.rolled.relief import ViewRelief, view_relief
+from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.recipe.presets import PipelineSettings
-from splitknit.recipe.rolled_body import radius_of, rolled_pad
-from splitknit.recipe.rolled_light import Glass
-from splitknit.recipe.rolled_relief import ViewRelief, view_relief
-from splitknit.recipe.rolled_settings import RolledSettings
+
+if TYPE_CHECKING:  # the pipeline lies above
+    from splitknit.presets import PipelineSettings
 
 # The finger between its mirrors as a smooth body: where it lies, and its chart.
 

@@ -1,11 +1,8 @@
-"""What matching needs of a reconstruction, and what it makes of it: a template, a print, and images for the thesis."""
+"""What matching makes of a reconstruction: a template, and images for the thesis's matcher."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.matching import (
@@ -19,14 +16,13 @@ from splitknit.matching import (
     make_template,
     ridge_band,
 )
+from splitknit.matching.leave_one_out import LeaveOneOutSettings
 from splitknit.matching.minutiae3d import Minutiae3DSettings
 from splitknit.matching.surface_code import SurfaceCodeSettings
 from splitknit.matching.surface_code_match import SurfaceMatchSettings
 from splitknit.matching.tetrahedra import TetrahedraSettings
 from splitknit.matching.voted_minutiae import VoteSettings
-from splitknit.model import Reconstruction
-from splitknit.prints import relief_print
-from splitknit.recipe.leave_one_out import LeaveOneOutSettings
+from splitknit.model import Surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,44 +39,6 @@ class MatchingSettings:
     tetrahedra: TetrahedraSettings = field(default_factory=TetrahedraSettings)
     surface_code: SurfaceCodeSettings = field(default_factory=SurfaceCodeSettings)
     surface_match: SurfaceMatchSettings = field(default_factory=SurfaceMatchSettings)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """What matching needs of a reconstruction."""
-
-    ridge_mm: NDArray[np.float32]
-    shape_mm: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    mask: NDArray[np.bool_]
-    pitch_mm: float
-    input_from_upright: NDArray[np.float64]
-    upright_size: tuple[int, int]
-
-
-def surface_of(result: Reconstruction) -> Surface:
-    """Part of a reconstruction that matching needs."""
-    return Surface(
-        result.ridge_mm,
-        result.shape_mm,
-        result.normals,
-        result.mask,
-        result.pitch_mm,
-        result.input_from_upright,
-        result.upright_size,
-    )
-
-
-def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
-    """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
-    return relief_print(
-        surface.ridge_mm,
-        surface.mask,
-        1.0 / surface.pitch_mm,
-        surface.input_from_upright,
-        surface.upright_size,
-        ppi,
-    )
 
 
 def surface_template(surface: Surface, settings: MatchingSettings) -> Template:

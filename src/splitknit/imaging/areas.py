@@ -1,0 +1,82 @@
+"""Areas of a picture: outlines filled, grown and shrunk, the boxes around them, and what is left out of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.imaging.view import pixels_of
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+
+Array = NDArray[np.float64]
+
+
+def bin_image(image: FloatArray, factor: int) -> FloatArray:
+    """Means over blocks of `factor` pixels a side of an image (h, w) or (h, w, C); what fills no block is dropped."""
+    if factor == 1:
+        return image
+    height, width = (n // factor for n in image.shape[:2])
+    cut = image[: height * factor, : width * factor]
+    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def enlarged_box(
+    cells: tuple[slice, slice], factor: int, small: tuple[int, ...], large: tuple[int, ...]
+) -> tuple[slice, slice]:
+    """Rows and columns of an image that blocks of `factor` pixels cover; the last ones take what fills no block."""
+    ends = [n if c.stop == k else c.stop * factor for c, k, n in zip(cells, small, large[:2], strict=True)]
+    return slice(cells[0].start * factor, ends[0]), slice(cells[1].start * factor, ends[1])
+
+
+def around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
+    """Rows and columns that hold a mask and `margin` pixels around it."""
+    found = []
+    for axis in (1, 0):
+        places = np.flatnonzero(mask.any(axis=axis))
+        low, high = int(places[0] - margin), int(places[-1] + margin) + 2
+        found.append(slice(max(0, low), min(high, mask.shape[1 - axis])))
+    return found[0], found[1]
+
+
+def blanked(image: FloatArray, inside: BoolArray, px_per_mm: float) -> FloatArray:
+    """The image whose pixels outside `inside` look like the backdrop beside them."""
+    if inside.all():
+        return image
+    done = image.copy()
+    ring = inside & ~shrunk(inside, max(2.0, 0.4 * px_per_mm))
+    done[~inside] = np.median(done[ring], axis=0) if ring.any() else np.float32(0.0)
+    return done
+
+
+def filled(outline: Array, shape: tuple[int, int]) -> BoolArray:
+    """(h, w) pixels inside an outline (n, 2) of columns and rows."""
+    canvas = np.zeros(shape, dtype=np.uint8)
+    cv2.fillPoly(canvas, [np.round(outline * 16).astype(np.int32)], 1, shift=4)
+    return np.asarray(canvas, dtype=np.bool_)
+
+
+def grown(mask: BoolArray, radius: float) -> BoolArray:
+    """A mask and what lies within `radius` pixels of it along rows and columns."""
+    size = 2 * max(1, round(radius)) + 1
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)), dtype=np.bool_)
+
+
+def shrunk(mask: BoolArray, radius: float) -> BoolArray:
+    """What of a mask lies further than that from its outline."""
+    return ~grown(~mask, radius)
+
+
+def mirror_outline(mirror: Mirror, camera: Camera, binning: int = 1) -> Array:
+    """(n, 2) column and row of a mirror's nominal outline in an image of blocks of `binning` pixels a side."""
+    full = pixels_of(camera, np.asarray(mirror.corners_mm, dtype=np.float64))
+    return np.asarray((full - 0.5 * (binning - 1)) / binning)
+
+
+def without_mirrors(image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int) -> FloatArray:
+    """The image (h, w) or (h, w, C) with the mirrors' nominal outlines filled with the backdrop beside them."""
+    shape = (image.shape[0], image.shape[1])
+    outlines = [filled(mirror_outline(mirror, camera, binning), shape) for mirror in mirrors.values()]
+    return blanked(image, ~np.logical_or.reduce(outlines), camera.px_per_mm / binning)

@@ -1,1 +1,0 @@
-"""The steps of :mod:`splitknit.pipeline`: which stages a preset calls, with which images."""

@@ -1,0 +1,129 @@
+"""Images of skin on the working grid of the `metric` method, the networks that read them, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from splitknit.imaging import Window, has_colour, linear_channels
+from splitknit.imaging.view import view_of
+from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.networks.unet import load_network, run_network
+from splitknit.skin.bands import BandImages
+from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
+from splitknit.skin.grid import Grid
+from splitknit.skin.learned import Networks, can_learn
+from splitknit.skin.surface import MetricSettings
+
+NO_NETWORK = (
+    "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
+    "relief and glare are told apart by their colours alone."
+)
+GREY = "the white images are grey: glare cannot be told from skin by its colour."
+HOW = {
+    "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
+    "colour": "glare by colour, scattering by its transfer function (modelled)",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinImages:
+    """Linear images of the finger's window on the working grid."""
+
+    grid: Grid
+    bands: tuple[BandImages, ...]
+    """The white band first."""
+    networks: Networks | None
+    """Of relief and shape, where they can read the images."""
+    binning: int
+    """Pixels a side that make a block of the camera's grid."""
+    finer: bool
+    """Whether the working grid has half the blocks' pitch, so that the networks can read it."""
+    size: tuple[int, int]
+    """Rows, columns of the window."""
+    warnings: tuple[str, ...]
+
+    def on_pixels(self, field: FloatArray) -> FloatArray:
+        """A field of the working grid on the window's pixels."""
+        if self.finer:
+            field = coarser(field)
+        if self.binning > 1:
+            size = (field.shape[1] * self.binning, field.shape[0] * self.binning)
+            field = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+        missing = ((0, self.size[0] - field.shape[0]), (0, self.size[1] - field.shape[1]))
+        return np.pad(field, missing, mode="edge")
+
+
+def working_images(
+    capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, settings: MetricSettings
+) -> SkinImages:
+    """Linear images on a grid that the networks can read, where there is one; and the networks.
+
+    Parameters
+    ----------
+    capture : Capture
+    bands : the white band, and the near-infrared one if there is one
+    window : rows and columns of the finger
+    inside : (h, w) pixels of the window that are reconstructed
+    settings : MetricSettings
+    """
+    grid, images, binning = skin_images(capture, bands, window, inside, settings.working_pitch_mm)
+    wanted = settings.relief == "network"
+    able = can_learn(images[0], grid.pitch_mm)
+    finer = wanted and not able and can_learn(images[0], grid.pitch_mm / FACTOR)
+    if finer:
+        grid, images, able = finer_grid(grid), tuple(finer_images(band) for band in images), True
+    networks = shipped_networks(settings) if able else None
+    warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
+    return SkinImages(grid, images, networks, binning, finer, (inside.shape[0], inside.shape[1]), warnings)
+
+
+def skin_images(
+    capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, pitch_mm: float
+) -> tuple[Grid, tuple[BandImages, ...], int]:
+    """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks.
+
+    Parameters as for :func:`working_images`.
+    """
+    white, *others = bands
+    binning = max(1, round(pitch_mm / capture.rig.camera.pitch_mm))
+    colour = has_colour(white)
+    names = ("red", "green", "blue") if colour else ("grey",)
+    light = linear_channels(white, capture.encoding, names, window, binning)
+    images = [BandImages(names if colour else ("green",), light, capture.rig.select(white.lights))]
+    for nir in others:
+        grey = linear_channels(nir, capture.encoding, ("grey",), window, binning)
+        images.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
+    return _grid(capture, window, inside, binning), tuple(images), binning
+
+
+def shipped_networks(settings: MetricSettings) -> Networks | None:
+    """The networks of relief and shape, or None where the settings do without."""
+    if settings.relief != "network":
+        return None
+
+    def runner(name: str) -> Callable[[FloatArray], FloatArray]:
+        network = load_network(name)
+        return lambda fields: run_network(network, fields[None], tile=settings.tile_px)[0]
+
+    return Networks(runner(settings.network), runner(settings.shape_network) if settings.shape_network else None)
+
+
+def _grid(capture: Capture, window: Window, mask: BoolArray, binning: int) -> Grid:
+    """The working grid: blocks of pixels that all belong to the finger."""
+    rows, columns = window
+    height, width = (n // binning for n in mask.shape)
+    blocks = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    inside: BoolArray = np.asarray(blocks.all(axis=(1, 3)), dtype=np.bool_)
+    full = capture.shape
+    cut = (
+        rows.start == 0 and bool(inside[0].any()),
+        rows.stop >= full[0] and bool(inside[-1].any()),
+        columns.start == 0 and bool(inside[:, 0].any()),
+        columns.stop >= full[1] and bool(inside[:, -1].any()),
+    )
+    view = view_of(capture.rig.camera, rows, columns, binning=binning, along_rays=True)
+    return Grid(inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm)

@@ -1,0 +1,130 @@
+"""What wraps the steps of a reconstruction from outside: time, progress, and results that several cases share."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, ParamSpec, TypeVar
+
+from splitknit.errors import require
+from splitknit.model import Capture
+
+P = ParamSpec("P")
+T = TypeVar("T")
+Progress = Callable[[str, float], None]
+
+BEGINS = {"finger": 0.0, "light": 0.1, "normals": 0.2, "surface": 0.25, "result": 0.9}
+"""Fraction of the work that is done when a stage begins."""
+
+
+class Memory:
+    """Intermediate results of one capture, by the steps and arguments that they follow from.
+
+    Give the same memory to :func:`splitknit.reconstruct` for every case of a capture: what two cases share (the
+    finger's outline, the slopes of direct light) is computed once, and every result is the same as without it. It keeps
+    some ten images of the finger's window and goes when it is dropped.
+    """
+
+    def __init__(self, capture: Capture) -> None:
+        """Remember nothing yet of `capture`."""
+        self._capture = capture
+        self._known: dict[Hashable, Any] = {}
+
+    def check(self, capture: Capture) -> None:
+        """Refuse another capture than the one whose results are remembered.
+
+        Raises
+        ------
+        BadInput
+            If `capture` is another object.
+        """
+        require(capture is self._capture, "a memory serves one capture; make another for this one.")
+
+    def __call__(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what was made for `key`, or make it; errors are not remembered."""
+        if key not in self._known:
+            self._known[key] = make()
+        found: T = self._known[key]
+        return found
+
+
+@dataclass
+class _Run:
+    """One reconstruction under way."""
+
+    progress: Progress | None
+    memory: Memory
+    seconds: dict[str, float] = field(default_factory=dict)
+    stage: str = ""
+    """Under way now."""
+    done: float = 0.0
+    """Fraction that was reported last: a stage may be entered again, but progress never goes back."""
+
+
+_RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
+
+
+@contextmanager
+def running(progress: Progress | None, memory: Memory) -> Iterator[dict[str, float]]:
+    """Time the steps inside, report them to `progress`, and share results by `memory`.
+
+    Yields
+    ------
+    dict
+        Seconds of every stage so far.
+    """
+    run = _Run(progress, memory)
+    token = _RUN.set(run)
+    try:
+        yield run.seconds
+    finally:
+        _RUN.reset(token)
+
+
+def report(stage: str, within: float) -> None:
+    """Report that a fraction `within` of a stage is done."""
+    run = _RUN.get()
+    if run is not None and run.progress is not None:
+        following = [done for done in (*BEGINS.values(), 1.0) if done > BEGINS[stage]]
+        run.done = max(run.done, BEGINS[stage] + within * (following[0] - BEGINS[stage]))
+        run.progress(stage, run.done)
+
+
+def step(stage: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Decorator of a step of a stage: outside of a run it changes nothing."""
+
+    def wrap(function: Callable[P, T]) -> Callable[P, T]:
+        @functools.wraps(function)
+        def timed(*args: P.args, **kwargs: P.kwargs) -> T:
+            run = _RUN.get()
+            if run is None or run.stage == stage:
+                return function(*args, **kwargs)
+            report(stage, 0.0)
+            outer, run.stage, started = run.stage, stage, time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                run.stage = outer
+                run.seconds[stage] = run.seconds.get(stage, 0.0) + time.perf_counter() - started
+
+        return timed
+
+    return wrap
+
+
+def shared(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorator of a step that follows from its arguments alone (hashable, positional): cases share its result."""
+
+    @functools.wraps(function)
+    def once(*args: P.args, **kwargs: P.kwargs) -> T:
+        run = _RUN.get()
+        if run is None:
+            return function(*args, **kwargs)
+        key = (function.__qualname__, *args, *sorted(kwargs.items()))
+        return run.memory(key, functools.partial(function, *args, **kwargs))
+
+    return once
