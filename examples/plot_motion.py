@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.apps.compare import compare
+from splitknit.evaluation.accuracy import compare
 from splitknit.io import write_image
 from splitknit.recipe.matchable import surface_of, surface_print
 from splitknit.recipe.presets import PRESETS

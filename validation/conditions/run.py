@@ -22,15 +22,16 @@ import cv2
 import numpy as np
 
 import splitknit.simulator.finger as drawing
-from splitknit.apps.compare import compare
-from splitknit.apps.matching import false_match_rate
-from splitknit.apps.printing_folder import advice, enhance, make_print, measured
-from splitknit.apps.printing_sources import source_of
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
 from splitknit.matching import Template, pack, ridge_match, unpack
+from splitknit.matching.methods import false_match_rate
 from splitknit.matching.minutiae import nfiq2
 from splitknit.model import Reconstruction
 from splitknit.pipeline import reconstruct
+from splitknit.prints.folder import advice
+from splitknit.prints.make import enhance, make_print, measured
+from splitknit.prints.sources import source_of
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
 from splitknit.recipe.memory import Memory
 from splitknit.simulator.conditions import Condition

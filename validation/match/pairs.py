@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_images, surface_template
 from splitknit.evaluation import Scores, bootstrap, ids_of
 from splitknit.finger.orientation import find_upright
 from splitknit.matching import Prepared, ThesisSettings, ridge_match, thesis_match
 from splitknit.pipeline import reconstruct
+from splitknit.recipe.matchable import MatchingSettings, Surface, surface_images, surface_template
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 HERE = Path(__file__).resolve().parent

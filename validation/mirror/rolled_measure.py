@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.apps.printing_rolled import laid_flat, rolled_facts
 from splitknit.io import read_capture
 from splitknit.mirrors.rolled import Blended, read, ridge_band, seam_lines, seam_steps
 from splitknit.pipeline import preset_settings
 from splitknit.prints import UnrollSettings, ink, resample
+from splitknit.prints.rolled import laid_flat, rolled_facts
 from splitknit.recipe.rolled import Rolled, rolled_finger
 from splitknit.recipe.rolled_capture import find_mirror_views
 from splitknit.recipe.rolled_settings import RolledSettings

@@ -14,8 +14,8 @@ from captures import capture_folder
 from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
-from splitknit.apps.compare import CompareSettings, compare, high_pass
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import CompareSettings, compare, high_pass
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.finger import find_finger

@@ -13,8 +13,8 @@ import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 import splitknit.skin.surface as metric_surface
-from splitknit.apps.compare import compare
 from splitknit.errors import BadInput, require
+from splitknit.evaluation.accuracy import compare
 from splitknit.imaging import linear_channels
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.pipeline import preset_settings, undoes_blur
