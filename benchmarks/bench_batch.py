@@ -14,8 +14,8 @@ import json
 import shutil
 from pathlib import Path
 
-from splitknit.apps.simulate_population import simulate_population
 from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
+from splitknit.batch.simulate import simulate_population
 from splitknit.capture.enrolment import FINGERS
 from splitknit.simulator.population import PopulationSettings
 from timing import machine

@@ -23,11 +23,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.apps.printing_folder import Print, enhance, make_print
-from splitknit.apps.printing_sources import Source
 from splitknit.finger.orientation import find_upright
 from splitknit.matching.minutiae import nfiq2
 from splitknit.prints import CurvatureSettings, curvature, gabor_enhance, ridge_mask, stft_enhance, thin
+from splitknit.prints.make import Print, enhance, make_print
+from splitknit.prints.sources import Source
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig
 from timing import machine

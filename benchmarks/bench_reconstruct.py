@@ -58,7 +58,7 @@ def run_process(command: Sequence[str]) -> Run:
 
 
 def splitknit(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "splitknit.apps.cli", *arguments, "--json"]
+    return [sys.executable, "-m", "splitknit.cli.main", *arguments, "--json"]
 
 
 def prepare(scale: float) -> tuple[Path, Run]:
@@ -142,7 +142,7 @@ def table(scale: float, presets: Sequence[str], rounds: int) -> None:
 
 def profile(scale: float) -> None:
     """Print where one run spends its processor time (all threads of the process count while a function waits)."""
-    from splitknit.apps.commands import reconstruct_to_folder  # noqa: PLC0415
+    from splitknit.cli.reconstruct import reconstruct_to_folder  # noqa: PLC0415
 
     folder, _ = prepare(scale)
     profiler = cProfile.Profile(timer=time.process_time)

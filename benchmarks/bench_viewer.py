@@ -78,7 +78,7 @@ def main() -> None:
 def make_result(scale: float) -> Path:
     """Simulate a finger and reconstruct it, once."""
     capture, result = OUT / f"viewer-capture-{scale:g}", OUT / f"viewer-{scale:g}"
-    verb = [sys.executable, "-m", "splitknit.apps.cli"]
+    verb = [sys.executable, "-m", "splitknit.cli.main"]
     if not (result / "height.npz").is_file():
         subprocess.run([*verb, "simulate", "--scale", str(scale), "--seed", "5", "--out", str(capture)], check=True)
         subprocess.run([*verb, "reconstruct", str(capture), "--preset", "ea", "--out", str(result)], check=True)
@@ -87,7 +87,7 @@ def make_result(scale: float) -> Path:
 
 def start(result: Path) -> tuple[subprocess.Popen[str], str, float]:
     """Start the server; its process, its address, and the seconds that took."""
-    command = [sys.executable, "-m", "splitknit.apps.cli", "view", str(result), "--no-browser", "--json"]
+    command = [sys.executable, "-m", "splitknit.cli.main", "view", str(result), "--no-browser", "--json"]
     begin = time.perf_counter()
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     text = ""

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 import splitknit
-from splitknit.apps.matching import false_match_rate
 from splitknit.io import write_image
 from splitknit.matching import ridge_match
+from splitknit.matching.methods import false_match_rate
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.matching.surface import MatchingSettings, surface_template

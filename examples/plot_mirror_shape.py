@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.apps.compare import compare
-from splitknit.apps.figures import render_views
-from splitknit.apps.pictures import upright_frame
+from splitknit.evaluation.accuracy import compare
 from splitknit.io import write_image
+from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
+from splitknit.report.figures import render_views
 from splitknit.simulator.mirror_settings import MirrorViews
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.apps.compare import compare
+from splitknit.evaluation.accuracy import compare
 from splitknit.io import write_image
 from splitknit.model import surface_of
 from splitknit.presets import PRESETS

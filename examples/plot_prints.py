@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.apps.printing_folder import enhance, make_print
-from splitknit.apps.printing_sources import read_source
 from splitknit.io import write_capture, write_image
 from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.prints import as_print, ridge_mask, thin
+from splitknit.prints.make import enhance, make_print
+from splitknit.prints.sources import read_source
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 METHODS = ("relief", "unroll", "curvature", "photo")

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.apps.compare import compare
-from splitknit.apps.figures import render_views
-from splitknit.apps.pictures import grey, on_paper, to_frame, upright_frame
+from splitknit.evaluation.accuracy import compare
 from splitknit.imaging import linear_image
 from splitknit.io import write_image
+from splitknit.io.pictures import grey, on_paper, to_frame, upright_frame
+from splitknit.report.figures import render_views
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from small_capture import edit
-from splitknit.apps.cli import main
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.imaging import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
 from splitknit.imaging.coloured import COMPOSED, balanced, colour_factors, composed

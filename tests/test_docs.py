@@ -84,7 +84,7 @@ class BlurSettings:
 
 
 def test_verbs_of_the_readme_exist() -> None:
-    from splitknit.apps.cli import build_parser
+    from splitknit.cli.main import build_parser
 
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     verbs = set(re.findall(r"^\| `splitknit (\w+)", text, flags=re.MULTILINE))
@@ -104,7 +104,7 @@ def commands_of(page: str) -> list[list[str]]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_on_the_pages_are_understood(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from splitknit.apps.cli import build_parser
+    from splitknit.cli.main import build_parser
 
     parser = build_parser()
     for line in commands_of(page.read_text(encoding="utf-8")):

@@ -24,7 +24,7 @@ def test_import_loads_nothing_heavy() -> None:
 
 
 def test_help_needs_no_numerics() -> None:
-    loaded = _loaded_after("from splitknit.apps.cli import main\nassert main(['reconstruct', '--help']) == 0")
+    loaded = _loaded_after("from splitknit.cli.main import main\nassert main(['reconstruct', '--help']) == 0")
     assert not set(loaded) & {"cv2", "scipy", "tifffile", "jinja2", "tqdm"}
 
 

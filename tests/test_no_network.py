@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from splitknit.apps.cli import build_parser
-from splitknit.apps.simulate_population import simulate_population
+from splitknit.batch.simulate import simulate_population
+from splitknit.cli.main import build_parser
 from splitknit.simulator.population import PopulationSettings
 
 Event = tuple[str, str]
@@ -55,14 +55,13 @@ sys.addaudithook(hook)
 """
 VERBS = """
 import json, sys
-from splitknit.apps.cli import main
+from splitknit.cli.main import main
 for arguments in json.loads(sys.argv[1]):
     assert main(arguments) == 0, arguments
 """
 PROCESSES = """
 import sys
 from pathlib import Path
-from splitknit.apps.cli import main
 from splitknit.batch import BatchSettings, preset_cases, run_batch
 people = sys.argv[1]
 assert main(["enroll", "all.skg", "--population", people, "--workers", "2", "--preset", "snk"]) == 0

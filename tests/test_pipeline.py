@@ -11,12 +11,12 @@ import pytest
 
 from kinds import turned
 from splitknit import pipeline
-from splitknit.apps.compare import compare
-from splitknit.apps.outputs import upright_mesh
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
 from splitknit.imaging.view import pixel_axes_mm
 from splitknit.io import read_capture, read_npz
+from splitknit.io.results import upright_mesh
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
 from splitknit.presets import settings_document

@@ -13,8 +13,8 @@ import pytest
 
 import kinds
 from small_capture import copy_of, edit
-from splitknit.apps.compare import compare
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
 from splitknit.io import read_capture, read_image, read_npz, write_capture
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import PRESETS, reconstruct

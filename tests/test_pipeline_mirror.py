@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import main
-from splitknit.apps.compare import compare
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
 from splitknit.io import write_capture
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from splitknit import reconstruct
-from splitknit.apps.cli import main
-from splitknit.apps.compare import compare
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
 from splitknit.finger.steady import find_steady_finger
 from splitknit.io import write_capture
 from splitknit.pipeline import preset_settings

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import main
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io import read_capture
 from splitknit.model import Capture, Reconstruction

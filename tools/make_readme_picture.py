@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 
 import splitknit
-from splitknit.apps.figures import oblique_view, upright_surface
-from splitknit.apps.outputs import PRINT_PPI
-from splitknit.apps.pictures import Frame, grey, on_paper, to_frame, upright_frame
 from splitknit.imaging import linear_image
+from splitknit.io.pictures import Frame, grey, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
 from splitknit.prints import relief_print
+from splitknit.report.figures import oblique_view, upright_surface
+from splitknit.report.result import PRINT_PPI
 
 HEIGHT_PX = 400
 GAP_PX = 12

@@ -19,16 +19,16 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.calibration.bench_photos import BenchPhotos
-from splitknit.apps.calibration.calibrated_lights import LightSettings
-from splitknit.apps.printing_folder import PrintingSettings
+from splitknit.calibration.lights_found import LightSettings
 from splitknit.capture.pi_camera import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.matching.search import SearchSettings
 from splitknit.matching.surface import MatchingSettings
 from splitknit.pipeline import PRESETS
+from splitknit.prints.make import PrintingSettings
 from splitknit.rig.circuit import CircuitSettings
 from splitknit.rig.part_settings import PartSettings
+from splitknit.simulator.bench_photos import BenchPhotos
 from splitknit.simulator.device import TwinDeviceSettings
 from splitknit.simulator.population import PopulationSettings
 from splitknit.simulator.twin import TwinSettings

@@ -10,11 +10,13 @@ import contextlib
 import io
 import os
 import stat
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+T = TypeVar("T")
 
 
 class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
@@ -31,10 +33,26 @@ class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about
         super().__init__(message if plain else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
 
+class Refused(BadInput):
+    """The input was understood and is not good enough; `facts` hold what was found all the same."""
+
+    def __init__(self, message: str, facts: dict[str, Any]) -> None:  # noqa: D107 - the class says it
+        super().__init__(message)
+        self.facts = facts
+
+
 def require(condition: bool, message: str) -> None:
     """Raise :class:`BadInput` with `message` unless `condition` holds."""
     if not condition:
         raise BadInput(message)
+
+
+def naming(path: object, work: Callable[[], T]) -> T:
+    """Let what stages refuse, which know arrays only, name the file."""
+    try:
+        return work()
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ rows, z towards the camera, in millimetres; its origin is where the camera's axi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,14 @@ from splitknit.errors import require
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
+Progress = Callable[[str, float], None]
+"""Called with the name of a step and the fraction done, 0 to 1."""
 COLOURS = ("red", "green", "blue")
 """Of LEDs and of a camera's pixels, in the order of an image's channels."""
+
+
+def no_progress(stage: str, fraction: float) -> None:
+    """Report no progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ import pytest
 
 import splitknit.rig.optimise as module
 from splitknit.apps.building.optimise_charts import Cell, Dot, heat_map, scatter, standalone
-from splitknit.apps.cli import main
+from splitknit.cli.main import main
 
 Captured = pytest.CaptureFixture[str]
 SMALL = ["--heights-mm", "100,140", "--radii-mm", "52.5,80", "--powers-w", "1", "--resolutions", "6", "--fingers", "2"]
@@ -149,7 +149,7 @@ def test_scatter_places_points_where_they_belong() -> None:
 @pytest.mark.slow
 def test_an_interrupt_keeps_what_is_finished_and_the_next_run_completes_it(swept: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "splitknit.apps.cli", "rig", "optimise", "--out", str(out), *SMALL]
+    command = [sys.executable, "-m", "splitknit.cli.main", "rig", "optimise", "--out", str(out), *SMALL]
     running = subprocess.Popen([*command, "--workers", "2"], stderr=subprocess.PIPE, start_new_session=True, text=True)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not list(out.glob("candidates/h*.json")):

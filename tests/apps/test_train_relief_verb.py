@@ -8,11 +8,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train_relief as app
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.train_relief import network_metrics, train_relief, write_network
 from splitknit.apps.training.training_data import HELD_OUT_FROM
+from splitknit.cli.main import build_parser, main
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training.relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network

@@ -8,11 +8,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train_shape as app
 from splitknit.apps.training.shape_scenes import ShapeData
 from splitknit.apps.training.train_shape import shape_metrics, train_shape, write_shape_network
 from splitknit.apps.training.training_data import HELD_OUT_FROM
+from splitknit.cli.main import build_parser, main
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training.shape import CHANNELS, SLOPES, WEIGHT, ShapeSettings, relief_network

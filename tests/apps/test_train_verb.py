@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from splitknit.apps.cli import build_parser, main
 from splitknit.apps.training import train
 from splitknit.apps.training.train_verb import command_of
+from splitknit.cli.main import build_parser, main
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network
 from splitknit.training import network as train_network

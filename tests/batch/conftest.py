@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from batch_stores import EA, waves
 
-from splitknit.apps.simulate_population import simulate_population
 from splitknit.batch import BatchSettings, preset_cases, run_batch
 from splitknit.batch.chunks import SUFFIX, write_chunk
 from splitknit.batch.features import BANDS, QUALITY, feature_schema
 from splitknit.batch.population import read_population
+from splitknit.batch.simulate import simulate_population
 from splitknit.batch.store import open_store
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.simulator.population import PopulationSettings

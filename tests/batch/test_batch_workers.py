@@ -23,10 +23,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from splitknit.apps.cli import main
 from splitknit.batch import BatchSettings, Cluster, Store, preset_cases, run_batch
 from splitknit.batch.execution import connected, run_tasks
 from splitknit.batch.packages import load
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 
 ONE = replace(EA, matchers=("ridge",), chunk_captures=1)

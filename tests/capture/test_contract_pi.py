@@ -58,7 +58,6 @@ def recording_line(world: World):
 class TestPiLights(LightContract):
     making = """
 from test_contract_pi import PINS, mock_pins
-from splitknit.capture.pi_lights import PiLightBank
 import gpiozero
 factory = mock_pins()
 bank = PiLightBank(PINS, gpiozero.DigitalOutputDevice)

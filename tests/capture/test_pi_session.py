@@ -13,11 +13,11 @@ import pytest
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from test_contract_pi import PINS, mock_pins
 
-from splitknit.apps import capture_verb
-from splitknit.apps.cli import main
 from splitknit.capture import pi_camera, pi_lights
 from splitknit.capture.enrolment import Place
 from splitknit.capture.focus import Focus, FocusWatch
+from splitknit.cli import capture as capture_verb
+from splitknit.cli.main import main
 from splitknit.io import read_capture, write_rig
 from splitknit.simulator.rig import default_rig
 

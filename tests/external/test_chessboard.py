@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import main
 from splitknit.calibration import Board, find_board, size_in_view
+from splitknit.cli.main import main
 from splitknit.io import read_image, read_rig
 
 pytestmark = pytest.mark.external

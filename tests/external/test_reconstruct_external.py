@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import main
-from splitknit.apps.outputs import FILES
+from splitknit.cli.main import main
 from splitknit.imaging import linear_stack
 from splitknit.io import capture_from_plain_images, read_lights_txt, write_capture
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.photometric import robust
 from splitknit.pipeline import reconstruct
+from splitknit.report.result import FILES
 
 pytestmark = pytest.mark.external
 

@@ -23,8 +23,8 @@ from random import Random
 import numpy as np
 from tests.batch.batch_stores import EA, chunks
 
-from splitknit.apps.simulate_population import simulate_population
 from splitknit.batch import run_batch
+from splitknit.batch.simulate import simulate_population
 from splitknit.errors import BadInput
 from splitknit.gallery.entry import Entry
 from splitknit.gallery.gallery import Gallery, NewCapture

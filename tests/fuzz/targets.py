@@ -34,41 +34,30 @@ from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, th
 from tests.fuzz.mutators import Files
 from tests.png_files import png_of
 
-from splitknit.apps.calibration.calibrated_camera import read_photo
-from splitknit.apps.calibration.lights_of_images import read_stack
-from splitknit.apps.calibration.radiometry_folder import read_radiometry_plan
-from splitknit.apps.commands import truth_of
-from splitknit.apps.evaluation import read_exclusion_list, read_systems
-from splitknit.apps.evaluation_gallery import gallery_scores
-from splitknit.apps.gallery_export import export_gallery, import_gallery
-from splitknit.apps.gallery_options import key_of
-from splitknit.apps.gallery_work import gallery_info, list_gallery
-from splitknit.apps.identifying import IdentifySettings, Question, identify_file
-from splitknit.apps.matching_inputs import read_print, read_side
-from splitknit.apps.matching_inputs import read_surface as read_matched
-from splitknit.apps.options import parse_assignment, read_changes
-from splitknit.apps.pattern_folder import read_pattern_folder
-from splitknit.apps.printing_sources import read_source
-from splitknit.apps.separate import read_light
-from splitknit.apps.targets import check_target
 from splitknit.apps.training.training_data import load_data
 from splitknit.apps.training.training_folder import open_folder, plain
-from splitknit.apps.viewer.open_paths import open_paths
-from splitknit.apps.viewer.people import People
-from splitknit.apps.viewer.serve import start
-from splitknit.apps.viewer.service import Service
 from splitknit.batch import BatchSettings, Store, preset_cases
 from splitknit.batch.chunks import read_origin, write_chunk, write_timings
 from splitknit.batch.features import BANDS, QUALITY, feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.store import open_store
 from splitknit.batch.surfaces import pack_surface, unpack_surface
+from splitknit.calibration.camera_photos import read_photo
 from splitknit.calibration.light_table import COLUMNS, check_tips, read_tips
+from splitknit.calibration.nail_photos import read_stack
+from splitknit.calibration.radiometry_folder import read_radiometry_plan
 from splitknit.capture.enrolment import open_enrolment
+from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import truth_of
+from splitknit.evaluation.gallery_scores import gallery_scores
+from splitknit.evaluation.study import read_exclusion_list, read_systems
 from splitknit.gallery.entry import Entry, decode_entry, encode_entry
 from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.identify import IdentifySettings, Question, identify_file
 from splitknit.gallery.key import Key, ScryptSettings
+from splitknit.gallery.key_file import key_of
+from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
 from splitknit.io import (
     capture_from_plain_images,
     image_size,
@@ -104,10 +93,13 @@ from splitknit.io.minutiae_files import (
 )
 from splitknit.io.print_tiff import read_print_tiff, write_print_tiff
 from splitknit.io.scores import read_exclusions, read_scores
+from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq, read_print_wsq
 from splitknit.matching import VERSION, Template, make_template, pack, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.inputs import read_print, read_side
+from splitknit.matching.inputs import read_surface as read_matched
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import ridge_band
@@ -116,12 +108,18 @@ from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpa
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import preset_settings
+from splitknit.prints.sources import read_source
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.optimise import SweepFolder
 from splitknit.rig.stl import read_stl, write_stl
 from splitknit.rig.study import Study
+from splitknit.separation.folder import read_light
+from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
 from splitknit.training.settings import DataSettings, TrainSettings
+from splitknit.viewer.people import People
+from splitknit.viewer.server import open_paths, start
+from splitknit.viewer.service import Service
 
 TINY_NETWORK = Path(__file__).resolve().parents[1] / "networks" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)
@@ -532,7 +530,7 @@ def _relief(seed: int) -> Any:
 
 @cache
 def _gallery(key: Key | None) -> bytes:
-    from splitknit.apps.gallery_options import templates_hash
+    from splitknit.gallery.enrol import templates_hash
 
     with tempfile.TemporaryDirectory() as scratch, _seeded():
         path = Path(scratch) / "x.skg"

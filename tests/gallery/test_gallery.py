@@ -430,7 +430,6 @@ MANY_KILLED = """
 import os, pathlib, random, signal, sys, time
 sys.path.insert(0, sys.argv[2])
 from test_gallery import KEY, new
-from splitknit.gallery.gallery import Gallery
 path, key = sys.argv[1], KEY if sys.argv[3] == "encrypted" else None
 random.seed(int(sys.argv[4]))
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from splitknit.apps.cli import main
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io import write_capture
 from splitknit.matching.leave_one_out import (

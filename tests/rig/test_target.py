@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from page_raster import draw, objects_of
 
-from splitknit.apps.cli import main
 from splitknit.calibration import Board, find_board
 from splitknit.calibration.disc import find_disc
 from splitknit.calibration.plane import plane_scale
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.rig.pdf import POINTS_PER_MM, Page
 from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf

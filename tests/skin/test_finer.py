@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splitknit
-from splitknit.apps.compare import compare
+from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.view import view_of
 from splitknit.model import Camera
 from splitknit.simulator.rig import default_rig

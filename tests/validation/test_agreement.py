@@ -74,8 +74,8 @@ def test_intervals_hold_the_figure(script: Script) -> None:
 @pytest.mark.slow
 def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     """Directions run along the true ridges, with the right sign; ours of the true relief are mostly true ones."""
-    from splitknit.apps.printing_sources import Source
     from splitknit.io import write_npz
+    from splitknit.prints.sources import Source
     from splitknit.simulator.population import PopulationSettings, population_capture
 
     settings = PopulationSettings(seed=31, scale=0.3)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import splitknit
 from cases import Case, Truth, photographed
-from splitknit.apps.compare import Comparison, compare
+from splitknit.evaluation.accuracy import Comparison, compare
 from splitknit.model import Reconstruction
 from splitknit.simulator.finger import draw_finger
 

@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.cli import main as splitknit
-from splitknit.apps.compare import compare
+from splitknit.cli.main import main as splitknit
+from splitknit.evaluation.accuracy import compare
 from splitknit.io import read_rig
 from splitknit.model import Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import reconstruct

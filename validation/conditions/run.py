@@ -22,16 +22,17 @@ import cv2
 import numpy as np
 
 import splitknit.simulator.finger as drawing
-from splitknit.apps.compare import compare
-from splitknit.apps.matching import false_match_rate
-from splitknit.apps.printing_folder import advice, enhance, make_print, measured
-from splitknit.apps.printing_sources import source_of
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
 from splitknit.matching import Template, pack, ridge_match, unpack
+from splitknit.matching.methods import false_match_rate
 from splitknit.matching.minutiae import nfiq2
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
+from splitknit.prints.folder import advice
+from splitknit.prints.make import enhance, make_print, measured
+from splitknit.prints.sources import source_of
 from splitknit.simulator.conditions import Condition
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.twin import TwinSettings, simulate_capture

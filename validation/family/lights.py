@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.compare import compare
+from splitknit.evaluation.accuracy import compare
 from splitknit.finger.locate import find_finger
 from splitknit.imaging import linear_stack
 from splitknit.io import atomic_file

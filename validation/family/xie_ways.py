@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.compare import compare
+from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration import ShapeletSettings, poisson, shapelets
@@ -97,7 +97,7 @@ def _view(scene: Scene) -> Any:
 
 
 def figures(scene: Scene, normals: FloatArray) -> dict[str, float]:
-    """Normals, ridge band and shape against the truth: see :mod:`splitknit.apps.compare`."""
+    """Normals, ridge band and shape against the truth: see :mod:`splitknit.evaluation.accuracy`."""
     camera = scene.rig.camera
     gradients = gradients_from_normals(normals, scene.mask, PRESETS["ea"].normals.max_slope)
     pitch = np.float32(camera.pitch_mm)

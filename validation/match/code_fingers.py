@@ -17,10 +17,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
 from splitknit.finger.orientation import find_upright
 from splitknit.io.atomic import atomic_file
 from splitknit.matching import Template, pack, unpack
+from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.model import Surface
 from splitknit.simulator.deformation import deformed, draw_deformation
 from splitknit.simulator.finger import finger_surface
 from splitknit.simulator.people import FINGERS, draw_person

@@ -27,7 +27,6 @@ from field_fingers import load_fields, make_fields
 from flat_fingers import load_flat, make_flat
 from numpy.typing import NDArray
 
-from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_template
 from splitknit.finger.orientation import find_upright
 from splitknit.io import read_npz
 from splitknit.io.atomic import atomic_file
@@ -35,7 +34,8 @@ from splitknit.matching import Template, pack, unpack
 from splitknit.matching.code import CODE_VERSION, SCALE, FactorModel, code_model, code_of, probe_codes
 from splitknit.matching.code_field import ridge_field, sampled
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.model import FloatArray
+from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.model import FloatArray, Surface
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "code_model.npz"
 RESULT = Path(__file__).with_name("codes.json")

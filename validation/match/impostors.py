@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from drawn import drawn_surface
 
-from splitknit.apps.matching_inputs import MatchingSettings, surface_template
 from splitknit.io import read_print_png
 from splitknit.matching import Prepared, calibrate_scores, make_template, print_band, ridge_match
+from splitknit.matching.surface import MatchingSettings, surface_template
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr.json"
 SCALE = 0.15

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.matching_inputs import MatchingSettings, Surface, surface_images, surface_template
 from splitknit.evaluation import Scores, bootstrap, ids_of
 from splitknit.finger.orientation import find_upright
 from splitknit.matching import Prepared, ThesisSettings, ridge_match, thesis_match
+from splitknit.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit.model import Surface
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.twin import TwinSettings, simulate_capture
 

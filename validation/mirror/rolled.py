@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from rolled_measure import measure
 
-from splitknit.apps.cli import main as splitknit
+from splitknit.cli.main import main as splitknit
 from splitknit.errors import BadInput
 from splitknit.matching import Template, make_template, ridge_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.apps.printing_rolled import laid_flat, rolled_facts
 from splitknit.io import read_capture
 from splitknit.mirrors.rolled import Blended, read, ridge_band, seam_lines, seam_steps
 from splitknit.mirrors.rolled.finger import Rolled, rolled_finger
@@ -18,6 +17,7 @@ from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import find_mirror_views
 from splitknit.pipeline import preset_settings
 from splitknit.prints import UnrollSettings, ink, resample
+from splitknit.prints.rolled import laid_flat, rolled_facts
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""

@@ -14,8 +14,8 @@ from captures import capture_folder
 from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
-from splitknit.apps.compare import CompareSettings, compare, high_pass
 from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import CompareSettings, compare, high_pass
 from splitknit.finger.locate import find_finger
 from splitknit.finger.steady import find_steady_finger
 from splitknit.model import Capture, Reconstruction

@@ -14,8 +14,6 @@ from agreement_phase import phase_minutiae
 from agreement_truth import Truth, people, true_source
 from numpy.typing import NDArray
 
-from splitknit.apps.printing_folder import Print, enhance, make_print
-from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
@@ -26,6 +24,8 @@ from splitknit.io import read_capture
 from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
+from splitknit.prints.make import Print, enhance, make_print
+from splitknit.prints.sources import Source
 from splitknit.simulator.press import press_finger
 
 PX_PER_MM = 500.0 / 25.4

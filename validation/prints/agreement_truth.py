@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.apps.printing_sources import Source
 from splitknit.io import read_npz
+from splitknit.prints.sources import Source
 from splitknit.simulator.deformation import Deformation
 from splitknit.simulator.finger import Pose, place
 from splitknit.simulator.finger_shape import FingerBody

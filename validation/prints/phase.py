@@ -23,9 +23,9 @@ from agreement_scores import told_apart
 from agreement_summary import MARGIN_PX
 from agreement_truth import read_truth
 
-from splitknit.apps.printing_files import by_phase
-from splitknit.apps.printing_folder import enhance, make_print
 from splitknit.matching.minutiae import extract
+from splitknit.prints.folder import by_phase
+from splitknit.prints.make import enhance, make_print
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "phase.json"

@@ -16,11 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.apps.printing_files import distortion_picture
-from splitknit.apps.printing_folder import enhance, make_print
-from splitknit.apps.printing_sources import read_source
 from splitknit.io import read_npz
 from splitknit.prints import CurvatureSettings, as_print, curvature, plane_map, resample, ridge_mask, thin
+from splitknit.prints.folder import distortion_picture
+from splitknit.prints.make import enhance, make_print
+from splitknit.prints.sources import read_source
 
 
 def beside(panels: list[np.ndarray], gap: int = 10) -> np.ndarray:

@@ -21,12 +21,12 @@ import numpy as np
 from quality_measure import capture_facts, facts_of
 from scipy.stats import spearmanr
 
-from splitknit.apps.printing_folder import advice
-from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.reading import places_of
 from splitknit.io import read_npz
 from splitknit.prints import PrintQuality, QualityFigures, score_of
+from splitknit.prints.folder import advice
+from splitknit.prints.sources import Source
 
 CHOSEN_ON = {"S01", "S09"}
 LOOKED_AT = {

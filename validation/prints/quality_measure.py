@@ -12,8 +12,6 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from splitknit.apps.printing_folder import Print, advice, enhance, make_print, measured
-from splitknit.apps.printing_sources import Source
 from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
@@ -21,6 +19,9 @@ from splitknit.batch.surfaces import unpack_surface
 from splitknit.io import read_npz
 from splitknit.matching import ridge_match, unpack
 from splitknit.matching.minutiae import extract, nfiq2
+from splitknit.prints.folder import advice
+from splitknit.prints.make import Print, enhance, make_print, measured
+from splitknit.prints.sources import Source
 
 HALF_PERIOD_PX = 5.0
 """A true minutia is found if one lies within half a ridge period."""

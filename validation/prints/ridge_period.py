@@ -15,10 +15,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.apps.printing_folder import make_print
-from splitknit.apps.printing_sources import Source, read_source
 from splitknit.io import read_npz
 from splitknit.prints import GridSettings, ink, resample, ridge_field, surface_grid, unroll, unrolled_map
+from splitknit.prints.make import make_print
+from splitknit.prints.sources import Source, read_source
 from splitknit.prints.unroll import KINDS
 from splitknit.prints.unroll_grid import slant_cos
 

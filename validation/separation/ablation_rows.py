@@ -14,8 +14,8 @@ from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 import splitknit.skin.surface as metric_surface
 from splitknit import pipeline
-from splitknit.apps.compare import compare
 from splitknit.errors import BadInput, require
+from splitknit.evaluation.accuracy import compare
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.imaging import linear_channels
 from splitknit.model import Capture, FloatArray, Reconstruction

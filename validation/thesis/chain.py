@@ -18,7 +18,7 @@ def run_chain(options: argparse.Namespace) -> None:
         options.people, options.scales_impostors, options.impostors = SMALL["subjects"], 1.0, 1.0
     for command in commands(options):
         print(" ".join(command), flush=True)
-        done = subprocess.run([sys.executable, "-m", "splitknit.apps.cli", *command[1:]], check=False)
+        done = subprocess.run([sys.executable, "-m", "splitknit.cli.main", *command[1:]], check=False)
         if done.returncode != 0:
             raise SystemExit(f"'{' '.join(command)}' ended with {done.returncode}.")
 

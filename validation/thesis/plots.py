@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from tables import Row
 
-from splitknit.apps.evaluation_page import Axis, Curve, percent, plot, roc_chart
 from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, roc
+from splitknit.report.evaluation import Axis, Curve, percent, plot, roc_chart
 
 
 def save(chart: str, file: Path) -> None:

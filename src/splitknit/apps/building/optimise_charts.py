@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from splitknit.apps.charts import INK, SERIES_COLOURS
-from splitknit.apps.pictures import colour
+from splitknit.io.pictures import colour
+from splitknit.report.charts import INK, SERIES_COLOURS
 
 BLUE, ORANGE, GREEN, GREY = SERIES_COLOURS
 BORDER = "#ffffff"

@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from splitknit.apps.building.optimise_charts import Cell, Dot, heat_map, scatter, standalone
-from splitknit.apps.pages import render
+from splitknit.report import render
 from splitknit.rig.candidates import Candidate
 from splitknit.rig.optimise import THESIS
 from splitknit.rig.study import CAMERAS, MATERIALS, METHODS, Study

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from splitknit.apps.verb import Outcome, Progress, natural, new_verb
+from splitknit.cli.verb import Outcome, Progress, natural, new_verb
 from splitknit.errors import BadInput, require
 
 BUDGETS: dict[str, dict[str, Any]] = {

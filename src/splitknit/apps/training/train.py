@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from splitknit import __version__
-from splitknit.apps.charts import Line
 from splitknit.apps.training.training_folder import (
     Progress,
     curve_chart,
@@ -35,6 +34,7 @@ from splitknit.io.npz import map_npy
 from splitknit.model import BoolArray, FloatArray
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
+from splitknit.report.charts import Line
 from splitknit.training.train import (
     MAY_CHANGE,
     DataSettings,

@@ -11,10 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.apps.charts import Line, line_chart
 from splitknit.errors import read_bytes, refusing, require
 from splitknit.io import atomic_file
 from splitknit.io.fields import parse_json
+from splitknit.report.charts import Line, line_chart
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

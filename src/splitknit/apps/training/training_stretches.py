@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.apps.charts import Line
 from splitknit.apps.training.training_card import mean_figures
 from splitknit.apps.training.training_folder import Progress, curve_chart, curve_table, read_file, write_file
+from splitknit.report.charts import Line
 from splitknit.training.fields_loop import FieldsTrainer
 from splitknit.training.fields_settings import FieldsSettings
 

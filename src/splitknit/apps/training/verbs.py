@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from splitknit.apps.verb import Outcome, Progress, group, new_verb
+from splitknit.cli.verb import Outcome, Progress, group, new_verb
 
 
 def add_train(verbs: Any) -> None:

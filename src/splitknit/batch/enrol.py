@@ -1,0 +1,154 @@
+"""A whole enrolment folder into a gallery: resumable, by several workers, failures to acquire counted and kept."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from splitknit.batch.workers import run_jobs
+from splitknit.errors import Refused, require
+from splitknit.gallery.enrol import (
+    Enrolling,
+    Made,
+    gallery_facts,
+    known_finger,
+    made_or_failed,
+    new_capture,
+    opened,
+    source_hash,
+    templates_hash,
+)
+from splitknit.gallery.entry import check_session, session_order
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
+from splitknit.model import Progress, no_progress
+
+_SESSION = "session_"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A capture or result of an enrolment folder."""
+
+    person: str
+    finger: str
+    session: str
+    path: Path
+
+
+def enroll_population(
+    gallery: Path,
+    folder: Path,
+    settings: Enrolling,
+    *,
+    key: Key | None = None,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Enrol ``folder/S01/session_1/right_index`` and so on; what is in the gallery already is left out.
+
+    Every finished capture is kept at once: the same call goes on where an earlier one was stopped. A capture in which
+    no finger is found is kept as a failure to acquire, a template of zero bytes.
+
+    Raises
+    ------
+    BadInput
+        If there are no captures, or one was enrolled from other files before (unless it may be replaced).
+    Refused
+        If files of some captures cannot be read; the others are enrolled then.
+    """
+    require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
+    progress("looking", 0.0)
+    places = found_in(folder)
+    with contextlib.ExitStack() as stack:
+        target = opened(gallery, key, settings.matching)
+        created = target is None
+        if target is not None:
+            stack.enter_context(target)
+        waiting = _waiting(target, places, replace=settings.replace)
+        unread: list[dict[str, str]] = []
+        failures: list[dict[str, str]] = []
+        enrolled = 0
+        for done, (place, made) in enumerate(_made(waiting, settings, workers), start=1):
+            if isinstance(made, str):
+                unread.append({"path": str(place.path), "reason": made})
+            else:
+                if target is None:
+                    target = Gallery.create(gallery, templates_hash(settings.matching), key)
+                    stack.enter_context(target)
+                new = new_capture(made, place.person, place.finger, place.session, settings)
+                enrolled += sum(target.add([new], replace=settings.replace))
+                if not made.template:
+                    failures.append({"path": str(place.path), "reason": made.failure})
+            progress(f"{place.person} {place.finger}", done / len(waiting))
+        facts: dict[str, Any] = {} if target is None else gallery_facts(target, created=created)
+    facts |= {
+        "population": str(folder),
+        "found": len(places),
+        "known": len(places) - len(waiting),
+        "new": enrolled,
+        "failures_to_acquire": failures,
+        "unreadable": unread,
+    }
+    if unread:
+        kept = "nothing was enrolled" if target is None else "the others are enrolled"
+        raise Refused(
+            f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {unread[0]['reason'].rstrip('.')})"
+            "; mend or remove them, and run the same again.",
+            facts,
+        )
+    return facts
+
+
+def found_in(folder: Path) -> list[Found]:
+    """Captures and results of an enrolment folder, by person, session and finger.
+
+    Raises
+    ------
+    BadInput
+        If there are none, or a folder has a name that no finger or session has.
+    """
+    require(folder.is_dir(), f"there is no folder '{folder}'; name an enrolment or a simulated population.")
+    found = []
+    for path in folder.glob(f"*/{_SESSION}*/*"):
+        if not ((path / "capture.json").is_file() or (path / "height.npz").is_file()):
+            continue
+        session = check_session(path.parent.name.removeprefix(_SESSION))
+        found.append(Found(path.parent.parent.name, known_finger(path.name), session, path))
+    expected = "captures in S01/session_1/right_index and so on are expected"
+    require(len(found) > 0, f"'{folder}' holds nothing to enrol: {expected}.")
+    return sorted(found, key=lambda one: (one.person, session_order(one.session), one.finger))
+
+
+def _waiting(gallery: Gallery | None, places: Sequence[Found], *, replace: bool) -> list[Found]:
+    """What is not in the gallery; of what is, the files are compared by their hash."""
+    earlier = {}
+    if gallery is not None:
+        for one in gallery.entries():
+            earlier[one.entry.person, one.entry.finger, one.entry.session] = one.entry.source_sha256
+    waiting = []
+    for place in places:
+        known = earlier.get((place.person, place.finger, place.session))
+        if known is None:
+            waiting.append(place)
+        elif known != source_hash(place.path):
+            require(
+                replace,
+                f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}; "
+                "say --replace, or name another gallery.",
+            )
+            waiting.append(place)
+    return waiting
+
+
+def _made(waiting: Sequence[Found], settings: Enrolling, workers: int) -> Iterator[tuple[Found, Made | str]]:
+    """Make all templates, in order with one worker, as they come with several."""
+    yield from run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
+
+
+def _template_of(place: Found, settings: Enrolling) -> Made | str:
+    return made_or_failed(place.path, preset=settings.preset, settings=settings.matching, keep=settings.keep)

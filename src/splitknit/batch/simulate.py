@@ -1,0 +1,220 @@
+"""What ``splitknit simulate population`` does: a population in a folder, resumable, by several workers.
+
+The folder is laid out as an enrolment by the devices: ``enrolment.json`` (the plan), ``population.json`` (settings and
+their hash) and ``S01/session_1/right_index/``, a capture folder with truth and ``impression.json`` each. Capture
+folders appear whole or not at all; what is finished is read off them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from splitknit.batch.workers import run_jobs
+from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment
+from splitknit.errors import BadInput, refusing, require
+from splitknit.io import atomic_file, atomic_folder, plain_json, provenance, write_capture
+from splitknit.io.fields import read_json
+from splitknit.io.provenance import settings_hash
+from splitknit.model import Progress, no_progress
+from splitknit.simulator.population import DRAWS, PopulationSettings, population_capture
+
+POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
+_FORMAT, _VERSION = "splitknit-population", 1
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The waiting captures of one finger: its print is drawn once for all of them."""
+
+    places: tuple[Place, ...]
+
+
+def simulate_population(
+    out: Path,
+    settings: PopulationSettings,
+    *,
+    subjects: int | None = None,
+    sessions: int | None = None,
+    fingers: Sequence[str] | None = None,
+    workers: int = 2,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Simulate what is not there yet; return the facts.
+
+    Parameters
+    ----------
+    out : folder of the population: a new one, or one with the same settings
+    settings : of the population
+    subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis (17, 4, all ten)
+    workers : processes; the captures do not depend on their number
+
+    Raises
+    ------
+    BadInput
+        If the folder holds something else or a population with other settings, another run writes it, or the plan
+        would shrink.
+    """
+    started = time.perf_counter()
+    require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
+    document = {
+        "format": _FORMAT,
+        "format_version": _VERSION,
+        "draws": DRAWS,
+        **provenance(settings),
+        "settings_sha256": population_hash(settings),
+    }
+    _check_settings(out, document)
+    enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
+    if not (out / POPULATION_FILE).is_file():
+        with atomic_file(out / POPULATION_FILE) as stream:
+            stream.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode("ascii"))
+    with _alone(out / POPULATION_FILE):
+        _sweep(enrolment)
+        waiting = enrolment.waiting()
+        before = enrolment.plan.total - len(waiting)
+        progress("simulating", 0.0)
+        for done, words in _simulated(enrolment, settings, waiting, workers):
+            progress(words, done / max(len(waiting), 1))
+        _write_table(enrolment)
+    seconds = time.perf_counter() - started
+    return {
+        "out": str(out),
+        "seed": settings.seed,
+        "scale": settings.scale,
+        "subjects": enrolment.plan.subjects,
+        "sessions": enrolment.plan.sessions,
+        "fingers": list(enrolment.plan.fingers),
+        "workers": workers,
+        "simulated": len(waiting),
+        "found": before,
+        "total": enrolment.plan.total,
+        "settings_sha256": document["settings_sha256"],
+        "table": str(out / TABLE_FILE),
+        "total_s": seconds,
+        "seconds_per_capture": seconds / len(waiting) if waiting else None,
+    }
+
+
+def population_hash(settings: PopulationSettings) -> str:
+    """SHA-256 of everything that the captures follow from; the number of threads is not."""
+    render = replace(settings.render, workers=1)
+    return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)})
+
+
+def simulate_job(job: Job, settings: PopulationSettings, folder: Path) -> int:
+    """Simulate the captures of one finger into the enrolment `folder`; return how many."""
+    place = job.places[0]
+    person = settings.person(int(place.subject.removeprefix("S")))
+    master = person.fingers[place.finger].finger.master()
+    for place in job.places:
+        target = folder / place.folder
+        shown = population_capture(settings, person, place.finger, place.session, master=master)
+        with atomic_folder(target, overwrite=False) as made:
+            write_capture(shown.capture, made, shown.truth, overwrite=True)
+            text = json.dumps(plain_json(shown.facts), indent=1, allow_nan=False) + "\n"
+            (made / IMPRESSION_FILE).write_text(text, encoding="ascii")
+    return len(job.places)
+
+
+def jobs_of(waiting: Sequence[Place]) -> list[Job]:
+    """The waiting captures by finger, subject by subject."""
+    by_finger: dict[tuple[str, str], list[Place]] = {}
+    for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
+        by_finger.setdefault((place.subject, place.finger), []).append(place)
+    return [Job(tuple(places)) for places in by_finger.values()]
+
+
+def _simulated(
+    enrolment: Enrolment, settings: PopulationSettings, waiting: Sequence[Place], workers: int
+) -> Iterator[tuple[int, str]]:
+    """Do all jobs; yield how many captures are done, and which finger was the last."""
+    jobs = jobs_of(waiting)
+    work: Callable[[Job], int] = partial(simulate_job, settings=settings, folder=enrolment.folder)
+    done = 0
+    for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):
+        done += captures
+        yield done, f"{job.places[0].subject} {job.places[0].finger}"
+
+
+def _check_settings(out: Path, document: dict[str, Any]) -> None:
+    """Refuse a folder of other captures than these settings give."""
+    file = out / POPULATION_FILE
+    if not file.is_file():
+        taken = out.is_dir() and any(out.glob("S*/session_*/*"))
+        require(
+            not taken or not (out / PLAN_FILE).is_file(),
+            f"'{out}' holds captures of something else than a simulated population; name another folder.",
+        )
+        return
+    damaged = f"'{file}' cannot be read: it is damaged; name another folder for the population."
+    earlier, _ = read_json(file, damaged)
+    with refusing(damaged):
+        known = earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION
+        require(known, f"'{file}' is of another version.")
+        same = earlier["settings_sha256"] == document["settings_sha256"]
+        differing = _differing(earlier["settings"], document["settings"])
+    where = f" ({', '.join(differing[:4])})" if differing else ""
+    require(
+        same,
+        f"the population in '{out}' was simulated with other settings{where}; use the same, or name another folder.",
+    )
+
+
+def _differing(one: Any, other: Any, name: str = "") -> list[str]:
+    """Names of the settings that differ."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = sorted(one.keys() | other.keys())
+        return [found for key in keys for found in _differing(one.get(key), other.get(key), f"{name}.{key}".strip("."))]
+    return [] if one == other else [name]
+
+
+@contextmanager
+def _alone(file: Path) -> Iterator[None]:
+    """Hold the population for this run; a killed run lets go."""
+    import fcntl  # noqa: PLC0415 - not on every system
+
+    with file.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise BadInput(f"another run is simulating into '{file.parent}'; wait for it, or stop it.") from error
+        yield
+
+
+def _sweep(enrolment: Enrolment) -> None:
+    """Remove what killed runs left half-written."""
+    for leftover in enrolment.folder.glob("S*/session_*/.*.tmp"):
+        shutil.rmtree(leftover, ignore_errors=True)
+
+
+def _write_table(enrolment: Enrolment) -> None:
+    """One line for each finished capture: its folder and the facts of its ``impression.json``."""
+    rows = []
+    for place in enrolment.places():
+        file = enrolment.path(place) / IMPRESSION_FILE
+        if file.is_file():
+            rows.append({"folder": place.folder} | _facts_of(file))
+    text = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n", extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    with atomic_file(enrolment.folder / TABLE_FILE) as stream:
+        stream.write(text.getvalue().encode("utf-8"))
+
+
+def _facts_of(file: Path) -> dict[str, Any]:
+    damaged = f"'{file}' is damaged; remove its folder and run the same again."
+    facts, _ = read_json(file, damaged)
+    require(isinstance(facts, dict), damaged)
+    return dict(facts)

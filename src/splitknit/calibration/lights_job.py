@@ -1,0 +1,362 @@
+"""Where the LEDs are: from a table of shadow tips, photographs of a ball, or the rig's drawing."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, read_tips
+from splitknit.calibration.lights import Circle, combine
+from splitknit.calibration.lights_found import LightSettings, calibrate_lights, rig_of
+from splitknit.calibration.nail_photos import FOUND_SD_MM, SUFFIXES, read_stack, tips_of_photos
+from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit.errors import BadInput, Refused, read_bytes, require
+from splitknit.imaging.view import plane_points
+from splitknit.io import file_hash, image_size, plain_json, provenance, read_image, read_rig, write_rig
+from splitknit.io.targets import check_rig_file
+from splitknit.model import Camera, Led, Progress, Rig, no_progress
+
+
+@dataclass(frozen=True, slots=True)
+class LightsJob:
+    """What is asked for; see ``splitknit calibrate lights --help``."""
+
+    table: Path | None = None
+    images: Path | None = None
+    sphere: Literal["chrome", "grey"] | None = None
+    geometry: bool = False
+    rig: Path | None = None
+    px_per_cm: float | None = None
+    image_size: str | None = None
+    """``rows,columns``."""
+    led_height_cm: float | None = None
+    led_radius_cm: float | None = None
+    led_centre_px: str | None = None
+    """``x,y``."""
+    first_azimuth_deg: float = 0.0
+    method: str | None = None
+    keep: bool = False
+    encoding: str = "linear"
+    mask: Path | None = None
+    show: Path | None = None
+    tips_out: Path | None = None
+    out: Path | None = None
+    settings: LightSettings = field(default_factory=LightSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RigInputs:
+    """The camera, and the rig it is from."""
+
+    camera: Camera
+    base: Rig | None
+
+
+def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> dict[str, Any]:
+    """Find the LEDs, write the rig file where one is named; return the facts.
+
+    Raises
+    ------
+    BadInput
+        Naming the option or file at fault.
+    Refused
+        If the LEDs that were found are not good enough; its facts hold what was found.
+    """
+    way = _checked_way(job)
+    if way == "sphere":
+        return _of_sphere(job)
+    inputs = _rig_inputs(job)
+    circle = _circle_of(job, inputs)
+    if way == "geometry":
+        return _nominal(job, inputs, circle)
+    return _of_table(job, inputs, circle, progress) if way == "table" else _of_images(job, inputs, circle, progress)
+
+
+def _checked_way(job: LightsJob) -> str:
+    """Return ``table``, ``images``, ``sphere`` or ``geometry``.
+
+    Raises
+    ------
+    BadInput
+        If none or several of them are asked for.
+    """
+    images = job.images is not None and job.sphere is None
+    asked = {
+        "table": job.table is not None,
+        "images": images,
+        "sphere": job.sphere is not None,
+        "geometry": bool(job.geometry),
+    }
+    ways = [way for way, wanted in asked.items() if wanted]
+    require(
+        len(ways) == 1,
+        f"calibrate lights needs one of --table CSV, --images FOLDER, --sphere KIND with --images, and --geometry, but "
+        f"{'none was' if not ways else ' and '.join('--' + way for way in ways) + ' were'} given.",
+    )
+    require(ways[0] != "sphere" or job.images is not None, "--sphere needs --images FOLDER, photographs of the ball.")
+    check_rig_file(job.out)
+    require(ways[0] != "geometry" or job.out is not None, "--geometry writes a rig file; name it with --out FILE.")
+    return ways[0]
+
+
+def _rig_inputs(job: LightsJob) -> _RigInputs:
+    """Return the camera of ``--rig``, or an orthographic one of ``--px-per-cm`` and ``--image-size``."""
+    if job.rig is not None:
+        for name in ("px_per_cm", "image_size"):
+            given = getattr(job, name) is None
+            require(given, f"--{name.replace('_', '-')} and --rig say the same thing; give one of them.")
+        base = read_rig(job.rig)
+        return _RigInputs(base.camera, base)
+    needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]
+    require(
+        not needed,
+        f"calibrate lights needs {' and '.join('--' + name.replace('_', '-') for name in needed)}, or --rig FILE "
+        f"with a camera.",
+    )
+    assert job.px_per_cm is not None and job.image_size is not None and job.led_height_cm is not None
+    rows, columns = _pair(job.image_size, "--image-size", "rows,columns, such as 2200,3200")
+    whole = rows == int(rows) and columns == int(columns) and min(rows, columns) >= 1 and rows * columns <= 2e8
+    require(whole, f"--image-size must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
+    height = job.led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
+    return _RigInputs(Camera(job.px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), None)
+
+
+def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
+    """Return the LED circle: of the options, and else of the rig's LEDs."""
+    places = [led.position_mm for led in inputs.base.leds if led.position_mm is not None] if inputs.base else []
+    radius, height = job.led_radius_cm, job.led_height_cm
+    missing = [
+        f"--led-{what}-cm" for what, value in (("radius", radius), ("height", height)) if value is None and not places
+    ]
+    require(
+        not missing,
+        f"calibrate lights needs {' and '.join(missing)}"
+        + (", because the rig's LEDs have no positions." if inputs.base else "."),
+    )
+    centre = (0.0, 0.0)
+    if job.led_centre_px is not None:
+        x, y = _pair(job.led_centre_px, "--led-centre-px", "x,y in pixels, such as 1575,1174")
+        point = plane_points(inputs.camera, np.array([[x, y]]))[0]
+        centre = (float(point[0]), float(point[1]))
+    array = np.array(places).reshape(-1, 3)
+    return Circle(
+        radius_mm=float(np.hypot(array[:, 0], array[:, 1]).mean()) if radius is None else 10.0 * radius,
+        height_mm=float(array[:, 2].mean()) if height is None else 10.0 * height,
+        centre_mm=centre,
+    )
+
+
+def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> dict[str, Any]:
+    """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
+    found, facts = {}, []
+    for nir, band in enumerate(BANDS):
+        for led in range(LEDS_PER_BAND):
+            azimuth = math.radians(job.first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
+            x = circle.centre_mm[0] + circle.radius_mm * math.cos(azimuth)
+            y = circle.centre_mm[1] + circle.radius_mm * math.sin(azimuth)
+            place = np.array([[x, y, circle.height_mm]])
+            found[band, led] = combine(band, led, place, (), circle)
+            facts.append(
+                {
+                    "band": band,
+                    "led": led,
+                    "direction": found[band, led].direction.tolist(),
+                    "position_mm": [x, y, circle.height_mm],
+                    "disagreement_deg": None,
+                    "verdict": "nominal",
+                    "kept": True,
+                }
+            )
+    origin = plain_json({**provenance({"circle": circle, "first_azimuth_deg": job.first_azimuth_deg})})
+    rig = rig_of(found, inputs.camera, inputs.base, {"method": "geometry", "provenance": origin})
+    return _written(rig, job.out, {"method": "geometry", "leds": facts})
+
+
+def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the rig where a name is given; return the facts as plain JSON."""
+    if out is not None:
+        write_rig(rig, out)
+    return _plain({**facts, "written": out is not None, "out": None if out is None else str(out)})
+
+
+def _plain(value: Mapping[str, Any]) -> dict[str, Any]:
+    result = plain_json(value)
+    assert isinstance(result, dict)
+    return dict(result)
+
+
+def _pair(text: str, name: str, form: str) -> tuple[float, float]:
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    sound = len(values) == 2 and all(math.isfinite(value) and abs(value) < 1e6 for value in values)
+    require(sound, f"{name} must be {form}, but it is '{text}'.")
+    return values[0], values[1]
+
+
+def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> dict[str, Any]:
+    """Calibrate from a typed table of nail and shadow tips."""
+    assert job.table is not None
+    data = read_bytes(job.table, 16_000_000)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{job.table} is not a text file; export the table as CSV in UTF-8.") from error
+    tips = read_tips(text, str(job.table))
+    progress("fitting", 0.5)
+    hashes = {job.table.name: hashlib.sha256(data).hexdigest()}
+    return _of_tips(job, inputs, circle, tips, hashes)
+
+
+def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> dict[str, Any]:
+    """Find nail and shadow tips in photographs, write the picture and the table of them, and go on as with a table.
+
+    Picture and table are written also where the LEDs are refused after that, for they show why.
+    """
+    folder, nail = job.images, job.settings.nail
+    assert folder is not None
+    require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave --nail-seen base away.")
+    # what is found in photographs is better than what is clicked
+    better = replace(nail, nail_sd_mm=min(nail.nail_sd_mm, FOUND_SD_MM))
+    job = replace(job, settings=replace(job.settings, nail=better))
+    show, table = _beside(job.show, job.out, "_tips.png"), _beside(job.tips_out, job.out, "_tips.csv")
+    tips, hashes, lost = tips_of_photos(
+        folder, inputs.camera, encoding=job.encoding, show=show, table=table, progress=progress
+    )
+    shown: dict[str, Any] = {
+        "show": None if show is None else str(show),
+        "tips_out": None if table is None else str(table),
+        "shadows_out_of_the_picture": lost,
+    }
+    try:
+        facts = _of_tips(job, inputs, circle, tips, hashes)
+    except Refused as error:
+        seen = "" if show is None else f" ({show} shows what was found)"
+        raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
+    return {**facts, **shown}
+
+
+def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
+    return given if given is not None or out is None else out.with_name(out.stem + ending)
+
+
+def _of_tips(
+    job: LightsJob, inputs: _RigInputs, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str]
+) -> dict[str, Any]:
+    """Find the LEDs, refuse or write."""
+    name = str(job.table or job.images)
+    found = calibrate_lights(
+        tips,
+        inputs.camera,
+        circle,
+        name=name,
+        method=job.method,
+        settings=job.settings,
+        keep=job.keep,
+        calibrated=inputs.base is not None,
+    )
+    facts = {**found.facts, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
+    if found.sentence is not None:
+        raise Refused(f"{name}: {found.sentence}", _plain({**facts, "written": False, "out": None}))
+    origin = provenance({"method": found.method, "circle": circle, "lights": job.settings}, hashes)
+    kept = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
+    words = [{key: one[key] for key in kept} for one in found.facts["leds"]]
+    rig = rig_of(found.chosen, inputs.camera, inputs.base, _plain({"leds": words, "provenance": origin}))
+    return _written(rig, job.out, facts)
+
+
+@dataclass(frozen=True, slots=True)
+class _Photograph:
+    band: str
+    led: int
+    path: Path
+
+
+def _of_sphere(job: LightsJob) -> dict[str, Any]:
+    """Find the direction of the light of every image in a folder.
+
+    Without ``--rig`` or ``--px-per-cm`` no scale is known, and none is needed: the directions go into a rig of one
+    pixel per mm. With ``--led-height-cm`` LEDs are placed at that height, as a near light must be.
+    """
+    assert job.images is not None
+    photographs = _photographs(job.images)
+    size = image_size(photographs[0].path)
+    known = job.rig is not None or job.px_per_cm is not None
+    inputs = _rig_inputs(job) if known else _RigInputs(Camera(1.0, size), None)
+    hashes: dict[str, str] = {}
+    paths = [one.path for one in photographs]
+    stack = read_stack(paths, inputs.camera.image_size, job.encoding, hashes, job.images)
+    ball = _ball(job.mask, stack, size, hashes)
+    strengths: NDArray[np.float64] | None = None
+    if job.sphere == "chrome":
+        directions = chrome_directions(stack, ball)
+    else:
+        directions, strengths = grey_directions(stack, ball)
+    low = [str(one.path) for one, way in zip(photographs, directions, strict=True) if way[2] <= 0.05]
+    require(not low, f"{' and '.join(low)}: the light stands beside or behind the ball; correct the mask or the image.")
+    height = None if job.led_height_cm is None else 10.0 * job.led_height_cm
+    facts, leds = [], []
+    for k, (one, way) in enumerate(zip(photographs, directions, strict=True)):
+        unit = (float(way[0]), float(way[1]), float(way[2]))
+        place = None if height is None else (height * unit[0] / unit[2], height * unit[1] / unit[2], height)
+        strength = 1.0 if strengths is None else float(strengths[k] / strengths.mean())
+        # a near light's strength falls with the square of its distance
+        intensity = strength if place is None else strength * (float(np.linalg.norm(place)) / 100.0) ** 2
+        leds.append(Led(one.band, position_mm=place, direction=unit if place is None else None, intensity=intensity))
+        facts.append(
+            {
+                "band": one.band,
+                "led": one.led,
+                "image": one.path.name,
+                "direction": list(unit),
+                "position_mm": None if place is None else list(place),
+                "strength": None if strengths is None else strength,
+                "disagreement_deg": None,
+                "verdict": "unchecked",
+                "kept": True,
+            }
+        )
+    origin = provenance({"sphere": job.sphere, "ball": ball}, hashes)
+    before = dict(inputs.base.provenance) if inputs.base is not None else {}
+    mirrors = inputs.base.mirrors if inputs.base is not None else ()
+    said = {**before, "lights": {"method": job.sphere, "provenance": plain_json(origin)}}
+    rig = Rig(inputs.camera, tuple(leds), said, mirrors)
+    outline = {"column": ball.column, "row": ball.row, "radius_px": ball.radius_px}
+    return _written(rig, job.out, {"method": job.sphere, "ball": outline, "leds": facts})
+
+
+def _photographs(folder: Path) -> list[_Photograph]:
+    """Images by name: ``white_3.png`` tells the LED; others count as white in the order of the numbers in them."""
+    require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the ball.")
+    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    files = [path for path in files if "mask" not in path.stem.lower() and not path.stem.lower().startswith("ambient")]
+    require(bool(files), f"{folder} holds no photographs (PNG, TIFF or JPEG).")
+    named = {path: re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower()) for path in files}
+    if all(match is not None for match in named.values()):
+        found = [_Photograph(match.group(1), int(match.group(2)), path) for path, match in named.items() if match]
+        return sorted(found, key=lambda one: (BANDS.index(one.band), one.led))
+    files.sort(key=lambda path: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)])
+    return [_Photograph("white", k, path) for k, path in enumerate(files)]
+
+
+def _ball(mask: Path | None, stack: NDArray[np.float32], size: tuple[int, int], hashes: dict[str, str]) -> Ball:
+    if mask is None:
+        return find_ball(stack)
+    pixels = read_image(mask)
+    require(
+        pixels.shape[:2] == size,
+        f"{mask} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the photographs have "
+        f"{size[0]} x {size[1]}.",
+    )
+    hashes[mask.name] = file_hash(mask)
+    return ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)

@@ -1,0 +1,235 @@
+"""Photographs of the nail that calibrates lights: reading them, finding the tips, and a picture of what was found."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
+from splitknit.calibration.shadow import NailView, find_nail
+from splitknit.errors import BadInput, read_bytes, require
+from splitknit.io import atomic_file, write_image
+from splitknit.io.fields import Fields, read_json
+from splitknit.io.images import DEFAULTS, decode_image
+from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
+from splitknit.io.targets import check_file, check_picture
+from splitknit.model import Camera, FloatArray, Progress, no_progress
+
+LISTING = "nails.json"
+FOUND_SD_MM = 0.05
+"""Of the nail in photographs: more than the 0.01 mm that the twin shows, for nails that stand a little askew."""
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+Files = dict[tuple[int, str], list[Path]]
+"""Of every nail position and band, the files of its LEDs in order."""
+
+
+def tips_of_photos(
+    folder: Path,
+    camera: Camera,
+    *,
+    encoding: str = "linear",
+    show: Path | None = None,
+    table: Path | None = None,
+    progress: Progress = no_progress,
+) -> tuple[list[Tip], dict[str, str], list[str]]:
+    """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them.
+
+    Returns
+    -------
+    tips : in the order of the LEDs and the nail's places
+    hashes : SHA-256 of the photographs by name
+    lost : names of the photographs in which the shadow leaves the picture
+    """
+    check_picture(show, folder)
+    check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
+    files = nail_files(folder)
+    tips: list[Tip] = []
+    tiles: list[tuple[str, FloatArray, NailView, int]] = []
+    hashes: dict[str, str] = {}
+    lost: list[str] = []
+    for done, ((nail, band), paths) in enumerate(files.items()):
+        progress(f"nail {nail}, {band}", done / len(files))
+        stack = read_stack(paths, camera.image_size, encoding, hashes, folder)
+        names = [str(path) for path in paths]
+        view = find_nail(stack, camera.px_per_mm, names)
+        for led, tip in enumerate(view.tips_px):
+            tiles.append((f"{band} {led}, nail {nail}", _small(stack[led]), view, led))
+            if np.isfinite(tip).all():
+                nail_px = (float(view.nail_px[0]), float(view.nail_px[1]))
+                tips.append(Tip(band, led, nail, nail_px, (float(tip[0]), float(tip[1]))))
+            else:
+                lost.append(f"{band} {led} at nail {nail}")
+    tips.sort(key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail))
+    if show is not None:
+        write_image(show, nail_overview(tiles, camera.image_size))
+    if table is not None:
+        with atomic_file(table) as stream:
+            stream.write(write_tips(tips).encode("ascii"))
+    if not tips:
+        raise BadInput(f"{folder}: all shadows leave the picture; use a shorter nail or move it to the middle.")
+    return tips, hashes, lost
+
+
+def nail_files(folder: Path) -> Files:
+    """Return the images of a folder: subfolders, one for each nail position, of white_0.png ... nir_6.png.
+
+    A folder without subfolders is one position. ``nails.json`` may list the files instead:
+    ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``, names relative to the folder.
+
+    Raises
+    ------
+    BadInput
+        If an image of a band that occurs is missing, or there are none.
+    """
+    require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
+    if (folder / LISTING).is_file():
+        return _listed(folder)
+    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: _natural(path.name))
+    places = [place for place in places if _bands(place)] or [folder]
+    files: Files = {}
+    for nail, place in enumerate(places, start=1):
+        bands = _bands(place)
+        require(
+            bool(bands),
+            f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png and nir_0.png to "
+            f"nir_6.png, in a subfolder for each position of the nail.",
+        )
+        for band in [band for band in BANDS if band in bands]:
+            absent = [led for led in range(LEDS_PER_BAND) if led not in bands[band]]
+            names = " and ".join(f"{band}_{led}" for led in absent)
+            require(not absent, f"{place} lacks the image {names}; every LED of a band that occurs needs one.")
+            files[nail, band] = [bands[band][led] for led in range(LEDS_PER_BAND)]
+    return files
+
+
+def read_stack(
+    paths: list[Path], size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path
+) -> FloatArray:
+    """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off."""
+    images = [_read(path, size, encoding, hashes, folder) for path in paths]
+    band = re.split(r"[_.-]", paths[0].stem)[0].lower()
+    for suffix in SUFFIXES:
+        ambient = paths[0].with_name(f"ambient_{band}{suffix}")
+        if ambient.is_file():
+            dark = _read(ambient, size, encoding, hashes, folder)
+            images = [np.maximum(image - dark, 0) for image in images]
+            break
+    return np.stack(images)
+
+
+def _read(path: Path, size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path) -> FloatArray:
+    data = read_bytes(path, DEFAULTS.max_bytes)
+    pixels = decode_image(data, str(path))
+    require(
+        pixels.shape[:2] == size,
+        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's camera has "
+        f"{size[0]} x {size[1]}; give the rig or --image-size that belongs to the photographs.",
+    )
+    hashes[path.relative_to(folder).as_posix()] = hashlib.sha256(data).hexdigest()
+    light = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    if encoding == "srgb":
+        light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.asarray(light.mean(axis=2), dtype=np.float32)
+
+
+def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
+    found: dict[str, dict[int, Path]] = {}
+    for path in sorted(place.iterdir()):
+        match = re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower())
+        if match and path.suffix.lower() in SUFFIXES and path.is_file():
+            led = int(match.group(2))
+            leds = found.setdefault(match.group(1), {})
+            require(led < LEDS_PER_BAND, f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.")
+            require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
+            leds[led] = path
+    return found
+
+
+def _listed(folder: Path) -> Files:
+    document, _ = read_json(folder / LISTING)
+    fields = Fields(document, str(folder / LISTING))
+    files: Files = {}
+    for nail, entry in enumerate(fields.items("nails"), start=1):
+        place = Fields(entry, str(folder / LISTING), f"nails[{nail - 1}]")
+        for band in [band for band in BANDS if place.has(band)]:
+            names = place.items(band)
+            sound = len(names) == LEDS_PER_BAND and all(isinstance(name, str) for name in names)
+            paths = [folder / str(name) for name in names]
+            inside = all(path.resolve().is_relative_to(folder.resolve()) for path in paths)
+            if not (sound and inside):
+                place.refuse(band, f"a list of {LEDS_PER_BAND} file names inside the folder")
+            files[nail, band] = paths
+    require(bool(files), f"{folder / LISTING} lists no images.")
+    return files
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
+
+
+def _small(image: FloatArray, longest: int = 480) -> FloatArray:
+    step = max(1, -(-max(image.shape) // longest))
+    return np.ascontiguousarray(image[::step, ::step])
+
+
+# Pictures that show what was found in photographs for the calibration of lights.
+
+Points = NDArray[np.float64]
+
+
+def nail_overview(
+    tiles: Sequence[tuple[str, FloatArray, NailView, int]], image_size: tuple[int, int], width: int = 400
+) -> ColourArray:
+    """All photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray towards the LED (line).
+
+    Parameters
+    ----------
+    tiles : name, image (h, w) of any size, what was found in its stack, and the image's number in it
+    image_size : rows, columns of the photographs
+    width : of each tile in pixels
+    """
+    drawn = [
+        nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width) for name, image, view, led in tiles
+    ]
+    blank = np.full_like(drawn[0], 255)
+    drawn += [blank] * (-len(drawn) % 7)
+    rows = [np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)]
+    return np.ascontiguousarray(np.concatenate(rows, axis=0))
+
+
+def nail_tile(
+    name: str, image: FloatArray, found: tuple[Points, Points], image_size: tuple[int, int], width: int
+) -> ColourArray:
+    """One photograph with what was found drawn into it: `found` is the nail and the tip."""
+    nail_px, tip_px = found
+    scale = width / image_size[1]
+    size = (width, max(1, round(image_size[0] * scale)))
+    grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    top = max(float(np.percentile(grey, 99.5)), 1e-6)
+    shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    picture = np.ascontiguousarray(np.repeat(shade[..., None], 3, axis=2))
+    nail = _at(nail_px, scale)
+    if np.isfinite(tip_px).all():
+        away = nail_px - tip_px
+        away = away / max(float(np.linalg.norm(away)), 1e-9) * float(sum(image_size))
+        cv2.line(picture, _at(tip_px, scale), _at(nail_px + away, scale), SKY, 1, cv2.LINE_AA, 4)
+        cv2.circle(picture, _at(tip_px, scale), 6 * 16, ORANGE, 1, cv2.LINE_AA, 4)
+    for x, y in ((6 * 16, 0), (0, 6 * 16)):
+        cv2.line(picture, (nail[0] - x, nail[1] - y), (nail[0] + x, nail[1] + y), PAPER, 1, cv2.LINE_AA, 4)
+    words = name if np.isfinite(tip_px).all() else f"{name}: out of the picture"
+    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 3, cv2.LINE_AA)
+    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    picture[-1], picture[:, -1] = 255, 255
+    return picture
+
+
+def _at(place: Points, scale: float) -> tuple[int, int]:
+    """Of a pixel of the photograph, in sixteenths of a pixel of the tile."""
+    x, y = (place + 0.5) * scale - 0.5
+    return round(16 * float(x)), round(16 * float(y))

@@ -1,0 +1,224 @@
+"""A capture session on the devices, and a capture folder where its verdict is good.
+
+Beside what every capture folder holds lies ``session.json``: exposure, focus, what was checked of every shot, times,
+settings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from splitknit.capture.enrolment import Enrolment, Place
+from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
+from splitknit.devices import Camera, LightBank
+from splitknit.errors import BadInput, Refused, require
+from splitknit.io import atomic_folder, plain_json, provenance, write_capture
+from splitknit.io.targets import check_target
+from splitknit.model import Progress, Rig, no_progress
+
+MARKER = "session.json"
+Ask = Callable[[Place, str | None], str]
+"""Asks for a finger, told why it is asked for again; answers ``go``, ``skip`` or ``stop``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opened:
+    """Devices that are ready, and what is known about them."""
+
+    name: str
+    """``pi`` or ``twin``."""
+    camera: Camera
+    lights: LightBank
+    rig: Rig
+    truth: Mapping[str, Any] | None = None
+    """What the twin knows of the finger."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """How captures are taken and kept."""
+
+    settings: SessionSettings
+    devices: Mapping[str, Any]
+    """Settings of the devices, by their names, for ``session.json``."""
+    material: str = "skin"
+    keep: bool = False
+    """Write a capture although it must be taken again."""
+    overwrite: bool = False
+    """Replace an earlier capture."""
+    watch_focus: WatchFocus | None = None
+
+
+def check_out(out: Path, options: CaptureOptions) -> None:
+    """Refuse a folder that must not be replaced, before any device is opened.
+
+    Raises
+    ------
+    BadInput
+        If it holds anything, and is not an earlier capture that may be overwritten.
+    """
+    if options.overwrite:
+        check_target(out, MARKER, "an earlier capture")
+    else:
+        empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
+        require(empty, f"'{out}' exists and is not empty; name another folder, or say --overwrite.")
+
+
+def capture_to_folder(
+    devices: Opened,
+    out: Path,
+    options: CaptureOptions,
+    *,
+    subject: Mapping[str, Any],
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Capture a finger into the folder `out`; return the facts of ``session.json`` and more.
+
+    Raises
+    ------
+    BadInput
+        If the finger must be captured again, with the verdict: nothing is written then unless `options.keep`.
+    """
+    check_out(out, options)
+    with atomic_folder(out, overwrite=options.overwrite) as target:
+        session = run_session(
+            devices.camera,
+            devices.lights,
+            devices.rig,
+            options.settings,
+            watch_focus=options.watch_focus,
+            progress=lambda stage, share: progress(stage, 0.8 * share),
+        )
+        verdict = "; ".join(session.verdict)
+        facts = {**_facts(devices, session, options), "subject": dict(subject)}
+        if verdict and not options.keep:
+            raise Refused(f"{verdict}.", facts)
+        progress("writing", 0.8)
+        capture = replace(session.capture(devices.rig, material=options.material), subject=dict(subject))
+        if devices.name == "pi":
+            capture = replace(capture, captured_at=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
+        write_capture(capture, target, devices.truth, overwrite=True)
+        text = json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n"
+        (target / MARKER).write_text(text, encoding="utf-8")
+    if verdict:
+        raise Refused(f"{verdict} (kept in '{out}' because of --keep).", {**facts, "out": str(out)})
+    progress("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[str, Any]:
+    used = {"device": devices.name, "capture": options.settings, **options.devices}
+    times = [shot.at_s for shot in session.shots]
+    lit = sum(shot.led is not None for shot in session.shots)
+    return {
+        "format": "splitknit-session",
+        **provenance(used),
+        "device": devices.name,
+        "image_size": list(devices.rig.camera.image_size),
+        "bands": {band: len(one.leds) for band, one in session.bands.items()},
+        "images": lit,
+        "exposure": {
+            band: {
+                "exposure_s": one.exposure_s,
+                "gain": one.gain,
+                "brightest_led": one.brightest,
+                "level": one.level,
+            }
+            for band, one in session.exposures.items()
+        },
+        "focus": asdict(session.focus),
+        "shots": [asdict(shot) for shot in session.shots],
+        "frames_taken": session.frames_taken,
+        "seconds": session.seconds,
+        "seconds_per_frame": (times[-1] - times[0]) / (len(times) - 1),
+        "verdict": list(session.verdict),
+        "notes": list(devices.notes),
+    }
+
+
+def capture_enrolment(
+    enrolment: Enrolment,
+    places: list[Place],
+    open_devices: Callable[[Place], AbstractContextManager[Opened]],
+    options: CaptureOptions,
+    *,
+    ask: Ask | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Capture the fingers of an enrolment that are waiting, one after the other.
+
+    Parameters
+    ----------
+    places : what to capture now, in this order
+    open_devices : gives the devices for a finger
+    ask : asks for each finger, and again after a verdict; None takes them as they come and stops at the first verdict
+
+    Returns
+    -------
+    Facts: what was captured and skipped, how many of how many are finished, and what is next.
+
+    Raises
+    ------
+    BadInput
+        With the finger and the verdict; what was finished before is kept.
+    """
+    captured: list[str] = []
+    skipped: list[str] = []
+    notes: list[str] = []
+    for k, place in enumerate(places):
+
+        def report(stage: str, share: float, k: int = k, place: Place = place) -> None:
+            progress(f"{place.subject} {place.finger}", (k + share) / len(places))
+
+        answer, facts = _one_finger(enrolment, place, open_devices, options, ask=ask, progress=report)
+        if answer == "stop":
+            break
+        if facts is None:
+            skipped.append(place.folder)
+        else:
+            captured.append(place.folder)
+            notes += [note for note in facts["notes"] if note not in notes]
+    waiting = enrolment.waiting()
+    return {
+        "enrolment": str(enrolment.folder),
+        "captured": captured,
+        "skipped": skipped,
+        "finished": enrolment.plan.total - len(waiting),
+        "total": enrolment.plan.total,
+        "next": waiting[0].folder if waiting else None,
+        "notes": notes,
+    }
+
+
+def _one_finger(
+    enrolment: Enrolment,
+    place: Place,
+    open_devices: Callable[[Place], AbstractContextManager[Opened]],
+    options: CaptureOptions,
+    *,
+    ask: Ask | None,
+    progress: Progress,
+) -> tuple[str, dict[str, Any] | None]:
+    """Answer and facts of one finger; asked for until it is good, skipped or stopped."""
+    why: str | None = None
+    while True:
+        answer = "go" if ask is None else ask(place, why)
+        if answer != "go":
+            return answer, None
+        subject = {"id": place.subject, "finger": place.finger, "session": place.session}
+        try:
+            with open_devices(place) as devices:
+                facts = capture_to_folder(devices, enrolment.path(place), options, subject=subject, progress=progress)
+            return "go", facts
+        except BadInput as error:
+            if ask is None:
+                message = f"{place.words}: {error}"
+                raise (Refused(message, error.facts) if isinstance(error, Refused) else BadInput(message)) from error
+            why = str(error)

@@ -1,0 +1,109 @@
+"""``splitknit enroll GALLERY SOURCE...``: fingers into a gallery."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.gallery_options import add_gallery, count
+from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
+from splitknit.errors import require
+
+
+def add_enroll(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "enroll", "put fingers into a gallery, which is made where there is none", run_enroll)
+    add_gallery(verb)
+    what = "capture folder, result folder, template (.skt) or 500-ppi print; several are sessions of one finger"
+    verb.add_argument("sources", type=Path, metavar="SOURCE", nargs="*", help=what)
+    verb.add_argument("--person", default=None, metavar="NAME", help="whose finger it is")
+    verb.add_argument("--finger", default=None, metavar="FINGER", help="which, such as right_index")
+    verb.add_argument("--session", default=None, metavar="S", help="which session (default: the next number)")
+    verb.add_argument(
+        "--population",
+        type=Path,
+        default=None,
+        metavar="FOLDER",
+        help="instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index and so on; resumable",
+    )
+    verb.add_argument(
+        "--workers", type=natural, default=None, metavar="N", help="processes for a population (default: 1)"
+    )
+    verb.add_argument(
+        "--keep-images",
+        choices=("none", "thumbnail", "raw"),
+        default="none",
+        help="what is kept beside the template: nothing (default), a small print, or the source's files",
+    )
+    verb.add_argument("--replace", action="store_true", help="let a capture take the place of one of the same names")
+    verb.add_argument("--with-time", action="store_true", help="keep the time of enrolment as well")
+    add_preset(verb)
+    add_settings(verb)
+
+
+def run_enroll(options: argparse.Namespace) -> Outcome:
+    """Enrol."""
+    from splitknit.cli.options import read_changes  # noqa: PLC0415
+    from splitknit.gallery.enrol import Enrolling, enroll_files  # noqa: PLC0415 - verbs import what they need
+    from splitknit.gallery.key_file import key_notes, key_of  # noqa: PLC0415
+    from splitknit.matching.surface import MatchingSettings  # noqa: PLC0415
+    from splitknit.settings import override  # noqa: PLC0415
+
+    settings = Enrolling(
+        preset=options.preset,
+        matching=override(MatchingSettings(), read_changes(options.settings, options.assignments)),
+        keep=options.keep_images,
+        replace=options.replace,
+        with_time=options.with_time,
+    )
+    key = key_of(options.key_file)
+    with Progress(options) as progress:
+        if options.population is not None:
+            facts, lines = _population(options, settings, key, progress)
+        else:
+            require(options.workers is None, "--workers is for --population.")
+            if options.person is None or options.finger is None:
+                require(False, "say whose finger it is: --person NAME --finger right_index (or --population FOLDER).")
+            facts = enroll_files(
+                options.gallery, options.sources, options.person, options.finger, options.session,
+                settings=settings, key=key, progress=progress.update,
+            )  # fmt: skip
+            lines = [_words(one) for one in facts["enrolled"]]
+    locked = ", encrypted" if facts["encrypted"] else ""
+    lines.append(
+        f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
+        f"{count(facts['people'], 'person', 'people')}{locked}."
+    )
+    lines += [f"Please note: {note}" for note in key_notes(options.key_file)]
+    return facts, lines
+
+
+def _population(options: argparse.Namespace, settings: Any, key: Any, progress: Progress) -> Outcome:
+    from splitknit.batch.enrol import enroll_population  # noqa: PLC0415
+
+    mixed = [name for name in ("person", "finger", "session") if getattr(options, name) is not None]
+    require(not mixed, f"--{mixed[0] if mixed else ''} does not go with --population, whose folders have names.")
+    require(not options.sources, "name sources or a --population, not both.")
+    facts = enroll_population(
+        options.gallery, options.population, settings,
+        key=key, workers=1 if options.workers is None else options.workers, progress=progress.update,
+    )  # fmt: skip
+    failed = facts["failures_to_acquire"]
+    lines = [f"{count(facts['new'], 'capture')} enrolled, {facts['known']} of {facts['found']} were there already."]
+    if failed:
+        lines.append(
+            f"Please note: {count(len(failed), 'failure')} to acquire, kept as such "
+            f"(first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')})."
+        )
+    return facts, lines
+
+
+def _words(one: dict[str, Any]) -> str:
+    who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
+    if not one["new"]:
+        return f"{who} was enrolled from the same source already."
+    if not one["acquired"]:
+        return f"Please note: {who} holds no ridges (failure to acquire); it is kept as such and will match nobody."
+    kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its images"}[one["images"]]
+    return f"Enrolled {who}: {one['area_mm2']:.0f} mm² of skin, {one['template_bytes'] / 1000:.1f} kB{kept}."

@@ -1,0 +1,174 @@
+"""``splitknit gallery list|info|remove|export|import|check|repair|index|rekey|migrate``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.gallery_options import add_gallery, count
+from splitknit.cli.verb import Outcome, Progress, group, natural, new_verb
+from splitknit.gallery.key_file import NEW_KEY_VARIABLE, key_notes, key_of
+
+
+def add_gallery_verbs(verbs: Any) -> None:
+    """Add ``splitknit gallery`` and what follows it."""
+    kinds = group(verbs, "gallery", "look into a gallery, remove from it, export, import, check and encrypt it")
+    listed = _kind(kinds, "list", "tell whose fingers are in it", _list)
+    listed.add_argument("--person", default=None, metavar="NAME", help="of this person only")
+    _kind(kinds, "info", "tell numbers and sizes; needs no key", _info)
+    removed = _kind(kinds, "remove", "remove a person or a finger, so that nothing of it remains in the file", _remove)
+    removed.add_argument("--person", default=None, metavar="NAME", help="whose fingers")
+    removed.add_argument("--finger", default=None, metavar="FINGER", help="this one only")
+    removed.add_argument("--session", default=None, metavar="S", help="this one only")
+    removed.add_argument("--row", type=natural, action="append", default=[], metavar="N", help="a row that is damaged")
+    exported = _kind(kinds, "export", "write all of it, not encrypted, into a folder of templates and a table", _export)
+    exported.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    exported.add_argument("--images", action="store_true", help="write kept images as well")
+    imported = _kind(
+        kinds, "import", "put an exported folder into a gallery, which is made where there is none", _import
+    )
+    imported.add_argument("folder", type=Path, metavar="FOLDER", help="what 'splitknit gallery export' wrote")
+    imported.add_argument("--replace", action="store_true", help="let captures take the place of others")
+    _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
+    _kind(kinds, "repair", "take out rows that cannot be opened, and accept the others as they are", _repair)
+    _kind(
+        kinds, "index", "make the codes that a search through very many fingers needs, where they are missing", _index
+    )
+    changed = _kind(kinds, "rekey", "encrypt it, change its key, or take the encryption away", _rekey)
+    changed.add_argument(
+        "--new-key-file",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help=f"the new key: a passphrase, or 64 hexadecimal digits (or the variable {NEW_KEY_VARIABLE})",
+    )
+    changed.add_argument("--plain", action="store_true", help="take the encryption away")
+    _kind(kinds, "migrate", "make a gallery of version 1 one of version 2, in place", _migrate)
+
+
+def _kind(
+    kinds: Any, name: str, does: str, run: Callable[[argparse.Namespace, Any], Outcome]
+) -> argparse.ArgumentParser:
+    def with_key(options: argparse.Namespace) -> Outcome:
+        facts, lines = run(options, key_of(options.key_file))
+        return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.key_file))]
+
+    verb = new_verb(kinds, name, does, with_key)
+    add_gallery(verb)
+    return verb
+
+
+def _list(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import list_gallery  # noqa: PLC0415 - verbs import what they need
+
+    facts = list_gallery(options.gallery, options.person, key=key)
+    lines = [f"{'row':>5}  {'person':24} {'finger':13} {'session':8} {'from':9} skin"]
+    for one in facts["captures"]:
+        skin = (
+            f"{one['area_mm2']:.0f} mm²" if one["acquired"] else f"failure to acquire ({one['failure'] or 'unknown'})"
+        )
+        kept = "" if one["images"] == "none" else f", with {one['images']} image"
+        lines.append(
+            f"{one['row']:>5}  {one['person']:24} {one['finger']:13} {one['session']:8} {one['kind']:9} {skin}{kept}"
+        )
+    return facts, lines
+
+
+def _info(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import gallery_info  # noqa: PLC0415
+
+    facts = gallery_info(options.gallery, key=key)
+    locked = {None: "not encrypted", "raw": "encrypted, by a key of 32 bytes", "scrypt": "encrypted, by a passphrase"}
+    lines = [f"{facts['gallery']}: a gallery of version {facts['version']}, {locked.get(facts['key'], 'encrypted')}."]
+    known = facts["people"] is not None
+    people = f" of {count(facts['fingers'], 'finger')} of {count(facts['people'], 'person', 'people')}" if known else ""
+    lines.append(
+        f"{count(facts['captures'], 'capture')}{people}, {facts['template_bytes'] / 1e6:.2f} MB of templates (version "
+        f"{facts['template_version']}), {facts['file_bytes'] / 1e6:.2f} MB in all."
+    )
+    if facts["failures"]:
+        lines.append(f"{facts['failures']} of them are failures to acquire.")
+    lines.append(f"{facts['with_code']} have a search code, {facts['with_images']} have images.")
+    return facts, lines
+
+
+def _remove(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import remove_from_gallery  # noqa: PLC0415
+
+    facts = remove_from_gallery(
+        options.gallery,
+        person=options.person,
+        finger=options.finger,
+        session=options.session,
+        rows=options.row,
+        key=key,
+    )
+    return facts, [
+        f"Removed {count(facts['removed'], 'capture')} from {facts['gallery']}; {facts['captures']} are left."
+    ]
+
+
+def _export(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import export_gallery  # noqa: PLC0415
+
+    facts = export_gallery(options.gallery, options.out, key=key, images=options.images)
+    lines = [f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."]
+    lines.append("Please note: they are personal data, and they are not encrypted there.")
+    return facts, lines
+
+
+def _import(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import import_gallery  # noqa: PLC0415
+
+    facts = import_gallery(options.gallery, options.folder, key=key, replace=options.replace)
+    known = facts["found"] - facts["new"]
+    return facts, [f"{facts['new']} captures came in, {known} were there already; {facts['captures']} are in it now."]
+
+
+def _check(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import check_gallery  # noqa: PLC0415
+
+    facts = check_gallery(options.gallery, key=key)
+    return facts, [f"{facts['gallery']} is sound: all {facts['captures']} captures can be opened."]
+
+
+def _repair(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import repair_gallery  # noqa: PLC0415
+
+    facts = repair_gallery(options.gallery, key=key)
+    rows = f" (rows {', '.join(map(str, facts['removed']))})" if facts["removed"] else ""
+    return facts, [
+        f"Took {count(len(facts['removed']), 'row')}{rows} out of {facts['gallery']}; {facts['captures']} others are "
+        "accepted as they are."
+    ]
+
+
+def _migrate(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import migrate_gallery  # noqa: PLC0415
+
+    facts = migrate_gallery(options.gallery, key=key)
+    return facts, [
+        f"{facts['gallery']} ({count(facts['captures'], 'capture')}) is a gallery of version {facts['version']} now."
+    ]
+
+
+def _index(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import index_gallery  # noqa: PLC0415
+
+    with Progress(options) as progress:
+        facts = index_gallery(options.gallery, key=key, progress=progress.update)
+    return facts, [f"Made {facts['coded']} codes of version {facts['code_version']}."]
+
+
+def _rekey(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.manage import rekey_gallery  # noqa: PLC0415
+
+    new = None if options.plain else key_of(options.new_key_file, NEW_KEY_VARIABLE)
+    facts = rekey_gallery(options.gallery, key=key, new=new, plain=options.plain)
+    state = "encrypted under the new key" if facts["encrypted"] else "not encrypted any more"
+    lines = [
+        f"{facts['gallery']} ({count(facts['captures'], 'capture')}) is {state}. Copies made before are as they were."
+    ]
+    return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.new_key_file))]

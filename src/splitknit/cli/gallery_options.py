@@ -1,0 +1,35 @@
+"""Options of the verbs that open a gallery, and how they count."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from splitknit.gallery.key_file import COUNTER, KEY_VARIABLE
+
+if TYPE_CHECKING:
+    pass
+
+
+def add_gallery(verb: argparse.ArgumentParser) -> None:
+    """Add the gallery and its key."""
+    verb.add_argument("gallery", type=Path, metavar="GALLERY", help="file of the gallery")
+    add_key(verb)
+
+
+def add_key(verb: argparse.ArgumentParser) -> None:
+    """Add ``--key-file``."""
+    verb.add_argument(
+        "--key-file",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help=f"key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable {KEY_VARIABLE}); "
+        f"FILE{COUNTER}, where it is there, remembers the last change, so that older copies of a gallery are refused",
+    )
+
+
+def count(number: int, one: str, many: str | None = None) -> str:
+    """Number and word."""
+    return f"{number} {one if number == 1 else many or one + 's'}"

@@ -1,0 +1,118 @@
+"""``splitknit identify GALLERY PROBE``: who is it?"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.gallery_options import add_gallery, count
+from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
+
+
+def add_identify(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "identify", "find a finger in a gallery, or check whose it is said to be", run_identify)
+    add_gallery(verb)
+    what = "capture folder, result folder, template (.skt) or 500-ppi print"
+    verb.add_argument("probe", type=Path, metavar="PROBE", help=what)
+    verb.add_argument("--top", type=natural, default=10, metavar="N", help="candidates that are told (default: 10)")
+    verb.add_argument("--person", default=None, metavar="NAME", help="verification: whose finger it is said to be")
+    verb.add_argument("--finger", default=None, metavar="FINGER", help="which finger it is; others are left out")
+    verb.add_argument(
+        "--fmr",
+        type=float,
+        default=1e-4,
+        metavar="RATE",
+        help="false match rate of one comparison at which is decided (default: 1e-4)",
+    )
+    verb.add_argument(
+        "--merge",
+        choices=("person", "finger", "none"),
+        default="person",
+        help="one candidate for each person (default), each finger, or each enrolled capture",
+    )
+    verb.add_argument(
+        "--search",
+        choices=("auto", "exhaustive", "codes"),
+        default="auto",
+        help="compare all ridges, or only of those that short codes choose (default: auto, by the gallery's size)",
+    )
+    add_preset(verb)
+    add_settings(verb)
+
+
+def run_identify(options: argparse.Namespace) -> Outcome:
+    """Identify."""
+    from splitknit.cli.options import read_changes  # noqa: PLC0415
+    from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415
+    from splitknit.gallery.key_file import key_notes, key_of  # noqa: PLC0415 - verbs import what they need
+    from splitknit.settings import override  # noqa: PLC0415
+
+    settings = override(IdentifySettings(), read_changes(options.settings, options.assignments))
+    question = Question(
+        top=options.top,
+        merge=options.merge,
+        fmr=options.fmr,
+        search=options.search,
+        person=options.person,
+        finger=options.finger,
+    )
+    key = key_of(options.key_file)
+    with Progress(options) as progress:
+        facts = identify_file(
+            options.gallery, options.probe, question, settings,
+            key=key, preset=options.preset, progress=progress.update,
+        )  # fmt: skip
+    lines = [*_words(facts), *(f"Please note: {note}" for note in key_notes(options.key_file))]
+    return facts, lines
+
+
+def _words(facts: dict[str, Any]) -> list[str]:
+    lines = [_verdict(facts)]
+    for one in facts["candidates"]:
+        rate = "" if one["fmr"] is None else f", fmr at most {one['fmr']:.2g}"
+        who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
+        lines.append(f"{one['rank']:>3}. similarity {one['similarity']:.4f}{rate}: {who}")
+    searched = facts["searched"]
+    whose = ""
+    if searched["people"] is not None:
+        whose = f" ({count(searched['fingers'], 'finger')} of {count(searched['people'], 'person', 'people')})"
+    lines.append(
+        f"Searched: {count(searched['captures'], 'capture')}{whose}, {searched['compared']} compared ridge by ridge"
+        + (" (chosen by their codes)." if searched["method"] == "codes" else ".")
+    )
+    if facts["candidates"] and facts["candidates"][0]["fmr"] is not None:
+        first, decision = facts["candidates"][0], facts["decision"]
+        others = count(searched["captures"], "capture")
+        lines.append(
+            f"Fmr is the share of other fingers that are as alike. Among {others} of others, "
+            f"{first['expected_false_matches']:.2g} are to be expected as alike as the first candidate, and "
+            f"{decision['expected_false_matches']:.2g} beyond the threshold."
+        )
+    if searched["without_code"]:
+        lines.append(
+            f"Please note: {searched['without_code']} captures had no code of this version; 'splitknit gallery index' "
+            "keeps them for the next search."
+        )
+    if searched["failures"]:
+        lines.append(f"Please note: {searched['failures']} failures to acquire in the gallery match nobody.")
+    return lines
+
+
+def _verdict(facts: dict[str, Any]) -> str:
+    decision = facts["decision"]
+    if not facts["probe"]["acquired"]:
+        return f"No match: {facts['probe']['path']} holds no ridges (failure to acquire)."
+    if facts["searched"]["captures"] == 0:
+        return "No match: there is nothing to compare with."
+    if decision is None:
+        return "No decision: with other settings than the shipped ones false match rates are not known."
+    at = f"similarity {decision['threshold']:.4f} or more, a false match rate of {decision['fmr']:g} a comparison"
+    best = facts["candidates"][0]
+    if facts["mode"] == "verification":
+        said = "Verified" if decision["match"] else "Not verified"
+        return f"{said}: {facts['person']} (needed: {at})."
+    if not decision["match"]:
+        return f"No match: nobody reaches the threshold ({at})."
+    return f"Match: {best['person']}, {best['finger'].replace('_', ' ')} (needed: {at})."

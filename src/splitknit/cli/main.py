@@ -1,0 +1,194 @@
+"""The command line: ``splitknit VERB``.
+
+Exit code 0: done; 2: the input cannot be used (one sentence on stderr says why and what to do); 1: our failure;
+130: interrupted. Results go to files, facts to stdout, everything else to stderr.
+
+The module imports next to nothing and the rest within :func:`main`, which can then end an interrupt at any time.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+
+TYPE_CHECKING = False  # typing itself takes longer to import than all of the above
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+    from typing import Any, NoReturn
+
+DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+_INTERRUPTED = "splitknit: interrupted; nothing was left half-written."
+_interrupts: list[int] = []
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb and return the exit code."""
+    program = arguments is None
+    if program:
+        _on_interrupt(_leave)
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):  # None where it is closed
+                stream.reconfigure(errors="backslashreplace")
+    parser = build_parser()
+    try:
+        options = parser.parse_args(arguments)
+        if options.verb is None:
+            parser.print_help(sys.stderr)
+            return BAD_INPUT
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    if not program:
+        return _guarded(options)
+    try:
+        _on_interrupt(_interrupt)  # from here on there is something to clean up
+        try:
+            return _guarded(options)
+        finally:
+            _on_interrupt(_leave)
+    except KeyboardInterrupt:  # a second one, while the first was reported
+        _leave()
+
+
+def _on_interrupt(handler: Any) -> None:
+    """Let Ctrl-C and SIGTERM call `handler`, except where our parent ignores them."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, _: object) -> None:
+    _interrupts.append(number)
+    raise KeyboardInterrupt
+
+
+def _leave(*unused: object) -> NoReturn:
+    """End at once: during import and exit, Python prints an exception's traceback, or drops the exception."""
+    try:
+        os.write(2, f"{_INTERRUPTED}\n".encode())
+    finally:
+        os._exit(INTERRUPTED)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser with all verbs."""
+    from splitknit import __version__  # noqa: PLC0415
+    from splitknit.apps.training.verbs import add_train  # noqa: PLC0415
+    from splitknit.cli.batch import add_batch  # noqa: PLC0415
+    from splitknit.cli.capture import add_capture  # noqa: PLC0415
+    from splitknit.cli.demo import add_demo  # noqa: PLC0415
+    from splitknit.cli.enroll import add_enroll  # noqa: PLC0415
+    from splitknit.cli.evaluate import add_evaluate  # noqa: PLC0415
+    from splitknit.cli.gallery import add_gallery_verbs  # noqa: PLC0415
+    from splitknit.cli.identify import add_identify  # noqa: PLC0415
+    from splitknit.cli.match import add_match  # noqa: PLC0415
+    from splitknit.cli.print import add_print  # noqa: PLC0415
+    from splitknit.cli.reconstruct import add_reconstruct  # noqa: PLC0415
+    from splitknit.cli.separate import add_separate  # noqa: PLC0415
+    from splitknit.cli.simulate import add_simulate  # noqa: PLC0415
+    from splitknit.cli.verb import Parser  # noqa: PLC0415
+    from splitknit.cli.view import add_view  # noqa: PLC0415
+
+    parser = Parser(
+        prog="splitknit",
+        description="Metric 3D fingerprints from photographs of a finger under one light after another.",
+        epilog="Exit code: 0 done, 2 the input cannot be used, 1 our failure. 'splitknit VERB --help' tells more.",
+    )
+    parser.add_argument("--version", action="version", version=f"splitknit {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
+    add_demo(verbs)
+    add_simulate(verbs)
+    add_reconstruct(verbs)
+    add_separate(verbs)
+    add_train(verbs)
+    add_capture(verbs)
+    _add_calibrate(verbs)
+    _add_rig(verbs)
+    add_evaluate(verbs)
+    add_match(verbs)
+    add_enroll(verbs)
+    add_identify(verbs)
+    add_gallery_verbs(verbs)
+    add_batch(verbs)
+    add_view(verbs)
+    add_print(verbs)
+    return parser
+
+
+def _add_calibrate(verbs: Any) -> None:
+    from splitknit.cli.calibrate_camera import add_camera  # noqa: PLC0415
+    from splitknit.cli.calibrate_lights import add_lights  # noqa: PLC0415
+    from splitknit.cli.calibrate_radiometry import add_radiometry  # noqa: PLC0415
+    from splitknit.cli.verb import group  # noqa: PLC0415
+
+    kinds = group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
+    add_camera(kinds)
+    add_radiometry(kinds)
+    add_lights(kinds)
+
+
+def _add_rig(verbs: Any) -> None:
+    from splitknit.apps.building.rig_optimise_verb import add_optimise  # noqa: PLC0415
+    from splitknit.cli.rig_cad import add_cad  # noqa: PLC0415
+    from splitknit.cli.rig_circuit import add_circuit  # noqa: PLC0415
+    from splitknit.cli.rig_target import add_target  # noqa: PLC0415
+    from splitknit.cli.verb import group  # noqa: PLC0415
+
+    kinds = group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
+    add_target(kinds)
+    add_optimise(kinds)
+    add_circuit(kinds)
+    add_cad(kinds)
+
+
+def _guarded(options: argparse.Namespace) -> int:
+    """Run the verb; turn what goes wrong into one line and an exit code."""
+    import contextlib  # noqa: PLC0415
+    import json  # noqa: PLC0415
+
+    from splitknit.cli.verb import one_line, run_verb  # noqa: PLC0415
+    from splitknit.errors import BadInput, Refused  # noqa: PLC0415
+
+    try:
+        facts, lines = run_verb(options)
+        if facts or lines:  # `view` says what there is to say when it starts
+            _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
+    except BadInput as error:
+        if options.json and isinstance(error, Refused):
+            with contextlib.suppress(BrokenPipeError):
+                _say(json.dumps(error.facts, indent=1, allow_nan=False))
+        return _fail(options, f"splitknit: error: {one_line(error)}", BAD_INPUT)
+    except KeyboardInterrupt:
+        return _fail(options, _INTERRUPTED, INTERRUPTED)
+    except BrokenPipeError:
+        # the reader of stdout has gone (`splitknit ... | head`): the work is done, so this is no error
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except MemoryError:
+        message = "splitknit: error: not enough memory for this capture; use smaller images or more memory."
+        return _fail(options, message, OUR_FAILURE)
+    except Exception as error:
+        message = f"splitknit: {type(error).__name__}: {one_line(error)} (this is our failure; --traceback shows where)"
+        return _fail(options, message, OUR_FAILURE)
+    return DONE
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _fail(options: argparse.Namespace, message: str, code: int) -> int:
+    if options.traceback:
+        import traceback  # noqa: PLC0415
+
+        traceback.print_exc()
+    if _interrupts:  # an interrupt in the import of a compiled module comes out of it as an ImportError
+        message, code = _INTERRUPTED, INTERRUPTED
+    print(message, file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

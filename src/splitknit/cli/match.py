@@ -1,0 +1,121 @@
+"""``splitknit match A B``: how alike two fingers are."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, new_verb
+
+_MINUTIAE = ("minutiae", "voted")
+_IN_SPACE = ("minutiae3d", "tetrahedra")
+
+
+def add_match(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "match", "say how alike two fingers are", run_match)
+    what = "capture folder, result folder, template (.skt) or 500-ppi print"
+    verb.add_argument("a", type=Path, metavar="A", help=what)
+    verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
+    verb.add_argument(
+        "--method",
+        choices=("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
+        default="ridge",
+        help="ridge (ours, the default), thesis (local binary patterns; needs captures or results), minutiae (of the "
+        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux), voted (minutiae on which "
+        "sets of images that leave one out agree; needs captures), or of surfaces (captures or results): minutiae3d "
+        "(Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
+    )
+    verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
+    add_preset(verb)
+    add_settings(verb)
+
+
+def run_match(options: argparse.Namespace) -> Outcome:
+    """Compare."""
+    from splitknit.cli.options import read_changes  # noqa: PLC0415
+    from splitknit.matching.methods import match_files  # noqa: PLC0415 - verbs import what they need
+
+    changes = read_changes(options.settings, options.assignments)
+    with Progress(options) as progress:
+        facts = match_files(
+            options.a,
+            options.b,
+            method=options.method,
+            template=options.template,
+            preset=options.preset,
+            settings=changes,
+            progress=progress.update,
+        )
+    return facts, _words(facts)
+
+
+def _words(facts: dict[str, Any]) -> list[str]:
+    lines = []
+    if "similarity" in facts:
+        shown = f"{facts['similarity']:.{0 if facts['method'] in _MINUTIAE else 4}f}"
+        lines.append(f"similarity {shown} ({_meaning(facts)})")
+        if facts["fmr"] is not None:
+            lines.append(f"fmr at most {facts['fmr']:.2g} (share of other fingers, simulated ones, that are as alike)")
+        if facts["method"] == "thesis":
+            lines.append(
+                f"overlap {facts['overlap']:.3f} of both outlines (intersection over union), "
+                f"B shifted {abs(facts['alignment']['right_mm']):.2f} mm to the {_side(facts)}"
+            )
+        elif facts["method"] in _MINUTIAE:
+            if facts["similarity_with_ridges"] is not None:
+                joined = facts["similarity_with_ridges"]
+                lines.append(f"joined with the ridges {joined:.2f} (mean of both z-scores; other fingers lie about 0)")
+            lines += [_print_words(facts[name]) for name in ("a", "b")]
+        elif facts["method"] in _IN_SPACE:
+            both = " and ".join(str(facts[name]["minutiae"]) for name in ("a", "b"))
+            lines.append(f"{facts['agreeing']} minutiae agree in place and direction, of {both}")
+        elif facts["method"] == "surface-code" and facts["compared"]:
+            turned = facts["alignment"]["rotation_deg"]
+            lines.append(
+                f"{facts['distance']:.1%} of the bits differ over {facts['overlap_mm2']:.0f} mm² of skin, A turned by "
+                f"{turned:.1f} deg"
+            )
+        elif facts["compared"]:
+            laid = facts["alignment"]
+            lines.append(
+                f"overlap {facts['overlap_mm2']:.0f} mm² of skin; A turned by {laid['rotation_deg']:.1f} deg, its "
+                f"middle {laid['right_mm']:+.2f} mm right and {laid['up_mm']:+.2f} mm up of B's"
+            )
+    for name in ("a", "b"):
+        if name in facts and not facts[name]["acquired"]:
+            lacks = "fewer than ten minutiae" if facts["method"] in (*_MINUTIAE, *_IN_SPACE) else "no ridges"
+            lines.append(f"Please note: {facts[name]['path']} holds {lacks} (failure to acquire).")
+    if "template" in facts:
+        made = facts["template"]
+        lines.append(f"Template of {made['bytes']} bytes (version {made['version']}) written to {made['file']}.")
+    return lines
+
+
+def _meaning(facts: dict[str, Any]) -> str:
+    if not facts["compared"]:
+        both = facts["a"]["acquired"] and facts["b"]["acquired"]
+        apart = facts["method"] == "thesis" or (facts["method"] == "surface-code" and both)
+        why = "too little overlap" if apart else "failure to acquire"
+        return f"not compared: {why}"
+    return {
+        "ridge": "1 = the same picture",
+        "thesis": "1 = equal, 0 = as unlike as can be",
+        "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
+        "minutiae3d": "share of minutiae that agree, squared",
+        "tetrahedra": "share of minutiae that agree, squared",
+        "surface-code": "share of equal bits; other fingers have about two thirds",
+        "voted": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
+    }[facts["method"]]
+
+
+def _print_words(side: dict[str, Any]) -> str:
+    if "nfiq2" not in side:
+        return f"{side['path']}: {side.get('minutiae', 0)} voted minutiae"
+    quality = "unknown" if side["nfiq2"] is None else f"{side['nfiq2']} of 100"
+    return f"{side['path']}: {side.get('minutiae', 0)} minutiae, quality (NFIQ 2) {quality}"
+
+
+def _side(facts: dict[str, Any]) -> str:
+    return "right" if facts["alignment"]["right_mm"] >= 0 else "left"

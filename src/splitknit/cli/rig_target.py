@@ -1,0 +1,54 @@
+"""The command line of ``splitknit rig target``: the printed target for the camera's calibration."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.verb import Outcome, new_verb
+
+
+def add_target(kinds: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", run)
+    verb.add_argument("--out", type=Path, required=True, metavar="FILE", help="PDF file to write, one sheet of A4")
+    verb.add_argument("--board", default="9x6", metavar="CxR", help="inner corners each way (default: 9x6)")
+    verb.add_argument("--square-mm", type=float, default=3.0, metavar="N", help="side of a square (default: 3)")
+    verb.add_argument(
+        "--dot-mm", type=float, default=10.0, metavar="N", help="spacing of the disc's dots (default: 10)"
+    )
+
+
+def run(options: argparse.Namespace) -> Outcome:
+    """Write the sheet."""
+    from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
+    from splitknit.io import atomic_file  # noqa: PLC0415
+    from splitknit.io.targets import check_file  # noqa: PLC0415
+    from splitknit.rig.pdf import PRODUCER  # noqa: PLC0415
+    from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf  # noqa: PLC0415
+
+    check_file(options.out, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
+    board = Board.named(options.board, options.square_mm)
+    settings = TargetSettings(
+        columns=board.columns, rows=board.rows, square_mm=options.square_mm, spacing_mm=options.dot_mm
+    )
+    data = target_pdf(settings)
+    with atomic_file(options.out) as stream:
+        stream.write(data)
+    across, down = settings.copies
+    width, height = settings.board_mm
+    facts = {
+        "out": str(options.out),
+        "board": {"inner_corners": [board.columns, board.rows], "square_mm": options.square_mm},
+        "board_mm": [width, height],
+        "copies": across * down,
+        "disc": {"dots": len(dots_mm(settings)), "dot_mm": settings.dot_mm, "spacing_mm": settings.spacing_mm},
+        "ruler_mm": RULER_MM,
+    }
+    lines = [
+        f"{options.out}: {across * down} checkerboards of {width:g} x {height:g} mm ({board.columns} x {board.rows} "
+        f"inner corners), and the disc with {len(dots_mm(settings))} dots, on one sheet of A4.",
+        f"Print it at 100 %; the ruler must measure {RULER_MM:g} mm.",
+    ]
+    return facts, lines

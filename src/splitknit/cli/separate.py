@@ -1,0 +1,64 @@
+"""``splitknit separate``: options in, files and facts out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.verb import Outcome, Progress, natural, new_verb
+
+
+def add_separate(verbs: Any) -> None:
+    """Add ``splitknit separate``."""
+    verb = new_verb(verbs, "separate", "split images under fine patterns into direct and global light", run_separate)
+    verb.add_argument("folder", type=Path, metavar="FOLDER", help="folder of images, with or without separation.json")
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
+    verb.add_argument(
+        "--method",
+        choices=("checkerboard", "symmetry", "sinusoid", "occluder", "single"),
+        default=None,
+        help="how the light was patterned (default: what separation.json says, else checkerboard); symmetry: "
+        "checkerboards without noise, an odd number of equal steps a period each way",
+    )
+    verb.add_argument("--alpha", type=float, default=None, help="share of the pattern that is lit (default: 0.5)")
+    verb.add_argument("--dark", type=float, default=None, help="brightness of its unlit part (default: 0)")
+    verb.add_argument(
+        "--patterns",
+        default=None,
+        metavar="WHERE",
+        help="folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise",
+    )
+    verb.add_argument("--encoding", choices=("linear", "srgb"), default=None, help="of the images (default: linear)")
+    verb.add_argument(
+        "--check-px",
+        type=float,
+        default=None,
+        help="side of a check on the images: for one image, and for noisy checkerboards on skin (whose states are "
+        "found in the images unless --patterns gives them)",
+    )
+    verb.add_argument("--block", type=natural, default=None, help="side of a block of the result, for one image")
+
+
+def run_separate(options: argparse.Namespace) -> Outcome:
+    """Write direct and global light."""
+    from splitknit.separation.folder import separate_to_folder  # noqa: PLC0415
+
+    names = ("method", "alpha", "dark", "patterns", "encoding", "check_px", "block")
+    with Progress(options) as progress:
+        facts = separate_to_folder(
+            options.folder,
+            options.out,
+            changes={name: getattr(options, name) for name in names},
+            progress=progress.update,
+        )
+    lines = [
+        f"{len(facts['images'])} images separated by {facts['method']}: "
+        f"{100 * facts['direct_share']:.0f} % of the light is direct in the median.",
+        f"Written to {options.out}: {', '.join(facts['files'])}.",
+    ]
+    if facts["against_white"] is not None:
+        error = facts["against_white"]["median_error"]
+        lines.append(f"Direct and global light add up to the white image within {100 * error:.1f} % in the median.")
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    return facts, lines

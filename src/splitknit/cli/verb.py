@@ -1,0 +1,144 @@
+"""What all verbs of the command line share: their options, what they return, and the progress bar."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "lin", "xie")
+
+Outcome = tuple[dict[str, Any], list[str]]
+"""Facts for ``--json``, and the same in lines for people."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser, and those of its verbs, whose errors take one line after the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        super().error(one_line(message))
+
+
+def one_line(error: object) -> str:
+    """Return an error's text on one line that moves no cursor: what it quotes may hold any character."""
+    text = " ".join(str(error).split()) or "no further words"
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
+    """Add the verb `name`; `does` is its one line of help, without a full stop."""
+    verb: argparse.ArgumentParser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+    verb.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+    verb.add_argument("--traceback", action="store_true", help="show where an error came from")
+    verb.add_argument(
+        "--group-readable",
+        action="store_true",
+        help="let your group read what is written (0640, 0750); by default only you can (0600, 0700)",
+    )
+    verb.set_defaults(run=run)
+    return verb
+
+
+def run_verb(options: argparse.Namespace) -> Outcome:
+    """Run the chosen verb, its workers included, with the permissions for new files that were asked for."""
+    from splitknit.io.atomic import GROUP_READABLE  # noqa: PLC0415 - `--help` needs none of it
+
+    earlier = os.environ.get(GROUP_READABLE, "")
+    os.environ[GROUP_READABLE] = "1" if options.group_readable else earlier
+    try:
+        outcome: Outcome = options.run(options)
+        return outcome
+    finally:
+        os.environ[GROUP_READABLE] = earlier
+
+
+def group(verbs: Any, name: str, does: str) -> Any:
+    """A verb that is followed by another."""
+    group = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+    return group.add_subparsers(dest="kind", metavar="WHAT", title="what", required=True)
+
+
+def add_preset(verb: argparse.ArgumentParser) -> None:
+    """Add ``--preset`` for captures that are reconstructed on the way."""
+    verb.add_argument(
+        "--preset",
+        choices=PRESETS,
+        default="metric",
+        help="how captures are reconstructed (default: metric)",
+    )
+
+
+def add_settings(verb: argparse.ArgumentParser) -> None:
+    """Add ``--set`` and ``--settings``."""
+    verb.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="STAGE.FIELD=VALUE",
+        dest="assignments",
+        help="change one setting; may be repeated and wins over --settings",
+    )
+    verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
+
+
+def natural(text: str) -> int:
+    """Read a whole number that is not negative (a type for argparse)."""
+    value = int(text) if text.isascii() and text.isdigit() else -1
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 0 to 2^63 - 1")
+    return value
+
+
+def scale(text: str) -> float:
+    """Read the size of images relative to the full frame (a type for argparse)."""
+    return _between(text, 0.05, 1.0)
+
+
+def share(text: str) -> float:
+    """Read a share of a whole (a type for argparse)."""
+    return _between(text, 0.0, 1.0)
+
+
+def _between(text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a number from {low:g} to {high:g}")
+    return value
+
+
+class Progress:
+    """A bar on a terminal; silence in a pipe and with ``--json``."""
+
+    def __init__(self, options: argparse.Namespace) -> None:  # noqa: D107 - a context manager
+        self._bar: Any = None
+        self._wanted = sys.stderr.isatty() and not options.json
+
+    def __enter__(self) -> Progress:
+        if self._wanted:
+            from tqdm import tqdm  # noqa: PLC0415
+
+            self._bar = tqdm(
+                total=100,
+                leave=False,
+                bar_format="{desc:24.24s} |{bar}| {percentage:3.0f} % {elapsed}",
+                file=sys.stderr,
+            )
+        return self
+
+    def update(self, stage: str, share: float) -> None:
+        """Say that `stage` is at work and `share` (0 to 1) of everything is done."""
+        if self._bar is not None:
+            self._bar.set_description_str(stage, refresh=False)
+            self._bar.n = min(100.0, round(100.0 * share, 1))
+            self._bar.refresh()
+
+    def __exit__(self, *unused: object) -> None:
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,57 @@
+"""``splitknit view``: look at results in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.gallery_options import add_key
+from splitknit.cli.verb import Outcome, new_verb
+
+
+def add_view(verbs: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(verbs, "view", "look at results in the browser, on this machine only", run_view)
+    verb.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="RESULT",
+        help="a result, a folder of results, a gallery, or two results to see side by side",
+    )
+    verb.add_argument("--capture", type=Path, default=None, metavar="FOLDER", help="photographs the results are from")
+    add_key(verb)
+    verb.add_argument("--port", type=_port, default=0, metavar="N", help="port to listen on (default: any free one)")
+    verb.add_argument("--no-browser", action="store_true", help="do not open the page, only say its address")
+
+
+def run_view(options: argparse.Namespace) -> Outcome:
+    """Serve until Ctrl-C; what there is to say is said before."""
+    from splitknit.viewer.server import (  # noqa: PLC0415
+        open_paths,
+        opened_page,
+        serve,
+        start,
+    )
+
+    service = open_paths(options.paths, options.capture, options.key_file)
+    server = start(service, options.port)
+    facts = {"url": server.url, "port": server.server_port, "results": len(service.catalogue.entries)}
+    with contextlib.ExitStack() as stack:
+        stack.callback(server.server_close)
+        shown = not options.no_browser and stack.enter_context(opened_page(server.url))
+        lines = [f"{server.url}", f"{'Shown in the browser' if shown else 'Open this address'}; Ctrl-C ends it."]
+        print(json.dumps(facts, indent=1) if options.json else "\n".join(lines), file=sys.stdout, flush=True)
+        serve(server)
+    return {}, []
+
+
+def _port(text: str) -> int:
+    value = int(text) if text.isascii() and text.isdigit() and len(text) < 6 else -1
+    if not 0 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a port from 0 to 65535 (0: any free one)")
+    return value

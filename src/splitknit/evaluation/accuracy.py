@@ -1,0 +1,236 @@
+"""A reconstruction beside the truth of a simulator: figures and error maps.
+
+Definitions (the same for every preset and for the validation):
+
+- *surface*: the pixels of both masks that lie further than 0.33 mm from the edge of their common mask (the image's
+  border is an edge). The rms is taken after the mean difference is removed: a camera without stereo does not know the
+  distance.
+- *ridge band*: value minus its mask-normalised Gaussian mean with sigma 0.32 mm, on the surface where the slant of the
+  true shape is below 60 deg. The relief (`ridge_mm`) is compared with the true relief (`height_mm - shape_mm`); the
+  whole height (`height_mm`) with the true height is given beside it, where curvature and mask edge count as well.
+- *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right, below 1 too flat.
+- *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's mean; the area is
+  the share of the ridge band's pixels where it exceeds 0.8.
+- *normals*: mean angle between estimated and true normals on the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.geometry import height_gradients
+from splitknit.io import read_npz
+from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
+
+TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
+"""What is compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompareSettings:
+    """What is measured where."""
+
+    erosion_mm: float = 0.33
+    """Distance from the edge of the common mask from which on pixels count."""
+    band_sigma_mm: float = 0.32
+    """Standard deviation of the Gaussian whose complement is the ridge band."""
+    max_slant_deg: float = 60.0
+    """Largest slant of the true shape at which the ridge band counts."""
+    window_mm: float = 0.86
+    """Side of the windows of the local correlation."""
+    good_correlation: float = 0.8
+    """Local correlation from which on ridges count as recovered."""
+
+    def __post_init__(self) -> None:
+        require(self.erosion_mm >= 0, "compare.erosion_mm must be zero or positive.")
+        require(self.band_sigma_mm > 0 and self.window_mm > 0, "compare's lengths must be positive.")
+        require(0 < self.max_slant_deg <= 90, "compare.max_slant_deg must lie between 0 and 90.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What a reconstruction got right."""
+
+    preset: str
+    figures: Mapping[str, float]
+    """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``, ``ridge_gain``,
+    ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the whole height (``height_band_*``),
+    ``mask_on_finger`` (share of the mask on the true finger), ``mask_overlap`` (intersection over union; the true mask
+    goes on below the crease) and ``ridge_area_mm2``."""
+    height_error_mm: FloatArray
+    """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
+    ridge_error_um: FloatArray
+    """(H, W) estimated minus true ridge band, NaN outside the common mask."""
+    surface: BoolArray
+    """(H, W) where the surface's figures count."""
+    band: BoolArray
+    """(H, W) where the ridge band's figures count."""
+
+
+def compare(
+    result: Reconstruction, truth: Mapping[str, NDArray[Any]], settings: CompareSettings | None = None
+) -> Comparison:
+    """Measure `result` against `truth` (``height_mm``, ``shape_mm``, ``mask``, ``normals`` on the same pixel grid).
+
+    Raises
+    ------
+    BadInput
+        If the truth lacks an array or has another size, or nothing is left to compare.
+    """
+    settings = CompareSettings() if settings is None else settings
+    for name in ("height_mm", "shape_mm", "mask"):
+        require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
+        require(
+            truth[name].shape == result.mask.shape,
+            f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.",
+        )
+    true_mask = np.asarray(truth["mask"], dtype=np.bool_)
+    common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
+    require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
+    box = _box(common)
+    inside, pitch = common[box], result.pitch_mm
+    surface = _eroded(inside, settings.erosion_mm / pitch)
+    require(bool(surface.any()), "the surface that the truth shares with the reconstruction is too narrow to measure.")
+
+    height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
+    shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
+    relief = _clean(result.ridge_mm[box], inside)
+    height_error = _centred(height - true_height, surface)
+    shape_error = _centred(shape - true_shape, surface)
+
+    band = surface & (_slant_deg(true_shape, inside, pitch) < settings.max_slant_deg)
+    sigma = settings.band_sigma_mm / pitch
+    true_band = high_pass(true_height - true_shape, inside, sigma)
+    ridge_band = high_pass(relief, inside, sigma)
+    figures = {
+        "surface_rms_mm": _rms(height_error[surface]),
+        "shape_rms_mm": _rms(shape_error[surface]),
+        "mask_on_finger": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask)),
+        "mask_overlap": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask | true_mask)),
+        "ridge_area_mm2": float(np.sum(band)) * pitch**2,
+    }
+    if "normals" in truth:
+        figures["normals_mean_deg"] = _normals_error_deg(result.normals[box][surface], truth["normals"][box][surface])
+    window = max(3, 2 * round(settings.window_mm / pitch / 2) + 1)
+    figures |= _band_figures("ridge", ridge_band, true_band, band, window, settings.good_correlation)
+    figures |= _band_figures(
+        "height_band",
+        high_pass(height, inside, sigma),
+        high_pass(true_height, inside, sigma),
+        band,
+        window,
+        settings.good_correlation,
+    )
+    return Comparison(
+        preset=result.preset,
+        figures=figures,
+        height_error_mm=_placed(np.where(inside, height_error, np.nan), box, common.shape, np.nan),
+        ridge_error_um=_placed(np.where(inside, 1000.0 * (ridge_band - true_band), np.nan), box, common.shape, np.nan),
+        surface=_placed(surface, box, common.shape, False).astype(np.bool_),
+        band=_placed(band, box, common.shape, False).astype(np.bool_),
+    )
+
+
+def high_pass(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
+    """Return `values` minus their Gaussian mean over the mask, zero outside it."""
+    weight = _gauss(mask.astype(np.float32), sigma_px)
+    mean = _gauss(np.where(mask, values, np.float32(0.0)), sigma_px) / np.maximum(weight, np.float32(1e-3))
+    return np.where(mask, values - mean, np.float32(0.0)).astype(np.float32)
+
+
+def local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
+    """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
+    share = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
+    a, b = np.where(where, first, np.float32(0.0)), np.where(where, second, np.float32(0.0))
+    product = _mean(a * b, window_px) / share
+    power = (_mean(a * a, window_px) / share) * (_mean(b * b, window_px) / share)
+    return np.asarray(product / np.sqrt(np.maximum(power, np.float32(1e-30))), dtype=np.float32)
+
+
+def _band_figures(  # noqa: PLR0917
+    name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int, good: float
+) -> dict[str, float]:
+    if not bool(where.any()):
+        return {}
+    e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
+    e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))
+    covariance = float(np.sum((e - e.mean()) * (t - t.mean())))
+    local = local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
+    return {
+        f"{name}_correlation": covariance / max((e_power * t_power) ** 0.5, 1e-30),
+        f"{name}_gain": float(np.sum(e * t)) / max(float(np.sum(t * t)), 1e-30),
+        f"{name}_rms_um": 1000.0 * _rms(e - t),
+        f"{name}_truth_std_um": 1000.0 * float(t.std()),
+        f"{name}_good_area": float(np.mean(local[where] > good)),
+    }
+
+
+def _slant_deg(shape: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
+    gradient_x, gradient_y = height_gradients(np.where(mask, shape, np.float32(np.nan)), pitch_mm)
+    return np.asarray(np.rad2deg(np.arctan(np.hypot(gradient_x, gradient_y))), dtype=np.float32)
+
+
+def _normals_error_deg(estimate: NDArray[Any], truth: NDArray[Any]) -> float:
+    cosine = np.sum(estimate.astype(np.float64) * truth.astype(np.float64), axis=1)
+    return float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def _eroded(mask: BoolArray, distance_px: float) -> BoolArray:
+    padded = np.pad(mask, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return np.asarray(distance > distance_px)
+
+
+def _clean(values: NDArray[Any], mask: BoolArray) -> FloatArray:
+    return np.nan_to_num(np.where(mask, values, 0.0)).astype(np.float32)
+
+
+def _centred(error: FloatArray, where: BoolArray) -> FloatArray:
+    return (error - np.float32(np.mean(error[where], dtype=np.float64))).astype(np.float32)
+
+
+def _rms(values: NDArray[Any]) -> float:
+    return float(np.sqrt(np.mean(np.square(values.astype(np.float64)))))
+
+
+def _gauss(image: FloatArray, sigma: float) -> FloatArray:
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def _mean(image: FloatArray, window: int) -> FloatArray:
+    averaged = cv2.blur(image.astype(np.float32), (window, window), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(averaged, dtype=np.float32)
+
+
+def _box(mask: BoolArray) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ...], fill: float) -> FloatArray:
+    whole = np.full(shape, fill, dtype=np.float32)
+    whole[box] = values
+    return whole
+
+
+def truth_of(capture: Capture) -> dict[str, Any] | None:
+    """Read a simulator's truth, if the capture names one, and only what is compared."""
+    if capture.truth is None:
+        return None
+    truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large
+    for name, array in truth.items():
+        expected = (*capture.shape, 3) if name == "normals" else capture.shape
+        require(
+            array.shape == expected and array.dtype.kind in "fiub",
+            f"{capture.truth}: the truth's {name} has the shape {array.shape}, but the images have {capture.shape}; "
+            "simulate the capture again.",
+        )
+    return dict(truth)

@@ -1,0 +1,125 @@
+"""Scores from a gallery: every finger of a session with every finger of each later session, by the ridge matcher."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput
+from splitknit.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
+from splitknit.evaluation.scores import Scores
+from splitknit.gallery.entry import session_order
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
+from splitknit.io import file_hash
+from splitknit.matching import Prepared, ridge_match, unpack
+from splitknit.model import Progress, no_progress
+
+_BLOCK = 128
+"""Fingers kept ready at a time: 2 MB each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GalleryScores:
+    """What an evaluation needs of a gallery."""
+
+    scores: Scores
+    table: bytes
+    """The same as a score file."""
+    sha256: str
+    """Of the gallery's file."""
+    notes: tuple[str, ...]
+
+
+def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = no_progress) -> GalleryScores:
+    """Compare all sessions of a gallery with each other.
+
+    People of an encrypted gallery are numbered (P001 is who was enrolled first), so that no name leaves it.
+
+    Raises
+    ------
+    BadInput
+        If the gallery cannot be read, or holds fewer than two sessions or fingers.
+    """
+    with Gallery.open(path, key) as opened:
+        opened.require_comparable(opened.settings_sha256)
+        rows = opened.entries()
+        templates = opened.templates()
+        encrypted = opened.encrypted
+        sha256 = file_hash(path)
+    rows = [one for one in rows if one.row in templates]
+    names = list(dict.fromkeys(one.entry.person for one in rows))
+    shown = {name: f"P{number:03d}" if encrypted else name for number, name in enumerate(names, start=1)}
+    persons = [shown[one.entry.person] for one in rows]
+    sessions = sorted({one.entry.session for one in rows}, key=session_order)
+    when = [sessions.index(one.entry.session) for one in rows]
+    fingers = [f"{person}/{one.entry.finger}" for person, one in zip(persons, rows, strict=True)]
+    try:
+        pairs = comparisons(fingers, when)
+        score = _similarities([templates[one.row] for one in rows], pairs, progress)
+        session_names = [one.entry.session for one in rows]
+        scores = scores_of_comparisons(pairs, score, fingers, session_names, persons, name=path.stem)
+    except BadInput as error:
+        raise BadInput(f"the gallery '{path}' cannot be evaluated: {error}") from error
+    failures = sum(one.template_bytes == 0 for one in rows)
+    notes = [f"{failures} of {len(rows)} captures are failures to acquire."] if failures else []
+    if encrypted:
+        notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
+    table = _table(pairs, score, [one.entry.finger for one in rows], persons, session_names)
+    return GalleryScores(scores, table, sha256, tuple(notes))
+
+
+def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progress) -> NDArray[np.float64]:
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire.
+
+    What a side keeps for many comparisons is large where it is turned (7 MB) and small where it is not (2 MB): pairs go
+    in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
+    (:func:`splitknit.matching.ridge_match`), so that the order changes nothing.
+    """
+    templates = [unpack(payload) for payload in payloads]
+    keys = [Prepared(one).key for one in templates]
+    rank = np.empty(len(keys), dtype=np.int64)
+    rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
+    swap = rank[pairs.a] > rank[pairs.b]
+    turned, still = np.where(swap, pairs.b, pairs.a), np.where(swap, pairs.a, pairs.b)
+    score = np.full(pairs.a.size, np.nan)
+    ready: dict[int, Prepared] = {}
+    last: tuple[int, Prepared] = (-1, Prepared(templates[0]))
+    block = -1
+    for done, n in enumerate(np.lexsort((turned, still // _BLOCK)).tolist()):
+        a, b = int(turned[n]), int(still[n])
+        if done % 256 == 0:
+            progress("comparing", 0.9 * done / score.size)
+        if templates[a].empty or templates[b].empty:
+            continue
+        if b // _BLOCK != block:
+            ready, block = {}, b // _BLOCK
+        if a != last[0]:
+            last = (a, Prepared(templates[a]))
+        score[n] = ridge_match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
+    return score
+
+
+def _table(
+    pairs: Comparisons,
+    score: NDArray[np.float64],
+    fingers: Sequence[str],
+    persons: Sequence[str],
+    sessions: Sequence[str],
+) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    kinds = ("finger", fingers), ("subject", persons), ("session", sessions)
+    writer.writerow(["label", "score", *(f"{name}_{side}" for name, _ in kinds for side in "ab")])
+    for a, b, genuine, value in zip(
+        pairs.a.tolist(), pairs.b.tolist(), pairs.genuine.tolist(), score.tolist(), strict=True
+    ):
+        ids = [names[side] for _, names in kinds for side in (a, b)]
+        writer.writerow([int(genuine), "" if np.isnan(value) else repr(value), *ids])
+    return text.getvalue().encode("utf-8")

@@ -1,0 +1,303 @@
+"""Enrolment: captures, results, templates or prints in, rows of a gallery out.
+
+A gallery appears with its first finger, or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import hashlib
+import io
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from splitknit.capture.enrolment import FINGERS
+from splitknit.errors import BadInput, read_bytes, require
+from splitknit.gallery.entry import Entry, check_person, check_session
+from splitknit.gallery.gallery import Enrolled, Gallery, NewCapture
+from splitknit.gallery.key import Key
+from splitknit.io import file_hash, read_capture, read_image
+from splitknit.io.prints import encode_print_png
+from splitknit.matching import pack, unpack
+from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.inputs import Side, read_side
+from splitknit.matching.surface import MatchingSettings
+from splitknit.model import Progress, no_progress
+from splitknit.prints.ridges import surface_print
+
+if TYPE_CHECKING:
+    from splitknit.gallery.key import Key
+    from splitknit.matching.surface import MatchingSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Enrolling:
+    """How fingers are enrolled."""
+
+    preset: str = "metric"
+    """By which captures are reconstructed."""
+    matching: MatchingSettings = field(default_factory=MatchingSettings)
+    keep: str = "none"
+    """``none``, ``thumbnail`` or ``raw``."""
+    replace: bool = False
+    """Whether a capture takes the place of another of the same names."""
+    with_time: bool = False
+    """Whether the time of enrolment is kept."""
+
+
+def enroll_files(
+    gallery: Path,
+    sources: Sequence[Path],
+    person: str,
+    finger: str,
+    session: str | None,
+    *,
+    settings: Enrolling,
+    key: Key | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Enrol captures, results, templates or prints of one finger, all or none; return facts for ``--json``.
+
+    Parameters
+    ----------
+    gallery : file; made where there is none
+    sources : at least one
+    person, finger : whose
+    session : None: that of the very same source if it is enrolled already, else the next number
+
+    Raises
+    ------
+    BadInput
+        Naming what is at fault; the gallery is then as before.
+    """
+    require(len(sources) > 0, "name a capture, a result, a template (.skt) or a print to enrol.")
+    require(len(sources) == 1 or session is None, "--session goes with one source; several are numbered by themselves.")
+    name, finger = check_person(person), known_finger(finger)
+    if session is not None:
+        check_session(session)
+    earlier: list[Enrolled] = []
+    with contextlib.ExitStack() as stack:
+        found = opened(gallery, key, settings.matching)
+        if found is not None:
+            earlier = stack.enter_context(found).entries(name, finger)
+        made = []
+        for k, source in enumerate(sources):
+            made.append(
+                made_of(
+                    source, settings.preset, settings.matching, settings.keep,
+                    lambda stage, share, k=k: progress(stage, (k + 0.9 * share) / len(sources)),  # type: ignore[misc]
+                )
+            )  # fmt: skip
+        new = []
+        taken = {one.entry.session: one.entry.source_sha256 for one in earlier}
+        for one in made:
+            chosen = session or _session(taken, one.source_sha256)
+            taken[chosen] = one.source_sha256
+            new.append(new_capture(one, name, finger, chosen, settings))
+        target = found or stack.enter_context(Gallery.create(gallery, templates_hash(settings.matching), key))
+        target.require_comparable(templates_hash(settings.matching))
+        added = target.add(new, replace=settings.replace)
+        facts = gallery_facts(target, created=found is None)
+    progress("done", 1.0)
+    enrolled = [entry_facts(one, is_new=is_new) for one, is_new in zip(new, added, strict=True)]
+    return {**facts, "enrolled": enrolled}
+
+
+def opened(gallery: Path, key: Key | None, settings: MatchingSettings) -> Gallery | None:
+    """Open a gallery that can be changed and takes templates of these settings; None if there is no such file."""
+    if not gallery.exists():
+        require(gallery.parent.is_dir(), f"there is no folder '{gallery.parent}' for the gallery; make it first.")
+        return None
+    found = Gallery.open(gallery, key)
+    try:
+        found.require_changeable()
+        found.require_comparable(templates_hash(settings))
+    except BaseException:
+        found.close()
+        raise
+    return found
+
+
+def known_finger(finger: str) -> str:
+    """Return `finger` if it is one of the ten."""
+    require(finger in FINGERS, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
+    return finger
+
+
+def new_capture(made: Made, person: str, finger: str, session: str, settings: Enrolling) -> NewCapture:
+    """Give what was made its names."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds") if settings.with_time else ""
+    entry = Entry(
+        person,
+        finger,
+        session,
+        made.kind,
+        made.source_sha256,
+        area_mm2=made.area_mm2,
+        failure=made.failure,
+        enrolled_at=now,
+        images="" if made.images is None else settings.keep,
+    )
+    code = code_of(unpack(made.template)).tobytes() if made.template else None
+    return NewCapture(entry, made.template, code, None if code is None else CODE_VERSION, made.images)
+
+
+def entry_facts(one: NewCapture, *, is_new: bool) -> dict[str, Any]:
+    """Of an enrolled capture."""
+    return {
+        "person": one.entry.person,
+        "finger": one.entry.finger,
+        "session": one.entry.session,
+        "kind": one.entry.kind,
+        "area_mm2": one.entry.area_mm2,
+        "acquired": bool(one.template),
+        "template_bytes": len(one.template),
+        "images": one.entry.images or "none",
+        "source_sha256": one.entry.source_sha256,
+        "new": is_new,
+    }
+
+
+def gallery_facts(gallery: Gallery, *, created: bool) -> dict[str, Any]:
+    """Of a gallery after an enrolment."""
+    rows = gallery.entries()
+    entries = [one.entry for one in rows]
+    return {
+        "gallery": str(gallery.path),
+        "created": created,
+        "encrypted": gallery.encrypted,
+        "captures": len(entries),
+        "fingers": len({(one.person, one.finger) for one in entries}),
+        "people": len({one.person for one in entries}),
+        "failures": sum(one.template_bytes == 0 for one in rows),
+        "settings_sha256": gallery.settings_sha256,
+    }
+
+
+def _session(taken: dict[str, str], source_sha256: str) -> str:
+    """Session of the very same source, else the number after the last."""
+    for session, source in taken.items():
+        if source == source_sha256:
+            return session
+    return str(1 + max((int(session) for session in taken if session.isascii() and session.isdigit()), default=0))
+
+
+KEEP = ("none", "thumbnail", "raw")
+_THUMBNAIL_PPI = 250.0
+_NOT_INPUTS = ("truth.npz", ".splitknit")
+LARGEST_RAW = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What becomes a row of a gallery, but for the names."""
+
+    kind: str
+    template: bytes
+    area_mm2: float
+    source_sha256: str
+    failure: str = ""
+    images: bytes | None = None
+
+
+def made_of(
+    path: Path, preset: str, settings: MatchingSettings, keep: str = "none", progress: Progress = no_progress
+) -> Made:
+    """Template and facts of one source.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read, or (a capture) not be reconstructed.
+    """
+    side = read_side(path, preset, settings, progress)
+    assert side.template is not None
+    empty = side.template.empty
+    return Made(
+        side.kind,
+        pack(side.template),
+        0.0 if empty else round(side.template.area_mm2, 2),
+        source_hash(path),
+        "too little skin with ridges" if empty else "",
+        None if keep == "none" else _kept(path, side, keep),
+    )
+
+
+def made_or_failed(path: Path, preset: str, settings: MatchingSettings, keep: str = "none") -> Made | str:
+    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
+
+    Returns a sentence, and no row, where the files themselves are unusable.
+    """
+    try:
+        return made_of(path, preset, settings, keep)
+    except BadInput as error:
+        if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
+            return str(error)
+        try:
+            read_capture(path)
+        except BadInput as unread:
+            return str(unread)
+        said = str(error).removeprefix(f"{path}: ")
+        return Made("capture", b"", 0.0, source_hash(path), failure=said)
+
+
+def source_hash(path: Path) -> str:
+    """SHA-256 of a source: of a file, or of names and hashes of the files of a capture (without its truth)."""
+    files = _files(path)
+    if files == [path]:
+        return file_hash(path)
+    lines = [f"{file_hash(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+    return hashlib.sha256("".join(lines).encode("utf-8")).hexdigest()
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    if (path / "height.npz").is_file():
+        return [path / "height.npz"]
+    return sorted(file for file in path.rglob("*") if file.is_file() and file.name not in _NOT_INPUTS)
+
+
+def _kept(path: Path, side: Side, keep: str) -> bytes | None:
+    """PNG of the relief as a print, or ZIP of the source's files; None where a template is all there is."""
+    if side.kind == "template":
+        return None
+    if keep == "raw":
+        return _zipped(path)
+    if side.surface is None:
+        image = read_image(path)
+        rows, columns = image.shape[:2]
+        size = (max(1, columns // 2), max(1, rows // 2))
+        small = cv2.resize(image.reshape(rows, columns), size, interpolation=cv2.INTER_AREA)
+        return encode_print_png(small.astype(np.uint8), _THUMBNAIL_PPI)
+    return encode_print_png(surface_print(side.surface, _THUMBNAIL_PPI), _THUMBNAIL_PPI)
+
+
+def _zipped(path: Path) -> bytes:
+    files = _files(path)
+    total = sum(file.stat().st_size for file in files)
+    require(total <= LARGEST_RAW, f"the files of '{path}' have {total} bytes, too many to keep; keep a thumbnail.")
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        for file in files:
+            name = file.name if file == path else file.relative_to(path).as_posix()
+            if path.is_dir() and files == [path / "height.npz"]:
+                name = "height.npz"
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), read_bytes(file, LARGEST_RAW))
+    return stream.getvalue()
+
+
+def templates_hash(settings: MatchingSettings) -> str:
+    """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
+    from splitknit.io import settings_hash  # noqa: PLC0415
+    from splitknit.matching import VERSION  # noqa: PLC0415
+
+    document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
+    return settings_hash(document)

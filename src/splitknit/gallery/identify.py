@@ -1,0 +1,249 @@
+"""Identification: one finger against a gallery, or against what one person claims (verification)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.gallery.enrol import known_finger, templates_hash
+from splitknit.gallery.entry import check_person, session_order
+from splitknit.gallery.gallery import Enrolled, Gallery
+from splitknit.gallery.key import Key
+from splitknit.matching import (
+    RidgeBandSettings,
+    RidgeMatchSettings,
+    Template,
+    TemplateSettings,
+    prepared,
+    ridge_match,
+    unpack,
+)
+from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.inputs import read_side
+from splitknit.matching.methods import as_calibrated, false_match_rate, similarity_at
+from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
+from splitknit.matching.surface import MatchingSettings
+from splitknit.model import Progress, no_progress
+
+MERGES = ("person", "finger", "none")
+SEARCHES = ("auto", "exhaustive", "codes")
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifySettings:
+    """All that ``splitknit identify --set`` can change."""
+
+    band: RidgeBandSettings = field(default_factory=RidgeBandSettings)
+    template: TemplateSettings = field(default_factory=TemplateSettings)
+    ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
+    search: SearchSettings = field(default_factory=SearchSettings)
+
+    @property
+    def matching(self) -> MatchingSettings:
+        """Of templates and comparisons."""
+        return MatchingSettings(band=self.band, template=self.template, ridge=self.ridge)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked."""
+
+    top: int = 10
+    """Candidates that are told."""
+    merge: str = "person"
+    """One candidate for each ``person``, for each ``finger`` of a person, or ``none``: each enrolled capture."""
+    fmr: float = 1e-4
+    """False match rate of one comparison at which is decided."""
+    search: str = "auto"
+    """``exhaustive``: all are compared by their ridges; ``codes``: those whose codes are alike; ``auto``: by size.
+    Where a person or finger is named, all of theirs are compared."""
+    person: str | None = None
+    """Whose finger it is said to be (verification)."""
+    finger: str | None = None
+    """Which finger it is, where that is known; others are not compared."""
+
+    def __post_init__(self) -> None:
+        require(self.top >= 1, f"--top must be at least 1, but it is {self.top}.")
+        require(self.merge in MERGES, f"--merge is one of {', '.join(MERGES)}, but it is '{self.merge}'.")
+        require(self.search in SEARCHES, f"--search is one of {', '.join(SEARCHES)}, but it is '{self.search}'.")
+        require(0 < self.fmr < 1, f"--fmr must lie between 0 and 1, but it is {self.fmr:g}.")
+
+
+def identify_file(
+    gallery: Path,
+    probe: Path,
+    question: Question,
+    settings: IdentifySettings,
+    *,
+    key: Key | None = None,
+    preset: str = "metric",
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Who is it? Returns facts for ``--json``; that nobody is found is a fact, no error.
+
+    Parameters
+    ----------
+    gallery : file
+    probe : capture folder, result folder, template (``.skt``) or 500-ppi print
+    preset : by which a capture is reconstructed
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger is not in
+        it, or the rate was not measured.
+    """
+    calibrated = as_calibrated(settings.matching)
+    threshold = similarity_at(question.fmr) if calibrated else None
+    person = None if question.person is None else check_person(question.person)
+    finger = None if question.finger is None else known_finger(question.finger)
+    with Gallery.open(gallery, key) as opened:
+        opened.require_comparable(templates_hash(settings.matching))
+        pool = _pool(opened, person, finger, question.search)
+        side = read_side(probe, preset, settings.matching, lambda stage, share: progress(stage, 0.5 * share))
+        made = side.template
+        assert made is not None
+        started = time.perf_counter()
+        found, facts = _search(opened, made, pool, settings=settings, progress=progress)
+        seconds = time.perf_counter() - started
+    candidates = _merged(found, question.merge)[: question.top]
+    told = [_candidate(rank, one, facts["captures"], calibrated) for rank, one in enumerate(candidates, start=1)]
+    best = candidates[0][0] if candidates else None
+    decision = None
+    if threshold is not None:
+        decision = {
+            "match": bool(best is not None and best >= threshold),
+            "fmr": question.fmr,
+            "threshold": threshold,
+            "expected_false_matches": facts["captures"] * question.fmr,
+        }
+    progress("done", 1.0)
+    return {
+        "gallery": str(gallery),
+        "probe": {"path": str(probe), "kind": side.kind, "area_mm2": made.area_mm2, "acquired": not made.empty},
+        "mode": "identification" if person is None else "verification",
+        "person": person,
+        "finger": finger,
+        "searched": facts,
+        "merge": question.merge,
+        "candidates": told,
+        "decision": decision,
+        "timings_s": {"search": seconds},
+    }
+
+
+_Found = tuple[float, float | None, Enrolled]
+"""Similarity of ridges, of codes, and what was compared."""
+
+
+def _pool(gallery: Gallery, person: str | None, finger: str | None, search: str) -> list[Enrolled] | None:
+    """Rows to search; None for all of a gallery so large that only codes are looked at first."""
+    if (
+        person is None
+        and finger is None
+        and search != "exhaustive"
+        and (search == "codes" or len(gallery) > EXHAUSTIVE)
+    ):
+        return None
+    rows = gallery.entries(person, finger)
+    who = " and ".join(word for word in (person and f"person '{person}'", finger and f"finger '{finger}'") if word)
+    require(len(rows) > 0 or not who, f"'{gallery.path}' holds nothing of {who}; 'splitknit gallery list' tells whom.")
+    return rows
+
+
+def _search(
+    gallery: Gallery,
+    probe: Template,
+    pool: list[Enrolled] | None,
+    *,
+    settings: IdentifySettings,
+    progress: Progress,
+) -> tuple[list[_Found], dict[str, Any]]:
+    """Compare; all, or those that codes choose."""
+    codes: dict[int, NDArray[np.int8]] = {}
+    facts: dict[str, Any] = {"method": "exhaustive", "without_code": 0, "fingers": None, "people": None}
+    if pool is None:
+        codes, facts["without_code"], facts["failures"] = _codes(gallery, progress)
+        acquired = list(codes)
+    else:
+        names = [one.entry for one in pool if one.template_bytes > 0]
+        facts["fingers"] = len({(one.person, one.finger) for one in names})
+        facts["people"] = len({one.person for one in names})
+        facts["failures"] = len(pool) - len(names)
+        acquired = [one.row for one in pool if one.template_bytes > 0]
+    facts["captures"], facts["compared"] = len(acquired), 0
+    if probe.empty or not acquired:
+        return [], facts
+    score: dict[int, float] = {}
+    if pool is None and len(acquired) > settings.search.candidates:
+        index = CodeIndex([str(row) for row in codes], np.stack(list(codes.values())))
+        best, scores = index.search(probe, settings.search.candidates, settings.search.probe)
+        score = {int(row): value for row, value in zip(best, scores.tolist(), strict=True)}
+        acquired, facts["method"] = list(score), "codes"
+    rows = {one.row: one for one in pool} if pool is not None else gallery.entries_at(acquired)
+    ready = prepared(probe, settings.ridge)
+    found: list[_Found] = []
+    for k, (row, payload) in enumerate(gallery.templates(acquired).items()):
+        progress("comparing", 0.5 + 0.5 * k / len(acquired))
+        if row in rows:  # else removed just now
+            match = ridge_match(ready, _unpacked(gallery, row, payload), settings.ridge)
+            found.append((match.similarity, score.get(row), rows[row]))
+    facts["compared"] = len(found)
+    return sorted(found, key=_order), facts
+
+
+def _codes(gallery: Gallery, progress: Progress) -> tuple[dict[int, NDArray[np.int8]], int, int]:
+    """Codes of all rows, how many of them had to be made just now, and the number of failures to acquire."""
+    codes = {row: np.frombuffer(code, dtype=np.int8) for row, code in gallery.codes(CODE_VERSION).items()}
+    rest = gallery.entries_at(gallery.without_code(CODE_VERSION))
+    missing = [row for row, one in rest.items() if one.template_bytes > 0]
+    for k, (row, payload) in enumerate(gallery.templates(missing).items()):
+        progress("coding", 0.5 * k / len(missing))
+        codes[row] = code_of(_unpacked(gallery, row, payload))
+    return codes, len(missing), len(rest) - len(missing)
+
+
+def _unpacked(gallery: Gallery, row: int, payload: bytes) -> Template:
+    try:
+        return unpack(payload)
+    except BadInput as error:
+        raise BadInput(f"row {row} of '{gallery.path}': {error}") from error
+
+
+def _order(one: _Found) -> tuple[Any, ...]:
+    entry = one[2].entry
+    return -one[0], entry.person, entry.finger, session_order(entry.session)
+
+
+def _merged(found: Sequence[_Found], merge: str) -> list[_Found]:
+    """The best of each person or finger, best first."""
+    seen, kept = set(), []
+    for one in found:
+        entry = one[2].entry
+        name = {"person": (entry.person,), "finger": (entry.person, entry.finger), "none": (one[2].row,)}[merge]
+        if name not in seen:
+            seen.add(name)
+            kept.append(one)
+    return kept
+
+
+def _candidate(rank: int, one: _Found, searched: int, calibrated: bool) -> dict[str, Any]:
+    similarity, code_similarity, row = one
+    fmr = false_match_rate(similarity) if calibrated else None
+    return {
+        "rank": rank,
+        "person": row.entry.person,
+        "finger": row.entry.finger,
+        "session": row.entry.session,
+        "similarity": similarity,
+        "code_similarity": code_similarity,
+        "fmr": fmr,
+        "expected_false_matches": None if fmr is None else searched * fmr,
+    }

@@ -1,0 +1,329 @@
+"""A gallery after enrolment: list, remove, index, check, repair, change its key; as a folder of plain files, and back.
+
+An export holds ``templates/0001.skt`` ..., ``gallery.csv`` and ``gallery.json``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
+from splitknit.gallery.enrol import LARGEST_RAW, gallery_facts
+from splitknit.gallery.entry import Entry, check_person, session_order
+from splitknit.gallery.file import describe
+from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.key import Key
+from splitknit.gallery.key_file import KEY_VARIABLE, NEW_KEY_VARIABLE
+from splitknit.io import atomic_folder
+from splitknit.io.fields import Fields, read_json
+from splitknit.io.targets import check_target
+from splitknit.io.templates import encode_template, read_template
+from splitknit.matching import VERSION, unpack
+from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.model import Progress, no_progress
+
+
+def list_gallery(gallery: Path, person: str | None, *, key: Key | None = None) -> dict[str, Any]:
+    """Whose fingers are in a gallery, person by person."""
+    name = None if person is None else check_person(person)
+    with Gallery.open(gallery, key) as opened:
+        rows = opened.entries(name)
+    require(name is None or len(rows) > 0, f"'{gallery}' holds nothing of person '{name}'.")
+    rows.sort(key=lambda one: (one.entry.person, one.entry.finger, session_order(one.entry.session)))
+    return {
+        "gallery": str(gallery),
+        "captures": [
+            {
+                "row": one.row,
+                "person": one.entry.person,
+                "finger": one.entry.finger,
+                "session": one.entry.session,
+                "kind": one.entry.kind,
+                "area_mm2": one.entry.area_mm2,
+                "acquired": one.template_bytes > 0,
+                "failure": one.entry.failure,
+                "template_bytes": one.template_bytes,
+                "images": one.entry.images or "none",
+                "enrolled_at": one.entry.enrolled_at or None,
+                "source_sha256": one.entry.source_sha256,
+            }
+            for one in rows
+        ],
+    }
+
+
+def gallery_info(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
+    """What can be seen without a key, and with it the numbers of people and fingers."""
+    facts = {"gallery": str(gallery), **describe(gallery), "fingers": None, "people": None, "failures": None}
+    if key is not None or not facts["encrypted"]:
+        with Gallery.open(gallery, key) as opened:
+            rows = opened.entries()
+        facts["fingers"] = len({(one.entry.person, one.entry.finger) for one in rows})
+        facts["people"] = len({one.entry.person for one in rows})
+        facts["failures"] = sum(one.template_bytes == 0 for one in rows)
+    return facts
+
+
+def remove_from_gallery(
+    gallery: Path,
+    *,
+    person: str | None = None,
+    finger: str | None = None,
+    session: str | None = None,
+    rows: Sequence[int] = (),
+    key: Key | None = None,
+) -> dict[str, Any]:
+    """Remove a person, a finger, a session of it, or rows by number; nothing of them remains in the file.
+
+    Raises
+    ------
+    BadInput
+        If nothing is named, or what is named is not there.
+    """
+    require((person is None) != (not rows), "say whose fingers are to be removed: --person NAME, or --row N.")
+    require(not rows or (finger is None and session is None), "--row goes without --finger and --session.")
+    with Gallery.open(gallery, key) as opened:
+        chosen = list(rows)
+        if person is not None:
+            chosen = [one.row for one in opened.entries(check_person(person), finger, session)]
+            words = ", ".join(word for word in (person, finger, session and f"session {session}") if word)
+            require(len(chosen) > 0, f"'{gallery}' holds nothing of {words}; 'splitknit gallery list' tells whom.")
+        removed = opened.remove(chosen)
+        require(removed > 0, f"'{gallery}' holds no row {', '.join(map(str, chosen))}.")
+        return {"gallery": str(gallery), "removed": removed, "captures": len(opened)}
+
+
+def index_gallery(gallery: Path, *, key: Key | None = None, progress: Progress = no_progress) -> dict[str, Any]:
+    """Make the search codes that are missing or of another version, and keep them."""
+    made = 0
+    with Gallery.open(gallery, key) as opened:
+        opened.require_changeable()
+        rows = [one.row for one in opened.entries() if one.template_bytes > 0 and one.code_version != CODE_VERSION]
+        for start in range(0, len(rows), 256):  # in short transactions: what is done is kept
+            progress("coding", start / len(rows))
+            templates = opened.templates(rows[start : start + 256])
+            codes = {row: code_of(unpack(payload)).tobytes() for row, payload in templates.items()}
+            opened.set_codes(codes, CODE_VERSION)
+            made += len(codes)
+    return {"gallery": str(gallery), "coded": made, "code_version": CODE_VERSION}
+
+
+def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
+    """Open everything.
+
+    Raises
+    ------
+    Refused
+        If something is damaged; its facts list what.
+    """
+    with Gallery.open(gallery, key) as opened:
+        problems = opened.problems()
+        facts = {
+            "gallery": str(gallery),
+            "captures": len(opened),
+            "sound": not problems,
+            "problems": [{"row": row, "what": what} for row, what in problems],
+        }
+    if problems:
+        rows = sorted({row for row, _ in problems if row is not None})
+        shown = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
+        where = f"rows {shown}; 'splitknit gallery remove --row N' takes a row out"
+        whole = [what.rstrip(".") for row, what in problems if row is None]
+        if whole:
+            where = f"rows {shown}; {whole[0]}" if rows else whole[0]
+        raise Refused(f"the gallery '{gallery}' is damaged in {len(problems)} places ({where}).", facts)
+    return facts
+
+
+def rekey_gallery(gallery: Path, *, key: Key | None, new: Key | None, plain: bool = False) -> dict[str, Any]:
+    """Encrypt a gallery anew, or no longer.
+
+    Raises
+    ------
+    BadInput
+        If neither a new key nor `plain` is given, or both.
+    """
+    require(
+        (new is None) == plain,
+        f"give the new key with --new-key-file or in {NEW_KEY_VARIABLE} (the old one with --key-file or in "
+        f"{KEY_VARIABLE}), or say --plain to take the encryption away.",
+    )
+    with Gallery.open(gallery, key) as opened:
+        return {"gallery": str(gallery), "captures": opened.rekey(new), "encrypted": opened.encrypted}
+
+
+def repair_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
+    """Take out the rows that cannot be opened, and accept the others as they are."""
+    with Gallery.open(gallery, key) as opened:
+        return {"gallery": str(gallery), "removed": opened.repair(), "captures": len(opened)}
+
+
+def migrate_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
+    """Make a gallery of version 1 one of version 2.
+
+    Raises
+    ------
+    BadInput
+        If it is of version 2 already, or damaged; it is then as before.
+    """
+    with Gallery.open(gallery, key) as opened:
+        return {"gallery": str(gallery), "captures": opened.migrate(), "version": 2}
+
+
+TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
+_FORMAT, _VERSION = "splitknit-gallery-export", 1
+_FIELDS = ("person", "finger", "session", "kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "images")
+_COLUMNS = ("template", *_FIELDS, "image")
+_SUFFIX = {"thumbnail": "png", "raw": "zip"}
+_MAX_TABLE_BYTES = 50_000_000
+"""A quarter of a million captures."""
+
+
+def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: bool = False) -> dict[str, Any]:
+    """Write all of a gallery, **not encrypted**, into a folder that only its owner may read; return facts.
+
+    Raises
+    ------
+    BadInput
+        If the gallery or a row of it cannot be read, or the folder not be written; nothing is written then.
+    """
+    check_target(out, TABLE_FILE, "an earlier export of a gallery")
+    with Gallery.open(gallery, key) as opened:
+        rows = opened.entries()
+        templates = opened.templates()
+        kept = opened.images() if images else {}
+        about = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "template_version": opened.template_version,
+            "settings_sha256": opened.settings_sha256,
+        }
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(_COLUMNS)
+    with atomic_folder(out) as folder:
+        folder.chmod(0o700)
+        for number, one in enumerate((one for one in rows if one.row in templates), start=1):
+            name = f"templates/{number:04d}.skt"
+            _write(folder / name, encode_template(templates[one.row], int(str(about["template_version"]))))
+            image = ""
+            if one.row in kept:
+                image = f"images/{number:04d}.{_SUFFIX[one.entry.images]}"
+                _write(folder / image, kept[one.row])
+            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image])
+        _write(folder / TABLE_FILE, text.getvalue().encode("utf-8"))
+        _write(folder / FACTS_FILE, (json.dumps(about, indent=1) + "\n").encode("ascii"))
+    return {"gallery": str(gallery), "out": str(out), "captures": len(rows), "images": len(kept)}
+
+
+def import_gallery(gallery: Path, folder: Path, *, key: Key | None = None, replace: bool = False) -> dict[str, Any]:
+    """Put what was exported into a gallery (made where there is none), all or none; return facts.
+
+    Raises
+    ------
+    BadInput
+        If the folder is no export, damaged or of another version, or its templates were made with other settings
+        than the gallery's.
+    """
+    about = _read_about(folder)
+    captures = _read_table(folder)
+    created = not gallery.exists()
+    opened = Gallery.create(gallery, about["settings_sha256"], key) if created else Gallery.open(gallery, key)
+    with opened:
+        opened.require_comparable(about["settings_sha256"])
+        added = opened.add(captures, replace=replace)
+        facts = gallery_facts(opened, created=created)
+    return {**facts, "folder": str(folder), "found": len(captures), "new": sum(added)}
+
+
+def _write(file: Path, data: bytes) -> None:
+    file.parent.mkdir(mode=0o700, exist_ok=True)
+    file.touch(mode=0o600)
+    file.write_bytes(data)
+
+
+def _read_about(folder: Path) -> dict[str, Any]:
+    file = folder / FACTS_FILE
+    require(file.is_file(), f"'{folder}' is no export of a gallery: it holds no {FACTS_FILE}.")
+    document, _ = read_json(file)
+    fields = Fields(document, str(file))
+    sound = fields.text("format") == _FORMAT and re.fullmatch("[0-9a-f]{64}", fields.text("settings_sha256"))
+    versions = document.get("version"), document.get("template_version")
+    require(
+        bool(sound) and all(type(one) is int for one in versions),
+        f"'{file}' is damaged, or not of an export; export the gallery again.",
+    )
+    require(
+        versions == (_VERSION, VERSION),
+        f"'{folder}' is an export of version {versions[0]} with templates of version {versions[1]}, but this program "
+        f"reads {_VERSION} and {VERSION}; enrol the fingers again.",
+    )
+    return dict(document)
+
+
+def _read_table(folder: Path) -> list[NewCapture]:
+    file = folder / TABLE_FILE
+    data = read_bytes(file, _MAX_TABLE_BYTES)
+    with refusing(f"'{file}' cannot be read as a table; export the gallery again."):
+        rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
+    require(len(rows) > 0, f"'{file}' lists no finger.")
+    _check_rows(rows, file)
+    found = []
+    for number, row in enumerate(rows, start=2):
+        try:
+            found.append(_capture(folder, row))
+        except (BadInput, ValueError) as error:
+            raise BadInput(f"'{file}', line {number}: {error}") from error
+    return found
+
+
+def _check_rows(rows: list[dict[str, str]], file: Path) -> None:
+    """Refuse what is not complete or there twice before any of the files is read."""
+    lines: dict[tuple[str, ...], int] = {}
+    for number, row in enumerate(rows, start=2):
+        complete = all(isinstance(row.get(column), str) for column in _COLUMNS)
+        require(complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected.")
+        for columns in (("person", "finger", "session"), ("template",)):
+            first = lines.setdefault((*columns, *(row[column] for column in columns)), number)
+            require(
+                first == number,
+                f"'{file}', lines {first} and {number} have the same {', '.join(columns)}; remove one of them.",
+            )
+
+
+def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
+    # names of files are checked: a table from elsewhere must not lead out of the folder
+    named = re.fullmatch(r"templates/\d{1,9}\.skt", row["template"]) is not None
+    require(named, f"a template is named such as templates/0001.skt, not {row['template'][:60]!a}.")
+    payload = read_template(folder / row["template"], VERSION)
+    template = unpack(payload)
+    image = None
+    if row["image"]:
+        named = re.fullmatch(r"images/\d{1,9}\.(png|zip)", row["image"]) is not None
+        require(named, f"an image is named such as images/0001.png, not {row['image'][:60]!a}.")
+        kind = next(kind for kind, suffix in _SUFFIX.items() if row["image"].endswith(suffix))
+        require(
+            row["images"] == kind,
+            f"the column 'images' must be '{kind}' where the image is {row['image']}, not {row['images'][:60]!a}.",
+        )
+        image = read_bytes(folder / row["image"], LARGEST_RAW)
+    values: dict[str, Any] = {column: row[column] for column in _FIELDS}
+    values["area_mm2"] = 0.0 if template.empty else _area(row["area_mm2"])
+    values["images"] = row["images"] if image is not None else ""
+    code = None if template.empty else code_of(template).tobytes()
+    return NewCapture(Entry(**values), payload, code, None if code is None else CODE_VERSION, image)
+
+
+def _area(text: str) -> float:
+    try:
+        area = float(text)
+    except ValueError:
+        area = -1.0
+    require(0 <= area <= 1e6, f"area_mm2 must be a number from 0 to a million, not {text[:60]!a}.")
+    return area

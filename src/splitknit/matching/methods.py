@@ -1,0 +1,359 @@
+"""Matching of files by one of seven methods: captures, results, templates and prints in, similarity out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache, partial
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, naming, require
+from splitknit.io import read_capture
+from splitknit.io.targets import check_file
+from splitknit.io.templates import MAGIC, write_template
+from splitknit.matching import VERSION, FmrTable, Template, pack, ridge_match, thesis_match
+from splitknit.matching.inputs import Side, read_print, read_side
+from splitknit.matching.leave_one_out import voted_minutiae
+from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit.matching.minutiae3d import minutiae3d_match
+from splitknit.matching.minutiae_enhance import EnhanceSettings
+from splitknit.matching.minutiae_joined import joined_similarity
+from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.surface import MatchingSettings, surface_images
+from splitknit.matching.surface_code_match import surface_code_match
+from splitknit.matching.surface_codes import surface_code
+from splitknit.matching.tetrahedra import tetrahedra_match
+from splitknit.model import Progress, Surface, no_progress
+from splitknit.pipeline import preset_settings
+from splitknit.prints.ridges import surface_print
+from splitknit.settings import override
+
+SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
+"""Those that compare surfaces in space."""
+METHODS = ("ridge", "thesis", "minutiae", "voted", *SPACE_METHODS)
+_RIDGE_TABLE = "match_fmr.json"
+"""Made by validation/match/impostors.py."""
+_FMR_ROUNDING = 1e-5
+"""Of the similarities in it: no rate comes out too low."""
+
+
+def match_files(
+    a: Path,
+    b: Path | None,
+    *,
+    method: str = "ridge",
+    template: Path | None = None,
+    preset: str = "metric",
+    settings: MatchingSettings | dict[str, Any] | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Compare two fingers' files, or make the template of one; return facts for ``--json``.
+
+    Parameters
+    ----------
+    a, b
+        Capture folder, result folder, template (``.skt``) or 500-ppi print. Without `b` only the template is made.
+    method
+        ``ridge``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``.
+    template
+        File to write the template of `a` into.
+    preset
+        By which captures are reconstructed.
+
+    Raises
+    ------
+    BadInput
+        Naming the file at fault.
+    """
+    require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
+    require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
+    chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
+    if template is not None:
+        check_file(template, "a template", lambda data: data.startswith(MAGIC))
+        sources = [path.expanduser().resolve() for path in (a, b) if path is not None]
+        require(
+            template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file."
+        )
+    first = read_side(a, preset, chosen, progress)
+    facts: dict[str, Any] = {"method": method, "a": _facts(first)}
+    if b is not None:
+        second = read_side(b, preset, chosen, progress)
+        facts["b"] = _facts(second)
+        progress("comparing", 0.9)
+        ways: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
+            "ridge": _by_ridges,
+            "thesis": _by_thesis,
+            "minutiae": _by_minutiae,
+            "voted": partial(_by_votes, preset),
+            **{name: partial(_in_space, name) for name in SPACE_METHODS},
+        }
+        found = ways[method](first, second, chosen)
+        for name, side in zip("ab", found.pop("sides", ()), strict=False):
+            facts[name] |= side
+        facts |= found
+    if template is not None:
+        payload = pack(_template(first))
+        write_template(template, payload, VERSION)
+        facts["template"] = {"file": str(template), "bytes": template.stat().st_size, "version": VERSION}
+    progress("done", 1.0)
+    return facts
+
+
+def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    left, right = _template(a), _template(b)
+    found = ridge_match(left, right, settings.ridge)
+    return {
+        "similarity": found.similarity,
+        "fmr": false_match_rate(found.similarity) if found.compared and as_calibrated(settings) else None,
+        "compared": found.compared,
+        "overlap_mm2": found.overlap_mm2,
+        "correlation": found.correlation,
+        "alignment": {"rotation_deg": found.rotation_deg, "right_mm": found.right_mm, "up_mm": found.up_mm},
+    }
+
+
+def false_match_rate(similarity: float) -> float | None:
+    """Rate at which other (simulated) fingers reach this similarity of the ridge matcher; None without a table.
+
+    Never below one over the number of impostor comparisons that the table was measured on.
+    """
+    table = _fmr_table(_RIDGE_TABLE)
+    return None if table is None else table(similarity - _FMR_ROUNDING)
+
+
+def similarity_at(fmr: float) -> float | None:
+    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less; None without a table.
+
+    Raises
+    ------
+    BadInput
+        If the table was measured on too few comparisons to state such a rate.
+    """
+    table = _fmr_table(_RIDGE_TABLE)
+    if table is None:
+        return None
+    enough = table.fmr <= fmr
+    require(
+        bool(enough.any()),
+        f"false match rates were measured on {table.impostors} comparisons, so that none below {table.fmr.min():.2g} "
+        f"can be stated; ask for a larger one than {fmr:g}.",
+    )
+    step = int(np.ceil(table.similarity[np.argmax(enough)] / _FMR_ROUNDING)) + 1
+    return step * _FMR_ROUNDING
+
+
+def as_calibrated(settings: MatchingSettings) -> bool:
+    """Whether scores mean what they meant when the table was measured."""
+    plain = MatchingSettings()
+    return (settings.band, settings.template, settings.ridge) == (plain.band, plain.template, plain.ridge)
+
+
+def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    images = []
+    for side in (a, b):
+        if side.surface is None:
+            raise BadInput(
+                f"{side.path} is a {side.kind}; the thesis's matcher needs a surface: name a capture or a result."
+            )
+        images.append(naming(side.path, partial(surface_images, side.surface)))
+    found = thesis_match(images[0], images[1], settings.thesis)
+    return {
+        "similarity": found.similarity,
+        "fmr": None,
+        "compared": found.compared,
+        "overlap": found.ratio,
+        "dissimilarity": dict(found.dissimilarity),
+        "distances": dict(found.distances),
+        "alignment": {"right_mm": found.shift_px / images[0].px_per_mm},
+    }
+
+
+def _template(side: Side) -> Template:
+    assert side.template is not None
+    return side.template
+
+
+def _facts(side: Side) -> dict[str, Any]:
+    template = _template(side)
+    return {"path": str(side.path), "kind": side.kind, "area_mm2": template.area_mm2, "acquired": not template.empty}
+
+
+_MINUTIAE_TABLE = "match_fmr_minutiae.json"
+"""Made by validation/match/impostors_minutiae.py."""
+_PPI = 500.0
+
+
+def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    """Compare by minutiae: similarity, false match rate, and what each side's print holds.
+
+    Surfaces are compared by their relief prints as they are, prints from files after enhancement.
+
+    Raises
+    ------
+    BadInput
+        If a side is a template of ridges, or nbis-py is not installed.
+    """
+    found, facts = [], []
+    for side in (a, b):
+        image, ppi, pressed = _print_of(side)
+        minutiae = naming(side.path, lambda: extract(image, ppi, EnhanceSettings() if pressed else None))  # noqa: B023
+        quality = nfiq2(image, ppi)
+        found.append(minutiae)
+        facts.append(
+            {
+                "minutiae": minutiae.count,
+                "nfiq2": None if quality == NFIQ2_FAILED else quality,
+                "acquired": minutiae.acquired,
+                "enhanced": pressed,
+            }
+        )
+    compared = all(one.acquired for one in found)
+    similarity = minutiae_match(*found)
+    rate, why = _rate(a, b, similarity, compared)
+    return {
+        "similarity": similarity,
+        "similarity_with_ridges": _joined(a, b, similarity) if compared else None,
+        "fmr": rate,
+        "fmr_missing": why,
+        "compared": compared,
+        "sides": facts,
+    }
+
+
+def minutiae_false_match_rate(similarity: float) -> float | None:
+    """Rate at which other (simulated) fingers' relief prints reach this similarity; None without a table."""
+    table = _fmr_table(_MINUTIAE_TABLE)
+    return None if table is None else table(similarity)
+
+
+def _joined(a: Side, b: Side, similarity: float) -> float | None:
+    """Minutiae and ridges as one score, for which the templates of the ridges are at hand."""
+    if a.template is None or b.template is None:
+        return None
+    found = ridge_match(a.template, b.template)
+    return joined_similarity(similarity, found.similarity if found.compared else float("nan"))
+
+
+def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | None, str | None]:
+    """False match rate, or why there is none."""
+    if not compared:
+        return None, "nothing was compared"
+    if a.surface is None or b.surface is None:
+        return None, "rates were measured on relief prints of surfaces, not on prints from files"
+    rate = minutiae_false_match_rate(similarity)
+    return rate, None if rate is not None else "no rates were measured"
+
+
+def _print_of(side: Side) -> tuple[NDArray[np.uint8], float, bool]:
+    """The print of a side, its resolution, and whether it comes from a file."""
+    if side.surface is not None:
+        return naming(side.path, partial(surface_print, side.surface, _PPI)), _PPI, False
+    if side.kind != "print":
+        raise BadInput(
+            f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
+        )
+    return (*read_print(side.path), True)
+
+
+def _in_space(method: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    """Compare by ``minutiae3d``, ``surface-code`` or ``tetrahedra``.
+
+    Raises
+    ------
+    BadInput
+        If a side is a template or a print, which have no surface, or nbis-py is not installed and minutiae are wanted.
+    """
+    surfaces = [_surface(side, method) for side in (a, b)]
+    compare = _by_codes if method == "surface-code" else partial(_by_space_minutiae, method)
+    return {"fmr": None, **compare((a, b), surfaces, settings)}
+
+
+def _surface(side: Side, method: str) -> Surface:
+    if side.surface is None:
+        raise BadInput(
+            f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
+        )
+    return side.surface
+
+
+def _by_space_minutiae(
+    method: str, sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings
+) -> dict[str, Any]:
+    left, right = (
+        naming(side.path, partial(space_minutiae, surface)) for side, surface in zip(sides, surfaces, strict=True)
+    )
+    facts: dict[str, Any] = {}
+    if method == "tetrahedra":
+        by_shape = tetrahedra_match(left, right, settings.tetrahedra)
+        similarity, agreeing, compared = by_shape.similarity, by_shape.agreeing, by_shape.compared
+        facts["tetrahedra"] = by_shape.tetrahedra
+    else:
+        by_pairs = minutiae3d_match(left, right, settings.minutiae3d)
+        similarity, agreeing, compared = by_pairs.similarity, by_pairs.agreeing, by_pairs.compared
+    own = [{"minutiae": one.count, "acquired": one.acquired} for one in (left, right)]
+    return {"similarity": similarity, "compared": compared, "agreeing": agreeing, **facts, "sides": own}
+
+
+def _by_codes(sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings) -> dict[str, Any]:
+    left, right = (
+        naming(side.path, partial(surface_code, surface, settings.surface_code))
+        for side, surface in zip(sides, surfaces, strict=True)
+    )
+    found = surface_code_match(left, right, settings.surface_match)
+    return {
+        "similarity": found.similarity,
+        "compared": found.compared,
+        "distance": found.distance,
+        "overlap_mm2": found.overlap_mm2,
+        "alignment": {"rotation_deg": found.rotation_deg},
+        "sides": [{"code_mm2": one.area_mm2, "acquired": not one.empty} for one in (left, right)],
+    }
+
+
+def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    """Compare by voted minutiae: similarity, and what each side's images hold.
+
+    Raises
+    ------
+    BadInput
+        If a side is no capture, or nbis-py is not installed.
+    """
+    for side in (a, b):
+        if side.kind != "capture":
+            raise BadInput(
+                f"{side.path} is a {side.kind} without the images that it was made of, which the method voted needs; "
+                "name the capture itself, or compare with the method minutiae."
+            )
+    sides = [_voted(side, preset, settings) for side in (a, b)]
+    facts = [{"minutiae": one.count, "acquired": one.acquired, "enhanced": False} for one in sides]
+    return {
+        "similarity": minutiae_match(*sides),
+        "similarity_with_ridges": None,
+        "fmr": None,
+        "fmr_missing": "rates were measured on minutiae of relief prints, not on voted ones",
+        "compared": all(one.acquired for one in sides),
+        "sides": facts,
+    }
+
+
+def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
+    capture = read_capture(side.path)
+    return naming(
+        side.path, lambda: voted_minutiae(capture, preset_settings(preset), settings.leave_one_out, settings.voted)
+    )
+
+
+@cache
+def _fmr_table(name: str) -> FmrTable | None:
+    """Table in the package's file `name`; None where it was not measured."""
+    file = resources.files("splitknit.matching") / name
+    if not file.is_file():
+        return None
+    document = json.loads(file.read_text(encoding="utf-8"))
+    return FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))

@@ -1,0 +1,429 @@
+"""A print's folder: the pictures, the minutiae on paper and in space, the distortion, and the report."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
+from splitknit.io.finger_codes import FINGER_CODES
+from splitknit.io.iso19794 import write_iso19794
+from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
+from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
+from splitknit.io.pictures import ColourArray, colour, on_paper
+from splitknit.io.provenance import JsonValue
+from splitknit.io.targets import check_target
+from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.space_minutiae import in_space
+from splitknit.mirrors.rolled.finger import Rolled
+from splitknit.model import FloatArray, Progress, no_progress
+from splitknit.prints import (
+    Enhanced,
+    PrintMap,
+    PrintQuality,
+    Unrolled,
+    as_print,
+    phase_minutiae,
+    ridge_mask,
+    thin,
+)
+from splitknit.prints.make import (
+    Print,
+    PrintingSettings,
+    checked_surface,
+    enhance,
+    make_print,
+    make_rolled_print,
+    measured,
+)
+from splitknit.prints.print_map import NOWHERE
+from splitknit.prints.rolled import read_rolled, write_rolled
+from splitknit.prints.sources import Source, read_source
+from splitknit.settings import override
+
+RESOLUTIONS = (500.0, 1000.0)
+
+
+def print_to_folder(
+    path: Path,
+    out: Path,
+    *,
+    method: str = "unroll",
+    surface: str | None = None,
+    ppi: float = 500.0,
+    preset: str = "metric",
+    changes: Mapping[str, Any] | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
+
+    Raises
+    ------
+    BadInput
+        Naming the input at fault.
+    """
+    started = time.perf_counter()
+    settings = override(PrintingSettings(), dict(changes or {}))
+    place = checked_surface(method, surface, settings)
+    require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
+    check_target(out, "map.npz", "an earlier print", keep=path)
+    with atomic_folder(out) as target:
+        source, around = _read(path, method, place, preset, settings, progress)
+        timings = {"reading": time.perf_counter() - started}
+        progress("printing", 0.75)
+        try:
+            clock = time.perf_counter()
+            made = (
+                make_print(source, method, place, ppi, settings)
+                if around is None
+                else make_rolled_print(around, source, place, ppi, settings)
+            )
+            timings["printing"] = time.perf_counter() - clock
+            progress("enhancing", 0.85)
+            clock = time.perf_counter()
+            enhanced = enhance(made, ppi, settings)
+            ridges = ridge_mask(enhanced)
+            lines = thin(ridges)
+            timings["enhancing"] = time.perf_counter() - clock
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
+        progress("writing", 0.92)
+        origin = provenance({**_parameters(method, settings), "surface": place, "ppi": ppi}, source.hashes)
+        texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+        pictures = {
+            "print.png": made.image,
+            "enhanced.png": enhanced.image,
+            "binary.png": as_print(ridges),
+            "thinned.png": as_print(lines),
+        }
+        for name, picture in pictures.items():
+            write_print_png(target / name, picture, ppi, texts)
+        write_npz(target / "map.npz", map_arrays(made.map))
+        facts: dict[str, Any] = {
+            "method": method,
+            "surface": place,
+            "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
+            "ppi": ppi,
+            "enhanced": settings.enhance,
+            **_sizes(made, enhanced, ppi),
+        }
+        if made.unrolled is not None:
+            facts["distortion"] = made.unrolled.distortion.figures()
+            write_image(target / "distortion.png", distortion_picture(made.map, made.unrolled))
+        if around is not None:
+            facts["rolled"] = write_rolled(target, around)
+        clock = time.perf_counter()
+        quality = measured(made, enhanced, ppi, settings)
+        timings["quality"] = time.perf_counter() - clock
+        nfiq2 = nfiq2_of(pictures, ppi)
+        facts["quality"] = quality_facts(quality, nfiq2)
+        sought = settings.minutiae
+        facts["minutiae"] = write_minutiae(
+            target, pictures, enhanced, sought, made.map, source, origin, round(quality.score)
+        )
+        timings["total"] = time.perf_counter() - started
+        facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
+        facts["provenance"] = origin
+        facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
+        with atomic_file(target / "report.json") as stream:
+            stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+    progress("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def _read(  # noqa: PLR0917
+    path: Path, method: str, place: str, preset: str, settings: PrintingSettings, progress: Progress
+) -> tuple[Source, Rolled | None]:  # fmt: skip
+    """What the print is made from, and the finger around its front where the print is rolled."""
+    if method == "rolled":
+        return read_rolled(path, preset, settings.rolled, progress)
+    photo = method == "photo"
+    surface = not photo or place != "plane"
+    return read_source(path, photo=photo, surface=surface, preset=preset, progress=progress), None
+
+
+def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:
+    """What a print follows from; the rolled finger's settings only where it is one."""
+    found = {"method": method, **asdict(settings)}
+    if method != "rolled":
+        found.pop("rolled")
+    return found
+
+
+def _sizes(made: Print, enhanced: Enhanced, ppi: float) -> dict[str, Any]:
+    return {
+        "size": list(made.image.shape),
+        "mirrored": True,
+        "ridges": "dark",
+        "ridge_period_mm": _periods(enhanced, ppi),
+        "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+        "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+    }
+
+
+def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
+    period = enhanced.field.period_mm(ppi)[enhanced.field.mask]
+    low, middle, high = (round(float(value), 4) for value in np.percentile(period, [5, 50, 95]))
+    return {"p5": low, "median": middle, "p95": high}
+
+
+# Quality of a print as a report tells it: NFIQ 2, our own figures and score, and what to do in words.
+
+MOST_SENTENCES = 3
+LEAST_WORTH = 0.7
+"""A figure that is worth less is spoken of."""
+FULL_WORTH = 0.95
+"""Of the ridges' height: from here on, soft edges are the finger's own."""
+
+
+def nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
+    """NFIQ 2 of ``print.png`` and ``enhanced.png``, None where it sees no print; None without the package for it."""
+    from splitknit.matching.minutiae import NFIQ2_FAILED, nfiq2  # noqa: PLC0415 - large, and not everywhere
+
+    try:
+        found = {name: nfiq2(pictures[f"{name}.png"], ppi) for name in ("print", "enhanced")}
+    except BadInput:
+        return None
+    return {name: None if value == NFIQ2_FAILED else value for name, value in found.items()}
+
+
+def quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> dict[str, Any]:
+    """What ``report.json`` holds under ``quality``: plain numbers and sentences."""
+
+    def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
+        return {name: None if value is None else round(value, 3) for name, value in values.items()}
+
+    return {
+        "nfiq2": nfiq2,
+        "ours": round(found.score, 1),
+        "figures": rounded(asdict(found.figures)),
+        "worth": rounded(found.worth),
+        "advice": list(advice(found)),
+    }
+
+
+def advice(found: PrintQuality) -> tuple[str, ...]:
+    """What is wrong with a print and what to do, at most three sentences, the worst first; empty if nothing is.
+
+    Every figure that is worth less than 0.7 may speak; figures with one remedy speak once, through the worst of them.
+    """
+    spoken: dict[str, None] = {}
+    causes: set[str] = set()
+    for name, worth in sorted(found.worth.items(), key=lambda item: item[1]):
+        cause = _CAUSES[name]
+        if cause == "soft" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
+            continue  # defocus lowers ridges as well; soft but high ones grew that way
+        if worth < LEAST_WORTH and cause not in causes and len(spoken) < MOST_SENTENCES:
+            causes.add(cause)
+            spoken[_sentence(cause, name, found)] = None
+    return tuple(spoken)
+
+
+_CAUSES = {
+    "ridge_height_um": "weak",
+    "ridge_share": "lost",
+    "gap_share": "gaps",
+    "coherence": "noise",
+    "plausible_share": "noise",
+    "sharpness": "soft",
+    "ridge_area_mm2": "partial",
+    "ridge_length_mm": "partial",
+    "centre_offset_mm": "beside",
+}
+
+
+def _sentence(cause: str, name: str, found: PrintQuality) -> str:
+    figures = found.figures
+    lost = 100 * (1 - figures.ridge_share)
+    noise = "directions of ridges disagree" if name == "coherence" else "distances of ridges are not plausible"
+    sentences = {
+        "weak": f"Ridges are weak ({figures.ridge_height_um or 0:.0f} um), missing over {lost:.0f} % of the area: dry, "
+        "worn, wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture "
+        "again.",
+        "lost": f"Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
+        "and lens, and capture again.",
+        "gaps": f"{100 * figures.gap_share:.0f} % of the skin between ridges shows none: glare, a crease, a scar, "
+        "water, dirt or blur; wipe the finger and the lens, check the focus, and capture again.",
+        "noise": f"The picture is noisy or the finger dusty ({noise}); wipe it, lengthen the exposure, keep the finger "
+        "still, and capture again.",
+        "soft": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
+        "partial": f"Only {figures.ridge_length_mm:.0f} mm of ridges ({figures.ridge_area_mm2:.0f} mm2) are in view; "
+        "push the finger further in, its pad to the camera, and capture again.",
+        "beside": f"The ridges lie {figures.centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
+        "camera and capture again.",
+    }
+    return sentences[cause]
+
+
+Array = NDArray[np.float64]
+AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
+"""Ends of the colour bars of the distortion picture."""
+
+
+def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:
+    """Minutiae of a print by the phase of its ridges, on the grid of 500 ppi as mindtct's."""
+    found = phase_minutiae(image, enhanced, ppi)
+    scale = 500.0 / ppi
+    place = np.rint((found.place_px + 0.5) * scale - 0.5).astype(np.int32)
+    size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
+    column, row = (np.clip(place[:, k], 0, size[1 - k] - 1) for k in (0, 1))
+    return Minutiae(column, row, found.direction_rad, found.kind, found.quality, size)
+
+
+def write_minutiae(  # noqa: PLR0917
+    target: Path,
+    pictures: Mapping[str, NDArray[np.uint8]],
+    enhanced: Enhanced,
+    sought_in: str,
+    print_map: PrintMap,
+    source: Source,
+    origin: dict[str, JsonValue],
+    finger_quality: int,
+) -> dict[str, Any]:
+    """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them.
+
+    Minutiae are sought by mindtct in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``)
+    says, or by the phase of the ridges (``phase``), which needs no package; `finger_quality` (0 to 100) goes into the
+    record.
+
+    Without the package that mindtct comes with, nothing is written and the facts say what to install.
+    """
+    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+
+    try:
+        if sought_in == "phase":
+            found, where = by_phase(pictures["print.png"], enhanced, print_map.ppi), "print.png, by the phase"
+        else:
+            found, where = extract(pictures[f"{sought_in}.png"], print_map.ppi), f"{sought_in}.png"
+    except BadInput as error:
+        return {"written": False, "missing": f"{' '.join(str(error).split())} Or find them with --set minutiae=phase."}
+    finger = source.subject.get("finger", "unknown")
+    finger = finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
+    view = FingerView(
+        x_px=found.x_px,
+        y_px=found.y_px,
+        direction_rad=found.direction_rad,
+        type=found.type,
+        quality=found.quality,
+        size=found.size,
+        finger_quality=finger_quality,
+        finger=finger,
+        resolution_ppcm=pixels_per_cm(500.0),
+    )
+    write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))
+    facts: dict[str, Any] = {
+        "written": True,
+        "sought_in": where,
+        "count": len(found.x_px),
+        "finger": finger,
+    }
+    if source.height_mm is not None or source.points_mm is not None:
+        scale = print_map.ppi / 500.0
+        places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
+        space = minutiae_in_space(places, found.direction_rad, print_map, source)
+        good = np.isfinite(space).all(axis=1)
+        theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
+        x, y, z = space[good, :3].T
+        record = Minutiae3D(x, y, z, theta, phi, found.type[good], found.quality[good], finger, origin)
+        write_minutiae3d(target / "minutiae3d.json", record)
+        facts["in_space"] = int(good.sum())
+    return facts
+
+
+def minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
+    """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
+
+    NaN where the print shows nothing, or the surface is not known.
+    """
+    if source.points_mm is not None:
+        return _on_chart(
+            source.points_mm,
+            print_map.input_from_print(places),
+            print_map.directions_in_input(places, directions_rad),
+        )
+    assert source.height_mm is not None
+    points = None if source.x_mm is None or source.y_mm is None else (source.x_mm, source.y_mm)
+    return in_space(
+        places, directions_rad, print_map, source.height_mm, source.pitch_mm, source.input_from_upright, points
+    )
+
+
+def _on_chart(points_mm: FloatArray, there: Array, ahead: Array) -> Array:
+    """(N, 6) points and directions of places (N, 2) of a chart (H, W, 3), heading `ahead` (N,) on it."""
+    step = np.stack([np.cos(ahead), -np.sin(ahead)], axis=1)  # rows run downwards
+    here, before, after = (_bilinear(points_mm, at) for at in (there, there - step, there + step))
+    return np.column_stack([here, after - before])
+
+
+def _bilinear(points_mm: FloatArray, places: Array) -> Array:
+    """(N, 3) bilinear values of (H, W, 3) at places (N, 2; column, row); NaN outside and beside NaN."""
+    if len(places) == 0:
+        return np.zeros((0, 3))
+    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
+    nan = float("nan")
+    values = cv2.remap(
+        points_mm, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(nan, nan, nan)
+    )
+    return np.asarray(values[:, 0], dtype=np.float64)
+
+
+def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
+    """(h, w, 3) two maps side by side with their colour bars, on the pixels of the print.
+
+    Left: area on the print over area of the skin, blue too small, orange too large. Right: by how much more the skin is
+    stretched one way than the other.
+    """
+    node = np.linalg.inv(unrolled.grid.input_from_grid)
+    x = node[0, 0] * print_map.columns + node[0, 1] * print_map.rows + node[0, 2] - 0.5
+    y = node[1, 0] * print_map.columns + node[1, 1] * print_map.rows + node[1, 2] - 0.5
+    shown = print_map.columns > 0.5 * NOWHERE
+    panels = []
+    for field, low, high, title in (
+        (unrolled.distortion.area, -AREA_LIMIT, AREA_LIMIT, "area"),
+        (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
+    ):
+        known = np.isfinite(field)
+        filled, share = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
+        values, weight = (
+            np.asarray(cv2.remap(part, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR), dtype=np.float32)
+            for part in (filled, share)
+        )
+        evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
+        picture = colour(evened, low, high, diverging=low < 0)
+        picture = on_paper(picture, (shown & (weight > 0.01)).astype(np.float32))
+        panels.append(np.vstack([picture, _bar(picture.shape[1], low, high, title)]))
+    return np.hstack([panels[0], np.full((panels[0].shape[0], 12, 3), 255, np.uint8), panels[1]])
+
+
+def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
+    """A colour bar with its ends in percent."""
+    bar = np.full((46, width, 3), 255, dtype=np.uint8)
+    ramp = np.linspace(low, high, max(width - 40, 2), dtype=np.float32)[None].repeat(12, axis=0)
+    bar[6:18, 20 : 20 + ramp.shape[1]] = colour(ramp, low, high, diverging=low < 0)
+    texts = (f"{100 * low:+.0f} %" if low else "0", title, f"{100 * high:+.0f} %")
+    for text, share in zip(texts, (0.0, 0.5, 1.0), strict=True):
+        (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
+        place = int(4 + share * (width - 8 - length))
+        cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
+    return bar
+
+
+def map_arrays(print_map: PrintMap) -> dict[str, Any]:
+    """What ``map.npz`` holds."""
+    return {
+        "columns": print_map.columns,
+        "rows": print_map.rows,
+        "ppi": np.float64(print_map.ppi),
+        "input_from_grid": print_map.input_from_grid,
+        "print_of_grid": print_map.print_of_grid,
+        "surface": np.array(print_map.surface),
+    }

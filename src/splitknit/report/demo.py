@@ -1,0 +1,72 @@
+"""The demonstration: a simulated finger, photographed, reconstructed two ways, and compared with what it really is."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from splitknit.evaluation.accuracy import TRUTH_ARRAYS
+from splitknit.io import atomic_folder, read_capture, write_capture
+from splitknit.io.targets import check_target
+from splitknit.model import Progress, no_progress
+from splitknit.pipeline import reconstruct
+from splitknit.report.result import ink_print, make_report, write_report, write_results
+from splitknit.simulator.folder import twin_settings
+from splitknit.simulator.twin import simulate_capture
+
+PRESETS = ("metric", "ea")
+WRITTEN = {
+    "report.html": "both results beside the truth; open it in a browser",
+    "report.json": "the same figures for programs",
+    "capture": "the simulated capture (14 images, the rig, the truth)",
+    "metric": "the result of our preset: mesh, heights, normals, print, report",
+    "ea": "the result of plain photometric stereo on the same images",
+}
+
+
+def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = no_progress) -> dict[str, Any]:
+    """Write ``capture``, ``metric``, ``ea`` and the report that compares them into `out`, all or nothing.
+
+    Returns
+    -------
+    dict
+        The facts of the report, with ``out``, ``written`` (name to words) and ``total_s``.
+    """
+    started = time.perf_counter()
+    check_target(out, "capture/truth.npz", "an earlier demonstration")
+    with atomic_folder(out) as target:
+        progress("simulating a finger", 0.02)
+        simulated, truth = simulate_capture(seed, None, twin_settings(scale, None))
+        progress("writing the capture", 0.35)
+        write_capture(simulated, target / "capture", truth)
+        del simulated
+        capture = read_capture(target / "capture")
+        compared = {name: truth[name] for name in TRUTH_ARRAYS}
+        results = []
+        for k, preset in enumerate(PRESETS):
+            progress(f"reconstructing, {preset}", 0.4 + 0.25 * k)
+            result = reconstruct(capture, preset)
+            results.append(result)
+            write_results(result, capture, target / preset, compared)
+        progress("comparing", 0.92)
+        main = results[0]
+        prints = ink_print(main)
+        report = make_report(
+            main,
+            replace(capture, truth=None),
+            prints,
+            truth=compared,
+            others=results[1:],
+            files=list(WRITTEN),
+            title="splitknit demo: a simulated 3D fingerprint",
+        )
+        write_report(target, report.html, report.facts)
+    progress("done", 1.0)
+    return {
+        **report.facts,
+        "out": str(out),
+        "written": WRITTEN,
+        "total_s": time.perf_counter() - started,
+    }

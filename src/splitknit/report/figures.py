@@ -1,0 +1,402 @@
+"""The pictures of the report, each with a caption that says what is seen and what good looks like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.evaluation.accuracy import Comparison
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.io.pictures import (
+    ColourArray,
+    Frame,
+    colour,
+    normal_colours,
+    on_paper,
+    to_frame,
+    upright_frame,
+    upright_turn,
+)
+from splitknit.model import FloatArray, Reconstruction
+from splitknit.report import charts
+from splitknit.report.photos import LONGEST_PX, Picture, captioned, mask_on_image, mean_image, titled
+
+__all__ = [
+    "LONGEST_PX",
+    "Picture",
+    "Views",
+    "close_up",
+    "close_up_frame",
+    "error_pictures",
+    "mask_on_image",
+    "mean_image",
+    "normals_picture",
+    "print_picture",
+    "relief_limits_um",
+    "relief_picture",
+    "render_views",
+    "shape_picture",
+    "titled",
+    "uncertainty_picture",
+    "view_pictures",
+]
+
+RELIEF_EXAGGERATION = 2.0
+TILT_DEG = 56.0
+
+
+def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
+    """Show the normals, turned with the finger."""
+    values, weight = to_frame(result.normals, result.mask, frame)
+    turned = values.copy()
+    turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), values[..., :2])
+    picture = on_paper(normal_colours(turned), weight)
+    return captioned(
+        "Surface normals",
+        picture,
+        "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
+        "Good: colours change smoothly over the finger, with the ridges as fine lines on top, and no blotches.",
+        pitch_mm=frame.pitch_mm,
+        photo=True,
+    )
+
+
+def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
+    """Show the ridges and valleys in micrometres."""
+    values, weight = to_frame(result.ridge_mm, result.mask, frame)
+    relief = 1000.0 * values
+    low, high = relief_limits_um(result)
+    picture = on_paper(colour(relief, low, high), weight)
+    return captioned(
+        "Relief",
+        picture,
+        "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
+        "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top.",
+        charts.colour_bar(low, high, "µm"),
+        frame.pitch_mm,
+    )
+
+
+def relief_limits_um(result: Reconstruction) -> tuple[float, float]:
+    """Limits of a colour scale for the relief: what ridges span where the skin faces the camera, in whole fives."""
+    facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
+    where = facing if bool(facing.any()) else result.mask
+    relief = 1000.0 * result.ridge_mm[where][::3]
+    low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
+    margin = 0.1 * (high - low)
+    return 5.0 * float(np.floor((low - margin) / 5.0)), 5.0 * float(np.ceil((high + margin) / 5.0 + 1e-9))
+
+
+def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
+    """Show the finger without ridges, with contour lines."""
+    values, weight = to_frame(result.shape_mm, result.mask, frame)
+    top = float(np.percentile(values[weight > 0.5], 99.9))
+    depth = values - np.float32(top)
+    low = float(np.percentile(depth[weight > 0.5], 0.5))
+    step = 0.5 if low > -6 else 1.0
+    picture = colour(depth, low, 0.0)
+    level = np.floor(depth / step)
+    edge = np.zeros(level.shape, dtype=bool)
+    edge[:, 1:] |= level[:, 1:] != level[:, :-1]
+    edge[1:] |= level[1:] != level[:-1]
+    edge[:, :-1] |= edge[:, 1:]
+    edge[:-1] |= edge[1:]
+    picture[edge & (weight > 0.9)] = (20, 20, 20)
+    return captioned(
+        "Shape",
+        on_paper(picture, weight),
+        f"Height of the finger without its ridges, below its highest point; a line every {step:g} mm. "
+        "Good: smooth, rounded contours that close towards the tip, with no dents and no waves at the edge.",
+        charts.colour_bar(round(low, 1), 0.0, "mm"),
+        frame.pitch_mm,
+    )
+
+
+def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
+    """Show the standard deviation of the relief, if the pipeline gives one."""
+    if result.uncertainty_um is None:
+        return None
+    known = result.mask & np.isfinite(result.uncertainty_um)
+    if not bool(known.any()):
+        return None
+    values, weight = to_frame(result.uncertainty_um, known, frame)
+    high = float(np.percentile(values[weight > 0.5], 98))
+    return captioned(
+        "Uncertainty of the relief",
+        on_paper(colour(values, 0.0, high), weight),
+        "Skin blurs what light shows of the ridges, and glare covers it; both are undone as far as simulated skin "
+        "teaches it. This is the standard deviation (one sigma) of what is left. Good: small against the relief.",
+        charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
+        frame.pitch_mm,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The shaded surface from three sides."""
+
+    above: ColourArray
+    left: ColourArray
+    right: ColourArray
+    pitch_mm: float
+    """Size of one pixel of `above`."""
+
+
+def render_views(result: Reconstruction, frame: Frame) -> Views:
+    """Render the surface from above and from two sides."""
+    surface = upright_surface(result, frame, RELIEF_EXAGGERATION)
+    left, right = (oblique_view(surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
+    return Views(top_view(surface), left, right, frame.pitch_mm)
+
+
+def view_pictures(views: Views) -> list[Picture]:
+    """Show the surface from above and from two sides."""
+    stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
+    oblique = f"The same surface at {TILT_DEG:g} deg from the camera's axis. {stated}"
+    return [
+        captioned(
+            "From above",
+            views.above,
+            f"Measured surface, lit from the upper left. {stated} "
+            "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves.",
+            pitch_mm=views.pitch_mm,
+            photo=True,
+        ),
+        captioned("From the left", views.left, oblique, photo=True),
+        captioned("From the right", views.right, oblique, photo=True),
+    ]
+
+
+def print_picture(prints: NDArray[np.uint8]) -> Picture:
+    """Show the print, cut to the finger."""
+    dark = prints < 250
+    rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
+    if rows.size:
+        prints = prints[max(0, rows[0] - 8) : rows[-1] + 9, max(0, columns[0] - 8) : columns[-1] + 9]
+    return captioned(
+        "Print",
+        prints,
+        "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+        "Good: dark, separate ridges with clear endings and forks up to the edge.",
+        pitch_mm=25.4 / 500,
+    )
+
+
+def error_pictures(result: Reconstruction, comparison: Comparison, frame: Frame) -> list[Picture]:
+    """Show where a reconstruction departs from the truth."""
+    surface, surface_weight = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
+    ridge, ridge_weight = to_frame(comparison.ridge_error_um, comparison.band, frame)
+    return [
+        captioned(
+            f"Surface error, {result.preset}",
+            on_paper(colour(surface, -0.5, 0.5, diverging=True), surface_weight),
+            "Measured minus true height, mean removed. Blue is too low, orange too high; white is right.",
+            charts.colour_bar(-0.5, 0.5, "mm", diverging=True),
+            frame.pitch_mm,
+        ),
+        captioned(
+            f"Ridge error, {result.preset}",
+            on_paper(colour(ridge, -50.0, 50.0, diverging=True), ridge_weight),
+            "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are ridges "
+            "of the wrong height; white is right.",
+            charts.colour_bar(-50.0, 50.0, "µm", diverging=True),
+            frame.pitch_mm,
+        ),
+    ]
+
+
+def close_up(relief_mm: FloatArray, result: Reconstruction, title: str, side_mm: float = 5.0) -> Picture:
+    """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
+    frame = close_up_frame(result, side_mm)
+    values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
+    mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
+    relief = 1000.0 * (values - np.float32(mean))
+    return captioned(
+        title,
+        on_paper(colour(relief.astype(np.float32), -60.0, 40.0), weight),
+        f"{side_mm:g} mm square in the middle of the finger.",
+        charts.colour_bar(-60.0, 40.0, "µm"),
+        frame.pitch_mm,
+    )
+
+
+def close_up_frame(result: Reconstruction, side_mm: float) -> Frame:
+    """Upright square in the middle of the mask, one picture pixel for each input pixel."""
+    whole = upright_frame(result, 10**6)
+    side = max(8, round(side_mm / result.pitch_mm))
+    shift = np.eye(3)
+    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
+    return Frame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
+
+
+# Shaded pictures of a height field, by a small renderer of our own.
+#
+# A height field that is tilted about a horizontal axis hides itself column by column. Walking a column from the front
+# to the back, a point is seen if it is projected higher than all before it (the floating horizon). The horizon rises
+# monotonically, so it can be inverted: every pixel of the view knows the row it shows, with sub-pixel accuracy.
+
+_CLAY = np.array([0.90, 0.80, 0.70], dtype=np.float32)
+_KEY = np.array([-0.55, 0.55, 0.63], dtype=np.float32)
+_FILL = np.array([0.70, -0.15, 0.70], dtype=np.float32)
+_BACKGROUND = 0.965
+_SUPERSAMPLING = 2
+_NOWHERE = np.float32(1e9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UprightSurface:
+    """A small upright height field."""
+
+    height_mm: FloatArray
+    """(H, W), the relief in it exaggerated."""
+    relief_mm: FloatArray
+    """(H, W), as measured."""
+    weight: FloatArray
+    """(H, W) in [0, 1], share of the pixel inside the mask."""
+    pitch_mm: float
+
+
+def upright_surface(result: Reconstruction, frame: Frame, exaggeration: float = 1.0) -> UprightSurface:
+    """Bring a reconstruction onto a picture's frame.
+
+    The relief is multiplied by `exaggeration` within the height, so that ridges of a few hundredths of a millimetre
+    are seen on a finger of several millimetres; less so on steep flanks, where they would overhang.
+    """
+    height, weight = to_frame(result.height_mm, result.mask, frame)
+    relief, _ = to_frame(result.ridge_mm, result.mask, frame)
+    facing, _ = to_frame(result.normals[..., 2], result.mask, frame)
+    extra = np.float32(exaggeration - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+    return UprightSurface((height + extra * relief).astype(np.float32), relief, weight, frame.pitch_mm)
+
+
+def shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
+    """Light a height field like matt clay; valleys are slightly darker, as in a corner that light reaches less.
+
+    The lamps stand still in front of a viewer for whom the finger is turned by `turn_rad`, counter-clockwise.
+
+    Returns
+    -------
+    (H, W, 3) float32 in [0, 1], red, green, blue, for display
+    """
+    inside = surface.weight > 0.5
+    known = np.where(inside, surface.height_mm, np.float32(np.nan))
+    normals = normals_from_gradients(*height_gradients(known, surface.pitch_mm))
+    key = np.clip(normals @ _lamp(_KEY, turn_rad), 0.0, 1.0)
+    fill = np.clip(normals @ _lamp(_FILL, turn_rad), 0.0, 1.0)
+    halfway = _KEY / np.linalg.norm(_KEY) + np.array([0.0, 0.0, 1.0], dtype=np.float32)
+    gloss = np.clip(normals @ _lamp(halfway, turn_rad), 0.0, 1.0) ** 24
+    deviation = float(np.sqrt(np.mean(np.square(surface.relief_mm[inside])))) if bool(inside.any()) else 0.0
+    depth = np.clip(surface.relief_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
+    light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + np.float32(0.14) * depth)
+    shaded = light[..., None] * _CLAY + np.float32(0.10) * gloss[..., None]
+    return np.asarray(np.clip(shaded, 0.0, 1.0) ** np.float32(0.8), dtype=np.float32)
+
+
+def _lamp(direction: FloatArray, turn_rad: float) -> FloatArray:
+    """Unit direction of a lamp in the frame of a finger that is turned by `turn_rad`."""
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    x, y, z = direction / np.linalg.norm(direction)
+    return np.array([cos * x + sin * y, -sin * x + cos * y, z], dtype=np.float32)
+
+
+def top_view(surface: UprightSurface) -> ColourArray:
+    """Shaded surface seen from the camera, upright."""
+    alpha = surface.weight[..., None]
+    return _bytes(shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))
+
+
+def oblique_view(surface: UprightSurface, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
+    """Shaded surface seen at an angle, parallel projection.
+
+    Parameters
+    ----------
+    surface : UprightSurface
+    turn_deg : float
+        Turn of the finger about the camera's axis, counter-clockwise, before it is tilted.
+    tilt_deg : float
+        Angle between the line of sight and the camera's axis, 0 = from above, less than 90.
+
+    Returns
+    -------
+    (h, w, 3) uint8, cut to the finger
+    """
+    turn_rad, weight = np.deg2rad(turn_deg), surface.weight
+    colours = shade(surface, turn_rad)
+    painted = _bytes(np.dstack([colours, np.ones_like(weight)]))
+    height, painted = _turn(surface.height_mm, _smooth_edge(weight), painted, turn_rad, zoom=_SUPERSAMPLING)
+    view = _tilt(height, painted, np.deg2rad(tilt_deg), surface.pitch_mm / _SUPERSAMPLING)
+    return _flattened(_cut(view, margin=12 * _SUPERSAMPLING))
+
+
+def _smooth_edge(weight: FloatArray) -> FloatArray:
+    """Round the staircase of the mask's edge, staying inside it, so that steep flanks do not end in a fringe."""
+    blurred = cv2.GaussianBlur(weight, (0, 0), 4.0, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(np.clip((blurred - 0.65) / 0.3, 0.0, 1.0), dtype=np.float32)
+
+
+def _turn(
+    height: FloatArray, weight: FloatArray, painted: NDArray[np.uint8], angle_rad: float, zoom: int
+) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """Rotate about the middle into a frame that holds all of it, `zoom` times finer; NaN and no paint outside."""
+    rows, columns = weight.shape
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    size = (
+        int(zoom * (abs(cos) * columns + abs(sin) * rows)) + 1,
+        int(zoom * (abs(sin) * columns + abs(cos) * rows)) + 1,
+    )
+    linear = np.array([[cos, -sin], [sin, cos]]) / zoom
+    middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    matrix = np.column_stack([linear, middle - linear @ ((np.array(size) - 1) / 2)])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    outside = cv2.warpAffine(weight, matrix, size, flags=flags) <= 0.5
+    turned = np.asarray(cv2.warpAffine(height, matrix, size, flags=flags), dtype=np.float32)
+    colours = np.asarray(cv2.warpAffine(painted, matrix, size, flags=flags), dtype=np.uint8)
+    turned[outside] = np.nan
+    colours[outside] = 0
+    return turned, colours
+
+
+def _tilt(height: FloatArray, painted: NDArray[np.uint8], tilt_rad: float, pitch_mm: float) -> NDArray[np.uint8]:
+    """Floating horizon: the tilted view of `painted` (H, W, 4), colours premultiplied by the coverage."""
+    rows, columns = height.shape
+    depth = np.arange(rows, dtype=np.float32)[:, None] * np.float32(np.cos(tilt_rad))
+    screen = depth - height * np.float32(np.sin(tilt_rad) / pitch_mm)  # downwards; the front is the last row
+    np.nan_to_num(screen, copy=False, nan=float(_NOWHERE))
+    horizon = np.minimum.accumulate(screen[::-1], axis=0)  # (rows, columns), from the front to the back
+    seen = horizon < _NOWHERE
+    if not bool(seen.any()):
+        return painted
+    top, bottom = int(np.floor(horizon.min())) - 2, int(np.ceil(horizon[seen].max())) + 2
+    lines = np.arange(top, bottom, dtype=np.float32)
+    source = np.full((lines.size, columns), -10.0, dtype=np.float32)
+    for column in np.flatnonzero(seen[-1]):
+        front = int(np.argmax(seen[:, column]))
+        line = horizon[front:, column]
+        new = np.concatenate([[True], line[1:] < line[:-1]])
+        places = (rows - 1 - front - np.flatnonzero(new)).astype(np.float32)
+        source[:, column] = np.interp(lines, line[new][::-1], places[::-1], left=-10.0, right=-10.0)
+    across = np.ascontiguousarray(np.broadcast_to(np.arange(columns, dtype=np.float32), source.shape))
+    return np.asarray(cv2.remap(painted, across, source, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def _cut(view: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
+    alpha = view[..., 3]
+    rows, columns = np.flatnonzero(alpha.max(axis=1)), np.flatnonzero(alpha.max(axis=0))
+    if rows.size == 0:
+        return view
+    part = view[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return np.pad(part, ((margin, margin), (margin, margin), (0, 0)))
+
+
+def _flattened(view: NDArray[np.uint8]) -> ColourArray:
+    """Average the finer view over the picture's pixels and lay it on the background."""
+    size = (view.shape[1] // _SUPERSAMPLING, view.shape[0] // _SUPERSAMPLING)
+    small = np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), dtype=np.float32) / 255.0
+    return _bytes(small[..., :3] + np.float32(_BACKGROUND) * (1.0 - small[..., 3:]))
+
+
+def _bytes(picture: FloatArray) -> NDArray[np.uint8]:
+    return np.asarray(np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8))

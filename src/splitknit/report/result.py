@@ -1,0 +1,462 @@
+"""The folder of a result: its files, and one page and one JSON document that report what was measured, and how well.
+
+Dates and timings are written here and nowhere else: all other files are the same bytes for the same input.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from splitknit.evaluation.accuracy import Comparison, compare
+from splitknit.io import (
+    atomic_file,
+    atomic_folder,
+    provenance,
+    write_height_tiff,
+    write_print_png,
+)
+from splitknit.io.pictures import upright_frame
+from splitknit.io.prints import provenance_texts
+from splitknit.io.results import Origin, write_albedo, write_arrays, write_mesh, write_normals, write_picture
+from splitknit.model import Capture, FloatArray, Reconstruction
+from splitknit.prints import relief_print
+from splitknit.report import charts, figures, render
+from splitknit.report.figures import Views, render_views
+from splitknit.report.photos import LONGEST_PX, Picture, mirror_pictures
+
+Truth = Mapping[str, NDArray[Any]]
+
+COMPARED = (
+    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13 mm"),
+    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13 mm"),
+    ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
+    ("ridge_correlation", "Ridge band, correlation", "", "above 0.85"),
+    ("ridge_gain", "Ridge band, gain", "", "0.6 to 1.4, ideally 1"),
+    ("ridge_rms_um", "Ridge band, rms", "µm", "small"),
+    ("ridge_truth_std_um", "Ridge band of the truth, standard deviation", "µm", ""),
+    ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
+    ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
+    ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
+    ("mask_on_finger", "Share of the mask that lies on the finger", "", "above 0.99"),
+)
+"""Figure, words, unit, what good looks like."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The page and the same facts for programs."""
+
+    html: str
+    facts: Mapping[str, Any]
+
+
+def make_report(
+    result: Reconstruction,
+    capture: Capture,
+    prints: NDArray[np.uint8],
+    views: Views | None = None,
+    *,
+    truth: Truth | None = None,
+    others: Sequence[Reconstruction] = (),
+    files: Sequence[str] = (),
+    title: str = "3D fingerprint",
+) -> Report:
+    """Build the report of `result`.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    capture : Capture
+        What it was made from; only small previews of the images enter the page.
+    prints : (h, w) uint8
+        The relief as a print.
+    views : Views, optional
+        The shaded surface, where it has been rendered already.
+    truth : mapping, optional
+        A simulator's arrays; `result` and `others` are then compared with it, side by side.
+    others : sequence of Reconstruction
+        The same capture by other presets.
+    files : sequence of str
+        Names of the files written beside the report.
+    """
+    comparisons = [] if truth is None else [compare(each, truth) for each in (result, *others)]
+    facts = _facts(result, capture, comparisons, files)
+    frame = upright_frame(result, figures.LONGEST_PX)
+    uncertainty = figures.uncertainty_picture(result, frame)
+    maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
+    maps += [figures.relief_picture(result, frame), figures.shape_picture(result, frame)]
+    maps += mirror_pictures(result, capture)
+    html = render(
+        "report.html",
+        title=title,
+        facts=facts,
+        summary=_summary(result),
+        warnings=[sentence(warning) for warning in result.warnings],
+        views=figures.view_pictures(views or figures.render_views(result, frame)),
+        prints=figures.print_picture(prints),
+        maps=maps + ([uncertainty] if uncertainty is not None else []),
+        profiles=_profiles(result, truth),
+        quality=_tables(facts["quality"]),
+        found=_tables({name: fact for name, fact in facts["facts"].items() if name != "mirror_drawing"}),
+        settings=_tables(facts["settings"]),
+        capture=[(label(key), _flat(value)) for key, value in facts["capture"].items() if value],
+        comparison=_comparison_table(comparisons),
+        close_ups=_close_ups(result, others, truth),
+        errors=[
+            figures.error_pictures(each, comparison, frame)
+            for each, comparison in zip((result, *others), comparisons, strict=bool(comparisons))
+        ]
+        if comparisons
+        else [],
+        total_s=sum(result.timings_s.values()),
+    )
+    return Report(html, facts)
+
+
+def _facts(
+    result: Reconstruction, capture: Capture, comparisons: Sequence[Comparison], files: Sequence[str]
+) -> dict[str, Any]:
+    import splitknit  # noqa: PLC0415 - the version, without an import cycle
+
+    return {
+        "format": "splitknit-report",
+        "version": 1,
+        "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
+        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "preset": result.preset,
+        "capture": {
+            "material": capture.material,
+            "encoding": capture.encoding,
+            "image_size": list(capture.shape),
+            "px_per_mm": capture.rig.camera.px_per_mm,
+            "bands": {name: len(band.leds) for name, band in capture.bands.items()},
+            "captured_at": capture.captured_at,
+            "subject": plain(capture.subject),
+        },
+        "result": {
+            "pitch_mm": result.pitch_mm,
+            "input_from_upright": plain(result.input_from_upright),
+            "upright_size": list(result.upright_size),
+            "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
+        },
+        "warnings": list(result.warnings),
+        "quality": plain(result.quality),
+        "facts": plain(result.facts),
+        "settings": plain(result.settings),
+        "timings_s": plain(result.timings_s),
+        "inputs_sha256": dict(sorted(result.hashes.items())),
+        "files": list(files),
+        "comparison": {each.preset: plain(each.figures) for each in comparisons},
+    }
+
+
+def plain(value: Any) -> Any:  # noqa: PLR0911
+    """Return `value` as lists, dictionaries, strings and finite numbers; what is not finite becomes ``None``."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if hasattr(value, "__dataclass_fields__") and not isinstance(value, type):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    return str(value)
+
+
+def _summary(result: Reconstruction) -> list[tuple[str, str]]:
+    """State the most important facts in words."""
+    upright = np.linalg.inv(result.input_from_upright)
+    rows, columns = np.nonzero(result.mask[::4, ::4])
+    points = upright @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
+    width, length = (np.ptp(points[0]) * result.pitch_mm, np.ptp(points[1]) * result.pitch_mm)
+    depth = float(np.nanmax(result.height_mm) - np.nanmin(result.height_mm))
+    facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
+    relief = result.ridge_mm[facing]
+    swing = 1000.0 * float(np.subtract(*np.percentile(relief, (95, 5)))) if relief.size else 0.0
+    return [
+        ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
+        ("Skin measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
+        ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm ({25.4 / result.pitch_mm:.0f} per inch)"),
+        ("Relief, valley to ridge", f"{swing:.0f} µm (5th to 95th percentile where the skin faces the camera)"),
+    ]
+
+
+def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Markup, str]]:
+    """Cross-sections through the middle of the finger."""
+    whole = upright_frame(result, 10**6, margin_mm=0.0)
+    origin = (np.linalg.inv(result.input_from_upright) @ whole.input_from_picture)[:2, 2]
+    middle = (float(origin[0]) + whole.size[1] / 2, float(origin[1]) + whole.size[0] / 2)
+    pitch = result.pitch_mm
+
+    def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
+        step = np.array([0.0, half]) if along else np.array([half, 0.0])
+        start, end = (middle[0] - step[0], middle[1] - step[1]), (middle[0] + step[0], middle[1] + step[1])
+        values = charts.line_through(field, result.input_from_upright, start, end)
+        return np.linspace(-half * pitch, half * pitch, values.size).astype(np.float32), values
+
+    charted = []
+    for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
+        fields = [("measured", result.height_mm), *([("truth", truth["height_mm"])] if truth else [])]
+        lines = _lines(
+            {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
+        )
+        if lines:
+            chart = charts.line_chart(lines, "mm from the middle", "height, mm", equal=True)
+            caption = f"Height {words} the finger, through its middle, both axes to one scale."
+            charted.append((f"Section {words} the finger", chart, caption))
+    half = min(3.0 / pitch, whole.size[0] / 2)
+    fields = [("measured", result.ridge_mm)]
+    if truth is not None:
+        fields.append(("truth", truth["height_mm"] - truth["shape_mm"]))
+    lines = _lines({name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}, 1000.0)
+    if lines:
+        chart = charts.line_chart(lines, "mm from the middle, tip to the left", "relief, µm")
+        charted.append(("Ridges along the finger's axis", chart, "Relief along 6 mm of the axis, mean removed."))
+    return charted
+
+
+def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float = 1.0) -> list[charts.Line]:
+    """Curves times `factor`, all with a mean of zero over the places where every one of them is known."""
+    known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts.values()])
+    if not known.any():
+        return []
+    return [charts.Line(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
+
+
+def _close_ups(result: Reconstruction, others: Sequence[Reconstruction], truth: Truth | None) -> list[Picture]:
+    if truth is None:
+        return []
+    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
+    pictures = [figures.close_up(true_relief, result, "Truth")]
+    return pictures + [figures.close_up(each.ridge_mm, result, each.preset) for each in (result, *others)]
+
+
+def _comparison_table(comparisons: Sequence[Comparison]) -> dict[str, Any]:
+    rows = []
+    for key, words, unit, good in COMPARED:
+        values = [each.figures.get(key) for each in comparisons]
+        if any(value is not None for value in values):
+            shown = ["-" if value is None else f"{value:.3g} {unit}".strip() for value in values]
+            rows.append({"words": words, "values": shown, "good": good})
+    return {"presets": [each.preset for each in comparisons], "rows": rows}
+
+
+def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One table for each nested group of `facts`; lists of numbers become bars."""
+    plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
+    groups = [("", plain_rows)] if plain_rows else []
+    groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
+    return [
+        {
+            "name": label(name),
+            "rows": [(label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows],
+        }
+        for name, rows in groups
+        if rows
+    ]
+
+
+def _shown(value: Any) -> str | Markup:
+    """Show a number, a text, or a short list of numbers as bars."""
+    numbers = isinstance(value, list) and bool(value) and all(type(item) in (int, float) for item in value)
+    if numbers and len(value) <= 32:
+        return charts.bar_chart(value, [str(k) for k in range(len(value))])
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{label(str(key))}: {_shown(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return ", ".join(_flat(item) for item in value) or "none"
+    return "-" if value is None else str(value)
+
+
+def _flat(value: Any) -> str:
+    """Show an entry of a list in one line."""
+    if isinstance(value, list):
+        return f"({', '.join(_flat(item) for item in value)})"
+    return str(_shown(value))
+
+
+# What the names in a report mean, for readers who do not know the code.
+
+EXPLAINED = {
+    "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
+    "ridge_contrast_per_image": "The same for every image. Good: all alike.",
+    "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",
+    "dark_specks": "Share of the finger under dark specks, as dust makes them. Good: below 0.002.",
+    "bright_specks": "Share of the finger under bright specks, as scales of dry skin make them. Good: below 0.005.",
+    "saturated_per_image": "Share of the finger that is too bright to measure, for every image. Good: below 0.02.",
+    "brightness": "Median brightness of the finger, 1 = full scale. Good: 0.1 to 0.6.",
+    "brightness_per_image": "The same for every image.",
+    "ambient_share": "Light that is not from the LEDs, relative to theirs. Good: below 0.3.",
+    "area_mm2": "Area of the skin in the image.",
+    "length_mm": "Length of the finger in view.",
+    "width_mm": "Width of the finger in view.",
+    "frame_share": "Share of the image that the finger fills.",
+    "borders": "Borders of the image that the finger touches. Good: one.",
+    "led_relative": "Brightness of every image relative to what the rig file promises. Good: all near 1.",
+    "yaw_deg": "Turn of the finger in the image, counter-clockwise; it is taken out.",
+    "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
+    "motion_mm": "How far the finger moved against the other shots, in every image. Good: below 0.05 mm.",
+    "motion_reliability": "How well that is known, for every image: 1 = certain.",
+    "moved_mm": "How far the finger moved against the reference image, for every image; it was undone.",
+    "shift_mm": "The same to the right and upwards.",
+    "turn_deg": "By how much it turned, counter-clockwise.",
+    "centre_mm": "About which point, to the right and downwards from the first pixel.",
+    "unexplained_before": "Details of every image that no matt surface explains, before the motion was undone.",
+    "unexplained_after": "The same afterwards. Good: below 0.2.",
+    "likeness_before": "Correlation of every image's details with the expected ones, before the motion was undone.",
+    "likeness_after": "The same afterwards.",
+    "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
+    "relief_by": "network: ridges drawn by the trained network; colour: told from glare by colour alone.",
+    "separation": "What was done about glare and about light that spreads inside the skin.",
+}
+"""Name in ``quality`` or ``facts`` to what it says and what good looks like."""
+
+
+def label(name: str) -> str:
+    """Return a name as words."""
+    return name.replace("_", " ")
+
+
+def sentence(text: str) -> str:
+    """Return `text` with a capital first letter."""
+    return text[:1].upper() + text[1:]
+
+
+PRINT_PPI = 500.0
+FILES = (
+    "phalange.ply",
+    "height.tiff",
+    "height.npz",
+    "normals.png",
+    "albedo.png",
+    "print.png",
+    "preview.png",
+    "report.html",
+    "report.json",
+)
+
+
+def write_results(
+    result: Reconstruction,
+    capture: Capture,
+    folder: str | os.PathLike[str],
+    truth: Truth | None = None,
+    others: Sequence[Reconstruction] = (),
+) -> dict[str, Any]:
+    """Write all files of a reconstruction into `folder` and return the facts of ``report.json``.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    capture : Capture
+        What it was made from.
+    folder : path
+        Appears complete or not at all; an earlier result in it is replaced.
+    truth : mapping, optional
+        A simulator's arrays, compared in the report.
+    others : sequence of Reconstruction
+        Further presets, compared beside `result`.
+
+    Raises
+    ------
+    BadInput
+        If the folder holds files of others or cannot be written.
+    """
+    with atomic_folder(folder) as target:
+        return write_files(result, capture, target, truth, others)
+
+
+def write_files(
+    result: Reconstruction,
+    capture: Capture,
+    target: Path,
+    truth: Truth | None = None,
+    others: Sequence[Reconstruction] = (),
+) -> dict[str, Any]:
+    """Write the files of :func:`write_results` into an existing folder."""
+    origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+    prints = ink_print(result)
+    tasks: list[Callable[[], object]] = [
+        partial(_write_pages, target, result, capture, prints, origin, truth, others),
+        partial(write_arrays, target / "height.npz", result, origin),
+        partial(write_mesh, target / "phalange.ply", result, origin),
+        partial(write_normals, target / "normals.png", result, origin),
+        partial(write_albedo, target / "albedo.png", result, origin),
+        partial(write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin),
+        partial(write_print_png, target / "print.png", prints, PRINT_PPI, provenance_texts(origin)),
+    ]
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        jobs = [pool.submit(task) for task in tasks]
+        done = [job.result() for job in jobs]
+    facts: dict[str, Any] = done[0]  # type: ignore[assignment]
+    return facts
+
+
+def _write_pages(  # noqa: PLR0917
+    target: Path,
+    result: Reconstruction,
+    capture: Capture,
+    prints: NDArray[np.uint8],
+    origin: Origin,
+    truth: Truth | None,
+    others: Sequence[Reconstruction],
+) -> Mapping[str, Any]:
+    """Write what people look at: the preview and the report."""
+    views = render_views(result, upright_frame(result, LONGEST_PX))
+    write_picture(target / "preview.png", _side_by_side(views.above, views.left), origin)
+    report = make_report(result, capture, prints, views, truth=truth, others=others, files=FILES)
+    write_report(target, report.html, report.facts)
+    return report.facts
+
+
+def ink_print(result: Reconstruction) -> NDArray[np.uint8]:
+    """Relief of a reconstruction as ink on paper, 500 pixels per inch: what ``print.png`` shows."""
+    return relief_print(
+        result.ridge_mm,
+        result.mask,
+        1.0 / result.pitch_mm,
+        result.input_from_upright,
+        result.upright_size,
+        PRINT_PPI,
+    )
+
+
+def _side_by_side(*panels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
+    padded = []
+    for panel in panels:
+        missing = height - panel.shape[0]
+        edges = ((missing // 2, missing - missing // 2), (0, 0), (0, 0))
+        padded.append(np.pad(panel, edges, constant_values=paper))
+    return np.hstack(padded)
+
+
+def write_report(target: Path, html: str, facts: Mapping[str, Any]) -> None:
+    """Write ``report.html`` and ``report.json``."""
+    with atomic_file(target / "report.html") as stream:
+        stream.write(html.encode("utf-8"))
+    with atomic_file(target / "report.json") as stream:
+        stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))

@@ -1,0 +1,163 @@
+"""The devices of a rig: a Raspberry Pi's, or simulated ones around a simulated finger or target."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.capture.folder import Opened
+from splitknit.capture.pi import open_pi
+from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.session import SessionSettings
+from splitknit.errors import require
+from splitknit.io import read_rig
+from splitknit.model import Rig
+from splitknit.settings import flatten, override
+from splitknit.simulator.bench import BoardScene, CardScene, DiscScene, NailScene, SphereScene, board_poses
+from splitknit.simulator.built_rig import nominal_rig
+from splitknit.simulator.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.finger_scene import FingerScene
+from splitknit.simulator.folder import twin_settings
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings
+
+TARGETS = ("card", "disc", "nail", "board", "sphere")
+NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by --rig"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """Everything that can be set about a capture."""
+
+    capture: SessionSettings
+    """Of the session."""
+    pi: PiCameraSettings
+    twin: TwinSettings
+    device: TwinDeviceSettings
+    """Of the twin's devices."""
+
+    def used(self, device: str) -> dict[str, Any]:
+        """Those of the device ``pi`` or ``twin``, by name, for ``session.json``."""
+        return {"pi": self.pi} if device == "pi" else {"twin": self.twin, "devices": self.device}
+
+
+def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> DeviceSettings:
+    """Sort settings by what they belong to.
+
+    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the
+    rest is the twin's finger, skin, light and sensor.
+
+    Raises
+    ------
+    BadInput
+        If a setting is not known, or is the twin's and the device is not.
+    """
+    flat = flatten(changes)
+    parts: dict[str, dict[str, Any]] = {"capture": {}, "pi": {}, "device": {}, "": {}}
+    for name, value in flat.items():
+        stage, _, rest = name.partition(".")
+        known = stage in parts and bool(rest)
+        parts[stage if known else ""][rest if known else name] = value
+    if device == "pi":
+        strays = [*parts[""], *(f"device.{name}" for name in parts["device"])]
+        require(
+            not strays and scale is None,
+            f"'{strays[0] if strays else '--scale'}' is a setting of the twin; with --device pi leave it out, or use "
+            "names that begin with capture. or pi.",
+        )
+    twin = twin_settings(scale, parts[""])
+    if rig is not None and device == "twin":
+        if scale is not None:
+            size = default_rig(scale).camera.image_size
+            require(
+                size == rig.camera.image_size,
+                f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x "
+                f"{rig.camera.image_size[1]} pixels (rows x columns), those of --scale {scale:g} have {size[0]} x "
+                f"{size[1]}; leave --scale out.",
+            )
+        twin = replace(twin, rig=rig)
+    return DeviceSettings(
+        capture=override(SessionSettings(), parts["capture"]),
+        pi=override(PiCameraSettings(), parts["pi"]),
+        twin=twin,
+        device=override(TwinDeviceSettings(), parts["device"]),
+    )
+
+
+def rig_of(file: Path | None) -> Rig | None:
+    """Read the rig file, if one is named."""
+    return None if file is None else read_rig(file)
+
+
+@contextmanager
+def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
+    """Open the Raspberry Pi's devices; all LEDs are off before and after.
+
+    Raises
+    ------
+    BadInput
+        If there is no camera, or no LEDs.
+    """
+    with ExitStack() as stack:
+        chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
+        camera, lights = open_pi(stack, chosen, settings.pi)
+        yield Opened("pi", camera, lights, chosen, notes=() if rig is not None else (NOMINAL,))
+
+
+@contextmanager
+def opened_twin(
+    settings: DeviceSettings, seed: int, impression: int = 0, *, pattern: str | None = None, target: str | None = None
+) -> Iterator[Opened]:
+    """Open the twin's devices around a simulated finger, or around a calibration target."""
+    truth: Mapping[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+    if target is None:
+        finger = FingerScene(seed, pattern, settings.twin, impression=impression)
+        truth, rig = finger.truth(), finger.rig
+        scene: Scene = finger
+    else:
+        twin = settings.twin
+        rig = twin.rig or default_rig(twin.scale, twin.rig_seed, twin.intensity_spread)
+        scene, words = target_scene(target, rig, seed)
+        notes = (words,)
+    clock = Clock()
+    noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
+    with (
+        TwinLightBank(scene, clock, settings.device) as lights,
+        TwinCamera(
+            scene,
+            lights,
+            clock,
+            settings.device,
+            sensor=settings.twin.sensor,
+            sensor_scale=settings.twin.sensor_scale,
+            seed=noise,
+        ) as camera,
+    ):
+        yield Opened("twin", camera, lights, rig, truth=truth, notes=notes)
+
+
+def target_scene(name: str, rig: Rig, seed: int) -> tuple[Scene, str]:
+    """Return a target under the rig, and what it is; the seed draws its place where it has one."""
+    camera, leds = rig.camera, rig.leds
+    if name == "nail":
+        x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
+        return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
+    if name == "board":
+        pose = board_poses(seed, 1, camera)[0]
+        scene = BoardScene(
+            camera=camera, leds=leds, rotation_vector=pose.rotation_vector, translation_mm=pose.translation_mm
+        )
+        return scene, "a checkerboard of 7 x 10 squares of 3 mm was held"
+    makers: dict[str, type[CardScene | DiscScene | SphereScene]] = {
+        "card": CardScene,
+        "disc": DiscScene,
+        "sphere": SphereScene,
+    }
+    require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
+    return makers[name](camera=camera, leds=leds), f"{name}, without a finger"

@@ -1,0 +1,189 @@
+"""All photographs that calibrate a rig, of a simulated one: the whole way can be gone and measured without hardware."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.errors import require
+from splitknit.io import write_capture, write_image, write_rig
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.targets import check_target
+from splitknit.model import Band, Capture, Rig
+from splitknit.simulator.bench import DarkScene, Scene, photograph_bench, well_exposed
+from splitknit.simulator.bench_flat import Board, BoardScene, CardScene, DiscScene
+from splitknit.simulator.bench_nail import NailScene
+from splitknit.simulator.bench_poses import board_poses
+from splitknit.simulator.bench_scene import BenchSettings
+from splitknit.simulator.built_rig import built_rig, nominal_rig
+
+Progress = Callable[[str, float], None]
+MARKER = "rig_true.json"
+NAIL_MM = 13.0
+NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
+"""Where the nail stands: all shadows stay in a picture of 42 x 29 mm."""
+BOARD = Board(rows=6, columns=9, square_mm=3.0)
+EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
+PUPIL_MM = 1.6
+"""A lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels."""
+_LONGEST = EXPOSURES_S[-1]
+_EXPOSED = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class BenchPhotos:
+    """How many photographs of what."""
+
+    boards: int = 15
+    """Photographs of the checkerboard that is held in the hand, at least 3."""
+    nails: int = 4
+    """Places of the nail, 1 to 4; at each it is photographed under every LED."""
+    dark: int = 2
+    """Dark frames, photographs without any light, at least 1."""
+
+    def __post_init__(self) -> None:
+        require(
+            self.boards >= 3, f"a bench needs at least 3 photographs of the board, but {self.boards} were asked for."
+        )
+        require(
+            1 <= self.nails <= len(NAIL_PLACES_MM),
+            f"the nail can stand in 1 to {len(NAIL_PLACES_MM)} places, but {self.nails} were asked for.",
+        )
+        require(self.dark >= 1, "a bench needs at least one dark frame.")
+
+
+def bench_to_folder(
+    out: Path,
+    *,
+    seed: int,
+    scale: float = 0.5,
+    photos: BenchPhotos | None = None,
+    progress: Progress = lambda stage, share: None,
+) -> dict[str, Any]:
+    """Photograph everything that calibrates the rig that person `seed` built.
+
+    Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
+    ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
+    exposure series), ``rig_drawn.json`` (what the drawings say) and ``rig_true.json`` (what calibration should find).
+
+    Raises
+    ------
+    BadInput
+        If `out` holds something else, or numbers are out of range.
+    """
+    photos = photos or BenchPhotos()
+    check_target(out, MARKER, "an earlier simulated bench")
+    rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
+    count = photos.boards + photos.nails + 3
+    with atomic_folder(out) as target:
+        write_rig(rig, target / MARKER)
+        write_rig(drawn, target / "rig_drawn.json")
+        # one scene after another: each keeps arrays of the picture's size
+        for k, (stage, job) in enumerate(_jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))):
+            progress(stage, k / count)
+            job(target)
+    progress("done", 1.0)
+    rows, columns = rig.camera.image_size
+    return {
+        "out": str(out),
+        "seed": seed,
+        "image_size": [rows, columns],
+        "board": f"{BOARD.columns}x{BOARD.rows}",
+        "square_mm": BOARD.square_mm,
+        "nail_mm": NAIL_MM,
+        "boards": photos.boards,
+        "nails": photos.nails,
+    }
+
+
+def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Iterator[tuple[str, Callable[[Path], None]]]:
+    camera, leds = rig.camera, rig.leds
+    tilt = tuple(rig.provenance["base_tilt_deg"])
+    lens = BenchSettings(aperture_mm=PUPIL_MM)
+    white = [k for k, led in enumerate(leds) if led.band == "white"]
+    of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
+    board_seed = int(of_boards.generate_state(1)[0])
+    for k, pose in enumerate(board_poses(board_seed, photos.boards, camera, BOARD)):
+        scene = BoardScene(
+            camera=camera,
+            leds=leds,
+            bench=lens,
+            board=BOARD,
+            rotation_vector=pose.rotation_vector,
+            translation_mm=pose.translation_mm,
+        )
+        yield "board", partial(_one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png")
+    turn = np.deg2rad(tilt)
+    plane = BoardScene(
+        camera=camera, leds=leds, bench=lens, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0)
+    )
+    yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
+    disc = DiscScene(
+        camera=camera, leds=leds, bench=lens, rotation_deg=3.0, shift_mm=(1.0, -0.7), tilt_deg=(tilt[0], tilt[1])
+    )
+    yield "disc", partial(_one, disc, white, of_plane.spawn(1)[0], Path("disc.png"))
+    for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
+        nail = NailScene(
+            camera=camera, leds=leds, bench=lens, position_mm=place, nail_mm=NAIL_MM, tilt_deg=(tilt[0], tilt[1])
+        )
+        yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
+    card = CardScene(camera=camera, leds=leds, bench=lens, tilt_deg=(tilt[0], tilt[1]))
+    yield "card", partial(_card, card, rig, of_card, photos.dark)
+
+
+def _one(scene: Scene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path) -> None:
+    """One photograph with several LEDs on."""
+    pixels = photograph_bench(scene, lit, seed, exposure=well_exposed(scene, [lit]))
+    (target / name).parent.mkdir(exist_ok=True, parents=True)
+    write_image(target / name, pixels)
+
+
+def _series(scene: Scene, seed: np.random.SeedSequence, folder: Path, target: Path) -> None:
+    """One photograph under every LED, each band at its own exposure."""
+    (target / folder).mkdir(parents=True, exist_ok=True)
+    for band in ("white", "nir"):
+        members = [k for k, led in enumerate(scene.leds) if led.band == band]
+        exposure = well_exposed(scene, [[k] for k in members])
+        for number, k in enumerate(members):
+            pixels = photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=band)
+            write_image(target / folder / f"{band}_{number}.png", pixels)
+
+
+def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, dark: int, target: Path) -> None:
+    """A capture folder of the card, dark frames and an exposure series."""
+    bands = {}
+    for name in ("white", "nir"):
+        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+        exposure = well_exposed(scene, [[k] for k in members])
+        images = [photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=name) for k in members]
+        ambient = photograph_bench(scene, [], seed.spawn(1)[0], exposure=exposure, band=name)
+        bands[name] = Band(
+            name=name,
+            pixels=np.stack(images),  # type: ignore[arg-type]
+            leds=tuple((k,) for k in members),
+            exposure=np.ones(len(members)),
+            black_level=np.zeros(len(members)),
+            ambient=ambient,
+        )
+    # the folder's rig is the one that is known before the calibration: the drawing's
+    drawn = replace(nominal_rig(rig.camera.image_size[0] / 2200), provenance={"source": "as drawn"})
+    folder = target / "card"
+    write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
+    names = [f"dark_{k}.png" for k in range(dark)]
+    darkness = DarkScene(camera=scene.camera, leds=scene.leds)
+    for name in names:
+        write_image(folder / name, photograph_bench(darkness, [], seed.spawn(1)[0], exposure=1.0))
+    steps = []
+    brightest = well_exposed(scene, [[0]], _EXPOSED)
+    for k, seconds in enumerate(EXPOSURES_S):
+        pixels = photograph_bench(scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _LONGEST)
+        write_image(folder / f"step_{k}.png", pixels)
+        steps.append({"file": f"step_{k}.png", "exposure_s": seconds})
+    document = {"format": "splitknit-radiometry", "version": 1, "dark": names, "exposures": steps}
+    (folder / "radiometry.json").write_text(json.dumps(document, indent=2) + "\n", encoding="ascii")

@@ -1,0 +1,234 @@
+"""What there is to show: results below what was named, and the captures they were made from where at hand."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from splitknit.errors import BadInput, require
+
+_PIECE = 1 << 20
+
+
+def open_below(root: Path, name: str) -> BinaryIO:
+    """Open the plain file `name` (relative, parts apart by ``/``) below `root` for reading.
+
+    Each part is opened from the one before it and none may be a symbolic link, so that what is checked is what is
+    opened.
+
+    Raises
+    ------
+    BadInput
+        If the name leaves the folder, a part of it is a link, or it is not a plain file that can be read.
+    """
+    parts = name.split("/")
+    plain = all(part not in ("", ".", "..") and not set(part) & set("\\\0:") for part in parts)
+    require(plain, "the name leads out of the folder.")
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
+    held: list[int] = []
+    try:
+        held.append(os.open(root, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)))
+        for part in parts:
+            held.append(os.open(part, flags, dir_fd=held[-1]))
+        require(stat.S_ISREG(os.fstat(held[-1]).st_mode), f"'{parts[-1]}' is not a plain file.")
+        return os.fdopen(held.pop(), "rb")
+    except OSError as error:
+        raise BadInput(f"'{parts[-1]}' is not there, or it cannot be read.") from error
+    finally:
+        for handle in held:
+            os.close(handle)
+
+
+class Pieces:
+    """The content of an open file, a piece at a time; whoever has it closes it."""
+
+    def __init__(self, stream: BinaryIO) -> None:  # noqa: D107 - the class says it
+        self._stream = stream
+        self.size = os.fstat(stream.fileno()).st_size
+
+    def __iter__(self) -> Iterator[bytes]:
+        while piece := self._stream.read(_PIECE):
+            yield piece
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def read_below(root: Path, name: str, most_bytes: int = 1 << 30) -> bytes:
+    """Return the content of a file that :func:`open_below` opens."""
+    with open_below(root, name) as stream:
+        require(os.fstat(stream.fileno()).st_size <= most_bytes, f"'{name}' is too large.")
+        return stream.read()
+
+
+_DEEPEST = 6
+_MOST = 5000
+_REPORT_BYTES = 20_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One result."""
+
+    key: str
+    """By which the page asks for it: its number."""
+    name: str
+    """As people know it: where it lies below what was named."""
+    folder: Path
+    capture: Path | None = None
+    """Folder of the photographs it was made from."""
+    report: dict[str, Any] = field(default_factory=dict, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """All results that can be chosen, and those that were."""
+
+    title: str
+    entries: tuple[Entry, ...]
+    chosen: tuple[str, ...]
+    """Keys of the results that were named: none where a folder of many was."""
+
+    def entry(self, key: str) -> Entry:
+        """Return one entry.
+
+        Raises
+        ------
+        BadInput
+            If there is none of that key.
+        """
+        known = key.isascii() and key.isdigit() and len(key) < 7 and int(key) < len(self.entries)
+        require(known, f"there is no result number {key[:20]!a}.")
+        return self.entries[int(key)]
+
+
+def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalogue:
+    """Find the results that `paths` name.
+
+    Parameters
+    ----------
+    paths : a result, a folder of results, or two results
+    capture : folder of the photographs of the results, or a folder of such folders laid out as the results are
+
+    Raises
+    ------
+    BadInput
+        If a path is neither, or the capture is none of theirs.
+    """
+    require(1 <= len(paths) <= 2, "name one result, a folder of results, or two results.")
+    roots = [_resolved(path) for path in paths]
+    for path, root in zip(paths, roots, strict=True):
+        _check_kind(path, root)
+    if len(roots) == 1 and not is_result(roots[0]):
+        folders = find_results(roots[0])
+        require(
+            len(folders) > 0,
+            f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them); "
+            "name a result or a folder of results.",
+        )
+        names = [folder.relative_to(roots[0]).as_posix() for folder in folders]
+        chosen: tuple[str, ...] = ()
+    else:
+        for path, root in zip(paths, roots, strict=True):
+            require(is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
+        folders, names = roots, _telling_names(roots)
+        chosen = tuple(str(k) for k in range(len(roots)))
+    entries = tuple(
+        _entry(str(k), name, folder, capture) for k, (name, folder) in enumerate(zip(names, folders, strict=True))
+    )
+    if capture is not None:
+        require(
+            any(entry.capture is not None for entry in entries),
+            f"'{capture}' is not the capture that this was made from: no capture.json in it has the hash that the "
+            "result's report.json states.",
+        )
+    return Catalogue(names[0] if len(names) == 1 else roots[0].name, entries, chosen)
+
+
+def is_result(folder: Path) -> bool:
+    """Whether `splitknit reconstruct` wrote here."""
+    file = folder / "height.npz"
+    return file.is_file() and not file.is_symlink()
+
+
+def find_results(root: Path) -> list[Path]:
+    """Return the results below `root`, links not followed, in the order of their names.
+
+    Raises
+    ------
+    BadInput
+        If there are more than can be listed.
+    """
+    found = []
+    for folder, below, _ in os.walk(root, followlinks=False):
+        here = Path(folder)
+        if is_result(here):
+            found.append(here)
+            below.clear()
+            require(len(found) <= _MOST, f"'{root}' holds more than {_MOST} results; name a folder below it.")
+        deep = len(here.relative_to(root).parts) >= _DEEPEST
+        below[:] = [] if deep else sorted(name for name in below if not name.startswith("."))
+    return sorted(found)
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """Return a result's ``report.json``, or nothing where it is missing or damaged."""
+    try:
+        document = json.loads(read_below(folder, "report.json", _REPORT_BYTES))
+    except (BadInput, ValueError, RecursionError):
+        return {}
+    return document if isinstance(document, dict) else {}
+
+
+def _entry(key: str, name: str, folder: Path, capture: Path | None) -> Entry:
+    report = read_report(folder)
+    places = [folder.parent / "capture", folder.parent.parent / "capture"]
+    if capture is not None:
+        places = [_resolved(capture), _resolved(capture) / name]
+    hashes = report.get("inputs_sha256")
+    wanted = hashes.get("capture.json") if isinstance(hashes, dict) else None
+    found = next((place for place in places if _has_hash(place, wanted)), None)
+    return Entry(key, name, folder, found, report)
+
+
+def _has_hash(place: Path, sha256: object) -> bool:
+    try:
+        return hashlib.sha256(read_below(place, "capture.json", _REPORT_BYTES)).hexdigest() == sha256
+    except BadInput:
+        return False
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.expanduser().resolve()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
+
+
+def _check_kind(path: Path, root: Path) -> None:
+    try:
+        folder, there = root.is_dir(), root.exists()
+    except (OSError, ValueError):
+        folder = there = False
+    require(there, f"there is no '{path}'; name a result folder, or a folder of results.")
+    require(folder, f"'{path}' is a file; name a result folder (with height.npz), or a folder of results.")
+    require(
+        is_result(root) or not (root / "capture.json").is_file(),
+        f"'{path}' is a capture, not a result; `splitknit reconstruct {path} --out RESULT` makes one.",
+    )
+
+
+def _telling_names(folders: Sequence[Path]) -> list[str]:
+    """Return the names of folders, with as many parents as it takes to tell them apart."""
+    for depth in range(1, 1 + max(len(folder.parts) for folder in folders)):
+        names = ["/".join(folder.parts[-depth:]) for folder in folders]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{folder.name} ({k + 1})" for k, folder in enumerate(folders)]

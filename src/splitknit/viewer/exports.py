@@ -1,0 +1,128 @@
+"""A result's surface as a file to take away: PLY, STL or GLB, of all values or every 2nd, 4th or 8th."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.io import surface_mesh, write_ply
+from splitknit.io.glb import glb_chunks
+from splitknit.io.images import decode_image
+from splitknit.io.stl import stl_chunks, stl_size
+from splitknit.model import FloatArray
+from splitknit.viewer.catalogue import Entry, Pieces, open_below, read_below
+from splitknit.viewer.surface import Surface, read_members
+
+KINDS = {"ply": "application/octet-stream", "stl": "model/stl", "glb": "model/gltf-binary"}
+STEPS = (1, 2, 4, 8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Export:
+    """A file on its way out."""
+
+    name: str
+    kind: str
+    size: int
+    chunks: Iterable[bytes]
+
+
+def export(entry: Entry, surface: Surface, kind: str, step: int) -> Export:
+    """Make a file of every `step`-th value along rows and columns.
+
+    Raises
+    ------
+    BadInput
+        If the kind or the step is none of ours, or the result lacks an array.
+    """
+    require(kind in KINDS, f"a surface is exported as {', '.join(KINDS)}, not as {kind[:20]!a}.")
+    require(step in STEPS, "every 1st, 2nd, 4th or 8th value can be exported.")
+    name = f"{_plain(entry.name)}{'' if step == 1 else f'-every-{step}'}.{kind}"
+    if kind == "ply" and step == 1:
+        try:
+            return _opened(name, kind, open_below(entry.folder, "phalange.ply"))
+        except BadInput:
+            pass  # made anew below
+    vertices, faces, index = surface_mesh(
+        surface.x_mm[::step, ::step], surface.y_mm[::step, ::step], surface.height_mm[::step, ::step]
+    )
+    require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
+    if kind == "stl":
+        title = f"{entry.report.get('preset', '')} {name}"
+        return Export(name, KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title))
+    used = index >= 0
+    normals = _normals(entry, surface)[::step, ::step][used]
+    intensity = _albedo(entry, surface)[::step, ::step][used]
+    facts = _origin(entry, step)
+    if kind == "glb":
+        size, chunks = glb_chunks(vertices, normals, intensity, faces, facts)
+        return Export(name, KINDS[kind], size, chunks)
+    with tempfile.TemporaryDirectory(prefix="splitknit-") as folder:
+        comments = [f"{key} {value}" for key, value in facts.items()]
+        plain = [text.encode("ascii", "replace").decode("ascii") for text in comments]
+        write_ply(Path(folder) / name, vertices, normals, intensity, faces, plain)
+        return _opened(name, kind, open_below(Path(folder), name))  # open: it outlives its name
+
+
+def _opened(name: str, kind: str, stream: BinaryIO) -> Export:
+    pieces = Pieces(stream)
+    return Export(name, KINDS[kind], pieces.size, pieces)
+
+
+def _origin(entry: Entry, step: int) -> dict[str, Any]:
+    report = entry.report
+    software = report.get("software", {})
+    facts = {
+        "generator": f"splitknit {software.get('version', '')}, preset {report.get('preset', '')}".strip(),
+        "unit": "mm; x right, y to the fingertip, z to the camera",
+        "sampling": f"every {step}. value of the result",
+    }
+    try:  # the mesh that was written with the result states its hashes
+        with open_below(entry.folder, "phalange.ply") as stream:
+            head = stream.read(4096).split(b"end_header")[0].decode("ascii", "replace")
+    except BadInput:
+        return facts
+    for line in head.splitlines():
+        key, _, value = line.removeprefix("comment ").partition(" ")
+        if line.startswith("comment ") and key in ("settings_sha256", "inputs_sha256"):
+            facts[key] = value
+    return facts
+
+
+def _normals(entry: Entry, surface: Surface) -> FloatArray:
+    arrays = read_members(entry.folder / "height.npz", ("normals",))["normals"]
+    require(arrays.shape == (*surface.size, 3), "the result's normals have another shape than its heights.")
+    rows, columns = (
+        slice(corner, corner + side) for corner, side in zip(surface.corner, surface.mask.shape, strict=True)
+    )
+    normals = arrays[rows, columns].astype(np.float32)
+    require(not (np.abs(normals) > 1.01).any(), "the result's normals are not of unit length.")
+    turn = surface.turn.astype(np.float32)
+    normals[..., :2] = normals[..., :2] @ turn.T
+    return normals
+
+
+def _albedo(entry: Entry, surface: Surface) -> NDArray[np.uint8]:
+    """Grey value of each pixel of the box; white where the result has no picture of it."""
+    rows, columns = surface.mask.shape
+    white = np.full((rows, columns), 255, dtype=np.uint8)
+    try:
+        pixels: NDArray[Any] = decode_image(read_below(entry.folder, "albedo.png"), "albedo.png")
+    except BadInput:
+        return white
+    if (pixels.shape[0], pixels.shape[1]) != surface.size or pixels.dtype != np.uint8:
+        return white
+    top, left = surface.corner
+    return np.asarray(pixels[top : top + rows, left : left + columns, 0], dtype=np.uint8)
+
+
+def _plain(name: str) -> str:
+    kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "-" for letter in name)
+    return kept.strip("-")[-60:] or "finger"

@@ -1,0 +1,264 @@
+"""The server: what is opened, one request in, one answer out (GET and HEAD only), until it is stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import io
+import logging
+import os
+import socket
+import sys
+import tempfile
+import threading
+import time
+import webbrowser
+from collections.abc import Iterator, Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+from splitknit.errors import BadInput, require
+from splitknit.viewer.catalogue import Catalogue, make_catalogue
+from splitknit.viewer.guard import HEADERS, new_token, refusal
+from splitknit.viewer.service import Answer, Service
+
+_DATABASE = b"SQLite format 3\0"
+
+
+def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Path | None = None) -> Service:
+    """Return a service for a result, two results, a folder of results, or a gallery.
+
+    What was named itself is read at once: what is damaged is said before a page opens.
+
+    Raises
+    ------
+    BadInput
+        If there is nothing to show, or it cannot be read.
+    """
+    if _is_database(paths[0]):
+        return _gallery(paths, key_file)
+    require(key_file is None, f"'{paths[0]}' is no gallery; --key-file is for galleries.")
+    service = Service(make_catalogue(paths, capture))
+    for chosen in service.catalogue.chosen:
+        service.surface(service.catalogue.entry(chosen))
+    return service
+
+
+def _gallery(paths: Sequence[Path], key_file: Path | None) -> Service:
+    from splitknit.gallery.key_file import key_of  # noqa: PLC0415 - a result needs none of it
+    from splitknit.viewer.people import People  # noqa: PLC0415
+
+    require(len(paths) == 1, "a gallery is shown alone; name nothing else.")
+    return Service(Catalogue(paths[0].name, (), ()), People(paths[0], key_of(key_file)))
+
+
+def _is_database(path: Path) -> bool:
+    try:
+        with path.expanduser().open("rb") as stream:
+            return stream.read(len(_DATABASE)) == _DATABASE
+    except (OSError, ValueError, RuntimeError):
+        return False
+
+
+def start(service: Service, port: int) -> ViewerServer:
+    """Listen on 127.0.0.1; port 0 is any free one.
+
+    Raises
+    ------
+    BadInput
+        If the port is in use or not ours to take.
+    """
+    try:
+        return ViewerServer(service, new_token(), port)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInput(
+            f"port {port} cannot be used ({reason}); choose another with --port, or leave it out for any free one."
+        ) from error
+
+
+def serve(server: ViewerServer) -> None:
+    """Answer until Ctrl-C (or a polite kill)."""
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever(poll_interval=0.2)
+    finally:
+        server.server_close()
+
+
+@contextlib.contextmanager
+def opened_page(url: str) -> Iterator[bool]:
+    """Open `url` in the browser; say whether there is one.
+
+    The browser's command line can be read by every user of the machine and must not hold the token: it is given a file
+    that only its owner may read, which leads on.
+    """
+    with tempfile.TemporaryDirectory(prefix="splitknit-view-") as folder:  # 0700
+        page = Path(folder) / "open.html"
+        leads = '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+        leads += f'<meta http-equiv="refresh" content="0;url={html.escape(url, quote=True)}"><title>splitknit</title>'
+        with os.fdopen(os.open(page, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w", encoding="utf-8") as stream:
+            stream.write(leads)
+        try:
+            done = webbrowser.open(page.as_uri())
+        except webbrowser.Error:
+            done = False
+        yield done
+
+
+_LOG = logging.getLogger(__name__)
+_LONGEST_PATH = 2000
+_MOST_CONNECTIONS = 32
+"""Each has a thread; browsers open six."""
+_HEAD_BYTES = 16_384
+_HEAD_S = 20.0
+"""Until a whole request must be there, from the connection's start or the last answer."""
+_ANSWER_S = 60.0
+"""Until a piece of an answer must be taken."""
+_FULL = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 1\r\nConnection: close\r\n\r\n"
+
+
+class ViewerServer(ThreadingHTTPServer):
+    """Listens on the loopback address only."""
+
+    daemon_threads = True
+    request_queue_size = 64
+
+    def __init__(self, service: Service, token: str, port: int) -> None:
+        """Raises OSError where the port cannot be had."""
+        self.service, self.token = service, token
+        self._free = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        super().__init__(("127.0.0.1", port), _Handler)
+
+    def server_bind(self) -> None:
+        """Bind without asking the network for our name."""
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+        self.server_name, self.server_port = "127.0.0.1", int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, as long as there are not too many."""
+        if not self._free.acquire(blocking=False):
+            with contextlib.suppress(OSError):
+                request.setblocking(False)
+                request.send(_FULL)
+                request.recv(_HEAD_BYTES)  # what is not read would reset the connection before the answer is seen
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except Exception:  # no thread could be started; an interrupt may come when it has been, and passes
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, and let the next one in."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A page that was closed in the middle of an answer is no error."""
+        if not isinstance(sys.exc_info()[1], (ConnectionError, TimeoutError)):
+            _LOG.exception("a request failed")
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://127.0.0.1:{self.server_port}/{self.token}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "splitknit", ""
+    server: ViewerServer
+    _unread = b""
+
+    def handle_one_request(self) -> None:
+        """Answer a request whose head comes whole, in time and not too long; else close, or say why not."""
+        head = self._head()
+        self.connection.settimeout(_ANSWER_S)
+        self.close_connection = True
+        if len(head) > _HEAD_BYTES:
+            self.requestline, self.request_version, self.command = "", "HTTP/1.1", ""
+            self._say(431, "the request is too long")
+        elif head:
+            self.rfile = io.BytesIO(head)
+            super().handle_one_request()
+
+    def _head(self) -> bytes:
+        """Request line and headers; nothing if the connection ends or takes too long, too much if they are longer."""
+        end = time.monotonic() + _HEAD_S
+        while b"\r\n\r\n" not in self._unread:
+            if len(self._unread) > _HEAD_BYTES:
+                return self._unread
+            self.connection.settimeout(max(end - time.monotonic(), 1e-3))
+            try:
+                more = self.connection.recv(_HEAD_BYTES)
+            except OSError:
+                return b""
+            if not more:
+                return b""
+            self._unread += more
+        head, _, self._unread = self._unread.partition(b"\r\n\r\n")
+        return head + b"\r\n\r\n"
+
+    def do_GET(self) -> None:
+        self._respond()
+
+    do_HEAD = do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_GET  # noqa: N815
+
+    def _respond(self) -> None:
+        path, _, query = self.path.partition("?")
+        refused = refusal(self.command, self.path, self.headers, self.server.token, self.server.server_port)
+        if refused is None and len(self.path) > _LONGEST_PATH:
+            refused = 414, "the address is too long"
+        if refused is not None:
+            self._say(*refused)
+            return
+        try:
+            values = dict(parse_qsl(query, max_num_fields=20))
+            answer = self.server.service.answer(path[len(self.server.token) + 2 :], values)
+        except BadInput as error:
+            self._say(404, str(error))
+        except ValueError:
+            self._say(400, "the request cannot be read")
+        except Exception:
+            _LOG.exception("%s failed", path[len(self.server.token) + 2 :])
+            self._say(500, "the server failed; `splitknit view` says more where it was started")
+        else:
+            with contextlib.closing(answer):
+                self._send(200, answer)
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what http.server cannot read, as all else is refused."""
+        self.request_version = self.protocol_version
+        self._say(code, "the request cannot be read")
+
+    def _say(self, status: int, words: str) -> None:
+        """Send a refusal and close: what else the request holds is not read."""
+        body = (words + "\n").encode("utf-8")
+        self.close_connection = True
+        self._send(status, Answer("text/plain; charset=utf-8", len(body), [body], {"Connection": "close"}))
+
+    def _send(self, status: int, answer: Answer) -> None:
+        headers = {"Cache-Control": "no-store", **HEADERS, **answer.headers}
+        self.send_response(status)
+        self.send_header("Content-Type", answer.kind)
+        self.send_header("Content-Length", str(answer.size))
+        for name, value in headers.items():
+            self.send_header(name, value)
+        if status == 405:
+            self.send_header("Allow", "GET, HEAD")
+        self.end_headers()
+        if self.command == "HEAD":
+            return
+        for chunk in answer.chunks:
+            self.wfile.write(chunk)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: the address holds the token."""

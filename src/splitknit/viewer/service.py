@@ -1,0 +1,374 @@
+"""What the server answers: an address below the token, and what comes back.
+
+What only some answers need is imported where it is needed: the first view waits for none of it.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splitknit.errors import BadInput, require
+from splitknit.viewer.catalogue import Catalogue, Entry, Pieces, open_below, read_below
+from splitknit.viewer.marks import print_of
+from splitknit.viewer.surface import TILE, Surface, filled_tiles, first_view, read_surface, strides, tile_bytes
+
+if TYPE_CHECKING:
+    from splitknit.viewer.marks import Marks
+
+STATIC = Path(__file__).parent / "static"
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_PICTURES = ("normals.png", "albedo.png", "print.png", "preview.png")
+_KEPT_BYTES = 200_000_000
+"""Of surfaces, but two are kept however large they are: a pair is looked at by turns."""
+_THUMB_PX = 360
+_MOST_PICTURE_BYTES = 400_000_000
+"""Of a picture that is sent as it is; reconstructions of the rig's images write at most some 40 MB."""
+_NOT_FOUND = "there is nothing at this address."
+
+Query = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What is sent back."""
+
+    kind: str
+    size: int
+    chunks: Iterable[bytes]
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    def close(self) -> None:
+        """Give back what was opened; whoever has an answer does this, sent or not."""
+        if isinstance(self.chunks, Pieces):
+            self.chunks.close()
+
+
+class Service:
+    """Answers about one catalogue; may be asked by several threads at once."""
+
+    def __init__(self, catalogue: Catalogue, gallery: Any = None) -> None:
+        """`gallery` is a :class:`splitknit.viewer.people.People`, or None."""
+        self.catalogue = catalogue
+        self.gallery = gallery
+        self._surfaces: OrderedDict[str, Surface] = OrderedDict()
+        self._locks: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
+        self._large = threading.Lock()  # held by what needs several times the memory of a surface
+        self._marks = lru_cache(maxsize=8)(self._read_marks)
+        self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
+
+    def answer(self, path: str, query: Query) -> Answer:
+        """Answer a request.
+
+        Parameters
+        ----------
+        path : below the token, as sent; nothing of ours needs an escape, so none is undone
+        query : name to value
+
+        Raises
+        ------
+        BadInput
+            If there is nothing there, or what is there cannot be used.
+        """
+        if path == "":
+            return self._page("index.html")
+        if path in self._static:
+            return self._page(path)
+        match path.split("/"):
+            case ["api", "catalogue"]:
+                return _json(self._list())
+            case ["api", "people", row] if self.gallery is not None:
+                return _bytes(self.gallery.picture(row), "image/png")
+            case ["api", "pair", first, second]:
+                return _json(self._pair(first, second))
+            case ["api", "result", key, *rest]:
+                return self._result(self.catalogue.entry(key), rest, query)
+        raise BadInput(_NOT_FOUND)
+
+    def surface(self, entry: Entry) -> Surface:
+        """Return a result's heights, read once as long as few others are asked for."""
+        with self._lock:
+            lock = self._locks.setdefault(entry.key, threading.Lock())
+        with lock:
+            with self._lock:
+                if entry.key in self._surfaces:
+                    self._surfaces.move_to_end(entry.key)
+                    return self._surfaces[entry.key]
+            surface = read_surface(entry.folder)
+            with self._lock:
+                self._surfaces[entry.key] = surface
+                while len(self._surfaces) > 2 and sum(kept.nbytes for kept in self._surfaces.values()) > _KEPT_BYTES:
+                    self._surfaces.popitem(last=False)
+            return surface
+
+    def _result(self, entry: Entry, rest: list[str], query: Query) -> Answer:  # noqa: PLR0911
+        match rest:
+            case []:
+                return _json(describe(entry, self.surface(entry)))
+            case ["first"]:
+                return _bytes(b"".join(first_view(self.surface(entry))), "application/octet-stream")
+            case ["tile", stride, row, column]:
+                numbers = (_whole(stride), _whole(row), _whole(column))
+                return _bytes(tile_bytes(self.surface(entry), *numbers), "application/octet-stream")
+            case ["pick"]:
+                return _json(self._pick(entry, query))
+            case ["section"]:
+                return _json(self._section(entry, query))
+            case ["minutiae"]:
+                return _json(self._minutiae(entry))
+            case ["picture", name] if name in _PICTURES:
+                return _file(entry.folder, name, "image/png")
+            case ["thumb"]:
+                return _bytes(_thumb(entry.folder), "image/jpeg")
+            case ["photo", number]:
+                from splitknit.viewer.photos import photo_jpeg  # noqa: PLC0415
+
+                width = _whole(query.get("width", "1200"))
+                return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
+            case ["export", kind]:
+                from splitknit.viewer.exports import export  # noqa: PLC0415
+
+                with self._large:
+                    made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
+                saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
+                return Answer(made.kind, made.size, made.chunks, saved)
+        raise BadInput(_NOT_FOUND)
+
+    def _page(self, name: str) -> Answer:
+        content = (STATIC / name).read_bytes()
+        return _bytes(content, _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
+
+    def _list(self) -> dict[str, Any]:
+        return {
+            "title": shown(self.catalogue.title),
+            "chosen": list(self.catalogue.chosen),
+            "results": [listed(entry) for entry in self.catalogue.entries],
+            "people": None if self.gallery is None else self.gallery.document(),
+        }
+
+    def _pick(self, entry: Entry, query: Query) -> dict[str, Any]:
+        from splitknit.viewer.measure import pick  # noqa: PLC0415
+
+        ray = np.array([_number(query, name) for name in ("ox", "oy", "oz", "dx", "dy", "dz")])
+        exaggeration = _number(query, "relief", 1.0)
+        require(0 <= exaggeration <= 100, "an exaggeration must lie between 0 and 100.")
+        return {"point_mm": pick(self.surface(entry), ray[:3], ray[3:], exaggeration)}
+
+    def _section(self, entry: Entry, query: Query) -> dict[str, Any]:
+        from splitknit.viewer.measure import section  # noqa: PLC0415
+
+        ends = [_number(query, name) for name in ("x0", "y0", "x1", "y1")]
+        try:
+            cut = section(self.surface(entry), (ends[0], ends[1]), (ends[2], ends[3]))
+        except BadInput as error:
+            return {"why_not": str(error)}
+        step = max(1, len(cut.along_mm) // 4000)
+        arrays = {name: _list(getattr(cut, name)[::step]) for name in ("along_mm", "x_mm", "y_mm", "height_mm")}
+        return {**arrays, "relief_um": _list(cut.relief_um[::step]), "figures": cut.figures}
+
+    def _minutiae(self, entry: Entry) -> dict[str, Any]:
+        try:
+            return {"minutiae": self._marks(entry.key).document()}
+        except BadInput as error:
+            return {"minutiae": None, "why_not": str(error)}
+
+    def _read_marks(self, key: str) -> Marks:
+        from splitknit.viewer.marks import marks_of  # noqa: PLC0415
+
+        entry = self.catalogue.entry(key)
+        return marks_of(entry.folder, self.surface(entry))
+
+    def _pair(self, first: str, second: str) -> dict[str, Any]:
+        from splitknit.viewer.pair import align, matched_marks  # noqa: PLC0415
+
+        one, two = self.catalogue.entry(first), self.catalogue.entry(second)
+        try:
+            with self._large:
+                found = align(one, self.surface(one), two, self.surface(two))
+        except BadInput as error:
+            return {"alignment": None, "why_not": str(error)}
+        try:
+            pairs = matched_marks(self._marks(first), self._marks(second), found) if found.how != "none" else []
+        except BadInput:
+            pairs = []
+        return {"alignment": found.document(), "pairs": pairs}
+
+
+@lru_cache(maxsize=512)
+def _thumb(folder: Path) -> bytes:
+    import cv2  # noqa: PLC0415
+
+    from splitknit.io.images import decode_image  # noqa: PLC0415
+
+    stored = decode_image(read_below(folder, "preview.png", 100_000_000), "preview.png")
+    require(stored.dtype == np.uint8, "preview.png has more than 8 bits.")
+    picture: Any = np.ascontiguousarray(stored[..., ::-1])
+    scale = _THUMB_PX / max(picture.shape[:2])
+    if scale < 1:
+        size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+
+
+def _json(document: Any) -> Answer:
+    try:
+        text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    except ValueError as error:
+        raise BadInput(
+            "a figure of this answer is NaN or infinite: the result is damaged; reconstruct the capture again."
+        ) from error
+    return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
+
+
+def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Answer:
+    return Answer(kind, len(content), [content], headers or {})
+
+
+def _file(folder: Path, name: str, kind: str) -> Answer:
+    pieces = Pieces(open_below(folder, name))
+    if pieces.size > _MOST_PICTURE_BYTES:
+        pieces.close()
+        raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MOST_PICTURE_BYTES} are sent.")
+    return Answer(kind, pieces.size, pieces)
+
+
+def _whole(text: str) -> int:
+    require(text.isascii() and text.isdigit() and len(text) < 8, f"{text[:20]!a} is not a whole number.")
+    return int(text)
+
+
+def _number(query: Query, name: str, default: float | None = None) -> float:
+    try:
+        value = float(query[name]) if name in query or default is None else default
+    except (KeyError, ValueError) as error:
+        raise BadInput(f"the request needs a number '{name}'.") from error
+    require(bool(np.isfinite(value)), f"'{name}' must be finite.")
+    return value
+
+
+def _list(values: Any) -> list[float | None]:
+    return [round(float(value), 5) if np.isfinite(value) else None for value in values]
+
+
+# What the page says about a result in words and numbers.
+
+_TURNING = dict.fromkeys(
+    (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)), "\N{REPLACEMENT CHARACTER}"
+)
+
+
+def shown(text: str) -> str:
+    """Return a name as the page shows it: no mark in it turns the text around it to the left."""
+    return text.translate(_TURNING)
+
+
+def listed(entry: Entry) -> dict[str, Any]:
+    """One line of the list."""
+    subject = _mapping(_mapping(entry.report.get("capture")).get("subject"))
+    return {
+        "key": entry.key,
+        "name": shown(entry.name),
+        "preset": _text(entry.report.get("preset")),
+        "subject": _text(subject.get("id")),
+        "finger": _text(subject.get("finger")).replace("_", " "),
+        "session": _text(subject.get("session")),
+        "warnings": len(_sequence(entry.report.get("warnings"))),
+        "thumb": (entry.folder / "preview.png").is_file(),
+    }
+
+
+def describe(entry: Entry, surface: Surface) -> dict[str, Any]:
+    """All that the page needs of a result before it asks for pieces of it."""
+    levels = strides(surface)
+    return {
+        **listed(entry),
+        "pitch_mm": surface.pitch_mm,
+        "points": surface.count,
+        "low_mm": surface.low_mm,
+        "high_mm": surface.high_mm,
+        "highest_relief_mm": surface.highest_relief_mm,
+        "relief_range_um": _relief_range_um(surface),
+        "input_size": surface.size,
+        "turn": surface.turn.tolist(),
+        "tile": TILE,
+        "strides": levels,
+        "tiles": {str(stride): filled_tiles(surface, stride) for stride in levels},
+        "pictures": [name for name in ("normals.png", "albedo.png") if (entry.folder / name).is_file()],
+        "print": _print(entry),
+        "photos": _photos(entry),
+        "facts": _facts(entry, surface),
+        "notes": [_text(note) for note in _sequence(entry.report.get("warnings"))],
+    }
+
+
+def _relief_range_um(surface: Surface) -> float:
+    """Relief that nearly all of the skin keeps within: the ends of the colour scale."""
+    step = max(1, round(0.1 / surface.pitch_mm))
+    relief = np.abs(surface.ridge_mm[::step, ::step][surface.mask[::step, ::step]])
+    widest = float(np.percentile(relief, 98)) if relief.size else 0.0
+    return max(1.0, float(np.ceil(1000.0 * widest)))
+
+
+def _print(entry: Entry) -> dict[str, Any] | None:
+    try:
+        file = print_of(entry.folder)
+    except BadInput:
+        return None
+    return {"rows": file.image.shape[0], "columns": file.image.shape[1], "ppi": file.resolution_ppi or 500.0}
+
+
+def _photos(entry: Entry) -> list[dict[str, Any]]:
+    if entry.capture is None:
+        return []
+    from splitknit.viewer.photos import photos_of  # noqa: PLC0415 - the first view waits for no image library
+
+    try:
+        return [{"name": shown(p.name), "band": p.band, "number": p.number} for p in photos_of(entry.capture)]
+    except BadInput:
+        return []
+
+
+def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
+    report = entry.report
+    about, software = _mapping(report.get("capture")), _mapping(report.get("software"))
+    count = f"{surface.count:,}".replace(",", "\N{NO-BREAK SPACE}")
+    size = [high - low for low, high in zip(surface.low_mm, surface.high_mm, strict=True)]
+    facts = [
+        ("Preset", _text(report.get("preset"))),
+        ("Size", f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} mm (across, along, deep)"),
+        ("Skin in projection", f"{surface.count * surface.pitch_mm**2:.0f} mm²"),
+        ("Values", f"{count} heights, one every {1000 * surface.pitch_mm:.1f} µm"),
+        ("Material", _text(about.get("material"))),
+        ("Finger", " ".join(part for part in (listed(entry)["subject"], listed(entry)["finger"]) if part)),
+        ("Session", listed(entry)["session"]),
+        ("Captured", _text(about.get("captured_at"))),
+        ("Reconstructed", _text(report.get("written_at"))),
+        ("Software", f"{_text(software.get('name'))} {_text(software.get('version'))}".strip()),
+    ]
+    return [(name, value) for name, value in facts if value]
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _sequence(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _text(value: Any) -> str:
+    return shown(str(value)[:300]) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else ""

@@ -1,0 +1,335 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handmade import capture_of, finger
+from splitknit.cli import reconstruct as commands
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.io import write_capture
+from splitknit.model import Capture, Reconstruction
+from splitknit.report.result import FILES
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def capture_folder(tmp_path: Path) -> Path:
+    result, truth = finger()
+    write_capture(capture_of(result), tmp_path / "capture", truth)
+    return tmp_path / "capture"
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Put a stage of our own in the pipeline's place; return what it was called with."""
+    calls: dict[str, Any] = {}
+
+    def stand_in(
+        capture: Capture,
+        preset: str = "metric",
+        settings: Mapping[str, Any] | None = None,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> Reconstruction:
+        calls.update(preset=preset, settings=dict(settings or {}), shape=capture.shape)
+        if progress is not None:
+            progress("normals", 0.5)
+        if "raise" in calls:
+            raise calls["raise"]
+        return finger(preset=preset)[0]
+
+    monkeypatch.setattr(commands, "reconstruct", stand_in)
+    return calls
+
+
+def test_reconstruct_writes_and_says_so(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+    out = capture_folder.parent / "result"
+    code = main(
+        ["reconstruct", str(capture_folder), "--out", str(out), "--preset", "snk", "--set", "knit.method=addition"]
+    )
+    said = capsys.readouterr()
+    assert code == 0
+    assert seen == {"preset": "snk", "settings": {"knit.method": "addition"}, "shape": (440, 640)}
+    assert {path.name for path in out.iterdir()} >= set(FILES)
+    assert "preset snk" in said.out
+    assert "Please note: No flexion crease is in view" in said.out
+    assert "Against the truth (snk): surface rms 0.000 mm" in said.out
+    assert str(out / "report.html") in said.out
+    assert said.err == ""  # no progress in a pipe
+
+
+def test_json_is_one_object_and_nothing_else(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+    out = capture_folder.parent / "result"
+    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--json"]) == 0
+    said = capsys.readouterr()
+    facts = json.loads(said.out)
+    assert facts["preset"] == "metric"
+    assert facts["files"] == list(FILES)
+    assert facts["warnings"]
+    assert facts["comparison"]["metric"]["ridge_correlation"] > 0.99
+    assert said.err == ""
+
+
+def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["reconstruct", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("splitknit: error: ")
+    assert said.err.count("\n") == 1
+    assert "nowhere" in said.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (BadInput("the mask is\nempty."), 2, r"capture: the mask is\nempty."),
+        (KeyError("height"), 1, "KeyError: 'height' (this is our failure; --traceback shows where)"),
+        (ValueError("no BadInput"), 1, "this is our failure"),
+        (MemoryError(), 1, "not enough memory"),
+        (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
+    ],
+)
+def test_failures_have_their_codes(  # noqa: PLR0917
+    capture_folder: Path, seen: dict[str, Any], capsys: Captured, error: BaseException, code: int, words: str
+) -> None:
+    seen["raise"] = error
+    out = capture_folder.parent / "deep" / "result"
+    assert main(["reconstruct", str(capture_folder), "--out", str(out)]) == code
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert "Traceback" not in said.err
+    assert said.out == ""
+    assert [path.name for path in capture_folder.parent.iterdir()] == ["capture"]
+
+
+def test_traceback_is_shown_on_request(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+    seen["raise"] = RuntimeError("odd")
+    out = capture_folder.parent / "result"
+    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--traceback"]) == 1
+    assert "stand_in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["dance"],
+        ["reconstruct"],
+        ["reconstruct", "x"],
+        ["reconstruct", "x", "--out", "y", "--preset", "best"],
+        ["simulate", "--out", "x", "--seed", "-1"],
+        ["simulate", "--out", "x", "--seed", "1.5"],
+        ["simulate", "--out", "x", "--scale", "nan"],
+        ["simulate", "--out", "x", "--scale", "7"],
+        ["simulate", "--out", "x", "--set", "scale"],
+        ["simulate", "--out", "x", "--set", "scale=-1"],
+        ["simulate", "--out", "x", "--set", "no.such=1"],
+        ["simulate", "--out", "x", "--pattern", "paisley"],
+        ["simulate", "--out", "x", "--settings", "nowhere.toml"],
+    ],
+)
+def test_wrong_usage_is_code_2(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["demo", "--help"], ["simulate", "--help"]])
+def test_help_is_code_0(arguments: list[str], capsys: Captured) -> None:
+    assert main(arguments) == 0
+    assert "splitknit" in capsys.readouterr().out
+
+
+def test_a_closed_pipe_is_no_error() -> None:
+    code = "import sys; from splitknit.apps import cli; cli._say = lambda t: (_ for _ in ()).throw(BrokenPipeError()); "
+    code += "o = cli.build_parser().parse_args(['demo']); o.run = lambda _: ({}, ['x']); sys.exit(cli._guarded(o))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+INTERRUPTED_AT_IMPORT = """
+import os, sys
+which, number, seen = int(sys.argv.pop(1)), int(sys.argv.pop(1)), 0
+
+def interrupt(event, arguments):
+    global seen
+    if event == "import" and (seen or arguments[0] == "splitknit.cli.batch"):  # the first of main's
+        seen += 1
+        if seen == which:
+            os.kill(os.getpid(), number)
+
+sys.addaudithook(interrupt)
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("which", [1, 30, 100, 200, 500])
+def test_an_interrupt_in_an_import_is_one_line(tmp_path: Path, which: int, number: signal.Signals) -> None:
+    """Of the verbs, of numpy, of what a verb loads: 200 imports come first, and 900 more when it starts."""
+    arguments = [str(which), str(int(number)), "reconstruct", "nowhere", "--out", "x"]
+    run = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_AT_IMPORT, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", ["ImportError", "BadInput"])
+def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None:
+    """As pybind11 does where the import of a compiled module is interrupted."""
+    code = f"""
+import os, signal, sys
+from splitknit.apps import cli, finger_verbs
+
+def run(options):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt as error:
+        raise {error}("initialization failed") from error
+
+finger_verbs.run_demo = run
+sys.exit(cli.main())
+"""
+    run = subprocess.run([sys.executable, "-c", code, "demo"], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
+
+
+def test_an_interrupt_at_exit_is_no_traceback() -> None:
+    code = "import atexit, os, signal, sys; from splitknit.cli.main import main; "
+    code += "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT)); sys.argv[1:] = ['simulate']; main()"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert run.stderr.endswith("splitknit: interrupted; nothing was left half-written.\n")
+    assert "Traceback" not in run.stderr
+
+
+def test_the_program_begins_with_next_to_no_imports() -> None:
+    """Until its main begins, an interrupt is Python's own and shows a traceback."""
+    code = "import sys; from splitknit.apps import cli; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(run.stdout.split()) & {"argparse", "contextlib", "json", "numpy", "typing"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["reconstruct", "no\nwhere\x1b[1m", "--out", "x"],
+        ["match", "no\nwhere\x1b[1m", "no\nwhere\x1b[1m", "--json"],
+        ["simulate", "--out", "x", "--seed", "a\nb\x1b[1m"],
+        ["simulate", "--out", "x", "--set", "a\nb\x1b[1m"],
+        ["simulate", "--out", "x", "--no\nsuch\x1b[1m"],
+    ],
+)
+def test_an_error_is_one_line_whatever_it_quotes(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    (line,) = [line for line in capsys.readouterr().err.split("\n") if "error:" in line or "\x1b" in line]
+    assert line.startswith("splitknit") and line.isprintable()
+    assert "x1b[1m" in line
+
+
+ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"})
+
+
+@pytest.mark.parametrize("ascii_only", ASCII)
+def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
+    """Facts, errors and argparse's messages; the result may be written already."""
+    program = "import sys; from splitknit.apps import cli, finger_verbs; "
+    program += "finger_verbs.run_demo = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
+    for arguments, code, wanted in ((["demo"], 0, "3 mm\\xb2"), (["demo", "--seed", "²"], 2, "must be a whole number")):
+        run = subprocess.run(
+            [sys.executable, "-c", program, *arguments],
+            capture_output=True,
+            check=False,
+            env={**os.environ, **ascii_only},
+        )
+        assert run.returncode == code, run.stderr
+        assert wanted in (run.stdout + run.stderr).decode("ascii")
+
+
+@pytest.mark.parametrize("where", ["capture", "."])
+def test_results_do_not_replace_a_capture(
+    capture_folder: Path, seen: dict[str, Any], capsys: Captured, where: str
+) -> None:
+    """Also not where the capture was written by us, and its folder could be replaced."""
+    before = sorted(path.name for path in capture_folder.iterdir())
+    out = (capture_folder.parent / where).resolve()
+    assert main(["reconstruct", str(capture_folder), "--out", str(out)]) == 2
+    assert sorted(path.name for path in capture_folder.iterdir()) == before
+    assert "holds the input itself" in capsys.readouterr().err
+    assert seen == {}  # refused before the work
+
+
+def test_one_kind_of_folder_does_not_replace_another(
+    capture_folder: Path, seen: dict[str, Any], capsys: Captured
+) -> None:
+    out = str(capture_folder.parent / "result")
+    assert main(["reconstruct", str(capture_folder), "--out", out]) == 0
+    assert main(["reconstruct", str(capture_folder), "--out", out, "--preset", "ea"]) == 0  # an earlier result may go
+    assert main(["simulate", "--out", out]) == 2
+    assert main(["demo", "--out", out]) == 2
+    assert (Path(out) / "height.npz").is_file()
+    assert capsys.readouterr().err.count("name another folder") == 2
+
+
+def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
+    """SIGTERM in the middle of the work: code 130 and an empty folder."""
+    code = (
+        "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
+        "from splitknit.apps import cli, commands; "
+        "commands.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
+        "sys.exit(cli.main())"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "out")], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 130, run.stderr
+    assert "interrupted" in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_simulate_then_reconstruct(tmp_path: Path, capsys: Captured) -> None:
+    """The real thing, small."""
+    arguments = [
+        "simulate",
+        "--out",
+        str(tmp_path / "c"),
+        "--seed",
+        "3",
+        "--pattern",
+        "whorl",
+        "--scale",
+        "0.15",
+        "--json",
+    ]
+    assert main(arguments) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["pattern"] == "whorl"
+    assert facts["images"] == 14
+    assert facts["image_size"] == [330, 480]
+    assert (tmp_path / "c" / "truth.npz").is_file()
+    assert main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["comparison"]["metric"]["surface_rms_mm"] < 0.8  # a fifth of the scale; validation holds the accuracy

@@ -1,0 +1,163 @@
+"""``splitknit match``: what comes in, what is printed, what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perfect_results import write_perfect
+from splitknit.cli.main import main
+from splitknit.io import write_npz, write_print_png
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
+    folder = tmp_path_factory.mktemp("match")
+    camera = default_rig(0.15).camera
+    for seed, pose, name in (
+        (721, Pose(insertion_mm=27.0), "a"),
+        (721, Pose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08), "again"),
+        (722, Pose(insertion_mm=27.0), "other"),
+    ):
+        seen = finger_surface(draw_finger(seed, "right_loop"), pose, camera)
+        write_perfect(folder / name, seen, camera)
+    return folder
+
+
+def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    assert main(["match", *map(str, arguments), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return json.loads(printed.out)
+
+
+def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
+    same = facts_of(capsys, results / "a", results / "again")
+    other = facts_of(capsys, results / "a", results / "other")
+    assert same["similarity"] > 0.7 > 0.5 > other["similarity"]  # noqa: PLR0133
+    assert same["compared"]
+    assert same["overlap_mm2"] > 200
+    assert abs(same["alignment"]["rotation_deg"]) < 3  # both were brought upright
+    assert {"a", "b", "method", "fmr", "correlation"} <= set(same)
+
+
+def test_templates_stand_for_results(results: Path, tmp_path: Path, capsys) -> None:
+    direct = facts_of(capsys, results / "a", results / "again", "--template", tmp_path / "a.skt")
+    assert direct["template"]["bytes"] == (tmp_path / "a.skt").stat().st_size < 20_000
+    stored = facts_of(capsys, tmp_path / "a.skt", results / "again")
+    assert stored["similarity"] == direct["similarity"]
+    alone = facts_of(capsys, results / "a" / "height.npz", "--template", tmp_path / "b.skt")
+    assert "similarity" not in alone
+    assert (tmp_path / "a.skt").read_bytes() == (tmp_path / "b.skt").read_bytes()
+
+
+def test_prints_match_their_surfaces(results: Path, capsys) -> None:
+    """A print is mirrored and lies flat; a surface is neither."""
+    same = facts_of(capsys, results / "a", results / "again" / "print.png")
+    both = facts_of(capsys, results / "a" / "print.png", results / "again" / "print.png")
+    other = facts_of(capsys, results / "a", results / "other" / "print.png")
+    assert same["b"]["kind"] == "print"
+    assert same["similarity"] > other["similarity"] + 0.2
+    assert both["similarity"] > 0.6
+
+
+def test_the_thesis_method(results: Path, capsys) -> None:
+    arguments = ("--method", "thesis", "--set", "thesis.gate=0.5")
+    same = facts_of(capsys, results / "a", results / "again", *arguments)
+    other = facts_of(capsys, results / "a", results / "other", *arguments)
+    assert same["similarity"] > other["similarity"]
+    assert 0.5 < same["overlap"] < 1
+    assert set(same["dissimilarity"]) == {"normals", "relief"}
+    gated = facts_of(capsys, results / "a", results / "other", "--method", "thesis", "--set", "thesis.gate=1")
+    assert not gated["compared"]
+
+
+def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
+    found = facts_of(capsys, twin_folder, twin_folder, "--preset", "ea")
+    assert found["a"]["kind"] == "capture"
+    assert found["similarity"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(results / "a"), str(results / "again"), "--template", str(tmp_path / "t.skt")]) == 0
+    words = capsys.readouterr().out
+    assert words.startswith("similarity 0.")
+    assert "overlap" in words
+    assert "turned by" in words
+    assert "version 1" in words
+    assert main(["match", str(results / "a"), str(results / "other"), "--method", "thesis"]) == 0
+    assert "intersection over union" in capsys.readouterr().out
+
+
+def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "none.skt").write_bytes(b"")
+    found = facts_of(capsys, tmp_path / "none.skt", results / "a")
+    assert found["similarity"] == -1.0
+    assert not found["compared"]
+    assert not found["a"]["acquired"]
+    assert main(["match", str(tmp_path / "none.skt"), str(results / "a")]) == 0
+    assert "failure to acquire" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["NOWHERE", "a"], "there is no"),
+        (["a"], "second finger"),
+        (["EMPTY", "a"], "neither a result"),
+        (["TEXT", "a"], "not a template"),
+        (["BROKEN", "a"], "cannot be read"),
+        (["PARTIAL", "a"], "holds no 'ridge_mm'"),
+        (["COARSE", "a"], "pixels per inch"),
+        (["a", "a/print.png", "--method", "thesis"], "needs a surface"),
+        (["a", "again", "--set", "ridge.phase.step_deg=0"], "step_deg"),
+        (["a", "again", "--set", "ridge.speed=1"], "speed"),
+        (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
+    ],
+)
+def test_bad_input_is_one_sentence(results: Path, tmp_path: Path, capsys, arguments, words: str) -> None:
+    (tmp_path / "EMPTY").mkdir()
+    (tmp_path / "TEXT").write_text("hello")
+    (tmp_path / "BROKEN").mkdir()
+    (tmp_path / "BROKEN" / "height.npz").write_bytes(b"PK but not really")
+    (tmp_path / "PARTIAL").mkdir()
+    write_npz(tmp_path / "PARTIAL" / "height.npz", {"mask": np.ones((3, 3), np.bool_)})
+    write_print_png(tmp_path / "COARSE.png", np.full((90, 90), 200, np.uint8), 300.0)
+    names = {"COARSE": tmp_path / "COARSE.png", "NOWHERE": tmp_path / "NOWHERE"}
+    names |= {name: tmp_path / name for name in ("EMPTY", "TEXT", "BROKEN", "PARTIAL")}
+    before = sorted(path.name for path in tmp_path.iterdir())
+    full = [
+        str(names.get(word, results / word)) if (results / word.split("/")[0]).exists() or word in names else word
+        for word in arguments
+    ]
+    assert main(["match", *full]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 0
+    assert main(["match", str(tmp_path / "t.skt"), str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 2
+    assert "one of the inputs" in capsys.readouterr().err
+
+
+def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
+    from splitknit.matching.methods import false_match_rate
+
+    low, high = false_match_rate(0.15), false_match_rate(0.8)
+    assert low is not None
+    assert high is not None
+    assert 0 < high < 1e-3 < 0.3 < low <= 1  # noqa: PLR0133
+    same = facts_of(capsys, results / "a", results / "again")
+    assert same["fmr"] == false_match_rate(same["similarity"])
+    # with other settings scores mean something else
+    other = facts_of(capsys, results / "a", results / "again", "--set", "ridge.patches.search_mm=0.5")
+    assert other["fmr"] is None

@@ -1,0 +1,108 @@
+"""``splitknit match --method minutiae``: results and prints by their minutiae."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perfect_results import write_perfect
+from splitknit.cli.main import main
+from splitknit.io import read_print_png, write_print_png
+from splitknit.matching.minutiae import extract, minutiae_match
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
+    pytest.importorskip("nbis")
+    folder = tmp_path_factory.mktemp("minutiae")
+    camera = default_rig(0.27).camera
+    for seed, pose, name in (
+        (731, Pose(insertion_mm=27.0), "a"),
+        (731, Pose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05), "again"),
+        (732, Pose(insertion_mm=27.0), "other"),
+    ):
+        seen = finger_surface(draw_finger(seed, "right_loop"), pose, camera)
+        write_perfect(folder / name, seen, camera)
+    return folder
+
+
+def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    assert main(["match", *map(str, arguments), "--method", "minutiae", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return json.loads(printed.out)
+
+
+def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
+    same = facts_of(capsys, results / "a", results / "again")
+    other = facts_of(capsys, results / "a", results / "other")
+    assert same["similarity"] > 80 > 40 > other["similarity"]  # noqa: PLR0133
+    assert same["compared"]
+    assert same["a"]["minutiae"] > 20
+    assert 0 <= same["a"]["nfiq2"] <= 100
+    assert not same["a"]["enhanced"]
+    assert "sides" not in same
+    assert same["similarity_with_ridges"] > 3 > 2 > other["similarity_with_ridges"]  # noqa: PLR0133 - impostors: up to 1.2
+
+
+def test_the_similarity_is_that_of_the_prints(results: Path, capsys) -> None:
+    """What a result's print.png gives, taken as it is."""
+    found = facts_of(capsys, results / "a", results / "again")
+    sides = [extract(read_print_png(results / name / "print.png").image) for name in ("a", "again")]
+    assert found["similarity"] == minutiae_match(*sides)
+    assert found["similarity"] == facts_of(capsys, results / "again", results / "a")["similarity"]
+
+
+def test_prints_match_their_surfaces(results: Path, capsys) -> None:
+    found = facts_of(capsys, results / "a", results / "again" / "print.png")
+    assert found["similarity"] > 60
+    assert found["b"]["enhanced"]
+    assert found["fmr"] is None
+    assert "prints from files" in found["fmr_missing"]
+
+
+def test_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
+    from splitknit.matching.methods import minutiae_false_match_rate
+
+    same, other = (facts_of(capsys, results / "a", results / name) for name in ("again", "other"))
+    low, high = minutiae_false_match_rate(5.0), minutiae_false_match_rate(200.0)
+    assert low is not None and high is not None
+    assert same["fmr"] == minutiae_false_match_rate(same["similarity"])
+    assert high == same["fmr"] < 1e-3 < other["fmr"] <= 1
+    assert high < low
+
+
+def test_words_for_people(results: Path, capsys) -> None:
+    assert main(["match", str(results / "a"), str(results / "again"), "--method", "minutiae"]) == 0
+    words = capsys.readouterr().out
+    assert "pairs of minutiae fit together" in words
+    assert "quality (NFIQ 2)" in words
+    assert "joined with the ridges" in words
+
+
+def test_an_empty_print_is_a_failure_to_acquire(results: Path, tmp_path: Path, capsys) -> None:
+    write_print_png(tmp_path / "empty.png", np.full((300, 300), 255, np.uint8), 500.0)
+    found = facts_of(capsys, tmp_path / "empty.png", results / "a")
+    assert found["similarity"] == 0
+    assert not found["compared"]
+    assert not found["a"]["acquired"]
+    assert found["a"]["nfiq2"] is None
+    assert found["similarity_with_ridges"] is None
+    assert found["fmr"] is None
+    assert main(["match", str(tmp_path / "empty.png"), str(results / "a"), "--method", "minutiae"]) == 0
+    assert "fewer than ten minutiae (failure to acquire)" in capsys.readouterr().out
+
+
+def test_templates_of_ridges_are_refused(results: Path, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(results / "a"), "--template", str(tmp_path / "a.skt")]) == 0
+    capsys.readouterr()
+    assert main(["match", str(tmp_path / "a.skt"), str(results / "a"), "--method", "minutiae"]) == 2
+    said = capsys.readouterr().err
+    assert "keeps no minutiae" in said
+    assert said.count("\n") == 1

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from handmade import capture_of, finger
+from splitknit.errors import BadInput
+from splitknit.io import read_height_tiff, read_npz, read_ply, read_print_png
+from splitknit.io.results import upright_mesh
+from splitknit.report import result as outputs
+from splitknit.report.result import FILES, write_results
+
+Written = tuple[Path, dict[str, Any]]
+
+
+def test_all_files_are_written(written: Written) -> None:
+    names = {path.name for path in written[0].iterdir() if not path.name.startswith(".")}
+    assert names == set(FILES)
+
+
+def test_fields_lie_on_the_input_grid(written: Written) -> None:
+    result, _ = finger()
+    arrays = read_npz(written[0] / "height.npz")
+    for name in ("height_mm", "ridge_mm", "shape_mm", "mask", "normals", "input_from_upright", "uncertainty_um"):
+        assert np.array_equal(arrays[name], getattr(result, name), equal_nan=name != "mask"), name
+    assert float(arrays["pitch_mm"]) == result.pitch_mm
+    assert tuple(arrays["upright_size"]) == result.upright_size
+    height, pitch_mm, metadata = read_height_tiff(written[0] / "height.tiff")
+    assert np.array_equal(height, result.height_mm, equal_nan=True)
+    assert pitch_mm == result.pitch_mm
+    assert metadata["inputs"] == dict(result.hashes)
+
+
+def test_pictures_of_fields_lie_on_the_input_grid(written: Written) -> None:
+    result, _ = finger()
+    normals = cv2.imread(str(written[0] / "normals.png"))[..., ::-1]
+    albedo = cv2.imread(str(written[0] / "albedo.png"), cv2.IMREAD_UNCHANGED)
+    assert normals.shape == (*result.mask.shape, 3)
+    assert albedo.shape == result.mask.shape
+    assert (normals[~result.mask] == 0).all()
+    assert (albedo[~result.mask] == 0).all()
+    decoded = normals[result.mask].astype(float) / 127.5 - 1.0
+    assert np.abs(decoded - result.normals[result.mask]).max() < 1.01 / 127.5
+    ratio = albedo[result.mask] / result.albedo[result.mask]
+    assert np.ptp(ratio) < 0.02 * ratio.mean()
+
+
+def test_mesh_is_upright_and_not_resampled(written: Written) -> None:
+    """The finger's yaw of 12 deg is gone from the coordinates, and every vertex still is one pixel."""
+    result, _ = finger()
+    mesh = read_ply(written[0] / "phalange.ply")
+    assert len(mesh.vertices_mm) == int(result.mask.sum())
+    assert np.array_equal(mesh.vertices_mm[:, 2], result.height_mm[result.mask])
+    x, y = mesh.vertices_mm[:, 0], mesh.vertices_mm[:, 1]
+    assert abs(x.min() + x.max()) < 0.1
+    assert np.ptp(x) == pytest.approx(14.8, abs=0.2)
+    assert y.max() == pytest.approx(9.4, abs=0.2)  # the tip
+    assert y.min() == pytest.approx(-8.5, abs=0.2)
+    at_tip = y > 9.0
+    assert np.abs(x[at_tip]).max() < 0.3 * np.abs(x).max()
+
+
+def test_mesh_normals_turn_with_the_mesh() -> None:
+    """The normals agree with the triangles, outwards."""
+    result, _ = finger()
+    vertices, normals, intensity, faces = upright_mesh(result)
+    corners = vertices[faces[::50]].astype(float)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross /= np.linalg.norm(cross, axis=1, keepdims=True)
+    agreement = np.sum(cross * normals[faces[::50, 0]], axis=1)
+    assert (cross[:, 2] > 0).all()
+    assert np.median(agreement) > 0.99
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0, abs=1e-5)
+    assert intensity.dtype == np.uint8
+    assert len(intensity) == len(vertices)
+
+
+def test_print_says_its_resolution(written: Written) -> None:
+    result, _ = finger()
+    stored = read_print_png(written[0] / "print.png")
+    assert stored.resolution_ppi == pytest.approx(500.0, abs=0.02)
+    assert stored.image.shape == tuple(round(n * result.pitch_mm / 25.4 * 500) for n in result.upright_size)
+    assert "splitknit" in stored.text["Software"]
+
+
+def test_every_file_says_where_it_came_from(written: Written) -> None:
+    for name in FILES:
+        data = (written[0] / name).read_bytes()
+        if name != "height.npz":  # compressed
+            assert b"splitknit" in data, name
+            assert b"0.1.0" in data, name
+    assert "settings_sha256" in str(read_npz(written[0] / "height.npz")["provenance"])
+
+
+def test_same_input_same_bytes(written: Written, tmp_path: Path) -> None:
+    """All files but the reports, whatever the number of threads."""
+    result, truth = finger()
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        write_results(result, capture_of(result), tmp_path / "again", truth)
+    finally:
+        cv2.setNumThreads(threads)
+    for name in FILES:
+        if not name.startswith("report"):
+            digests = {
+                hashlib.sha256((folder / name).read_bytes()).digest() for folder in (written[0], tmp_path / "again")
+            }
+            assert len(digests) == 1, name
+
+
+def test_nothing_is_left_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result, _ = finger()
+
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("disk on fire")
+
+    monkeypatch.setattr(outputs, "_write_albedo", fail)
+    with pytest.raises(RuntimeError, match="disk on fire"):
+        write_results(result, capture_of(result), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_of_others_are_not_touched(tmp_path: Path) -> None:
+    result, _ = finger()
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(BadInput, match=r"thesis\.txt"):
+        write_results(result, capture_of(result), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_a_result_without_uncertainty_has_no_such_array(tmp_path: Path) -> None:
+    result, _ = finger()
+    write_results(replace(result, uncertainty_um=None), capture_of(result), tmp_path / "out")
+    assert "uncertainty_um" not in read_npz(tmp_path / "out" / "height.npz")
+    assert "Uncertainty of the relief" not in (tmp_path / "out" / "report.html").read_text()

@@ -1,0 +1,78 @@
+"""Two results beside each other: the second is laid on the first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perfect_results import write_perfect
+from splitknit.finger.orientation import find_upright
+from splitknit.imaging.geometry import rotation_about
+from splitknit.simulator.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.rig import default_rig
+from splitknit.viewer.catalogue import make_catalogue
+from splitknit.viewer.marks import Marks
+from splitknit.viewer.pair import Alignment, align, matched_marks
+from splitknit.viewer.surface import read_surface
+
+
+@pytest.fixture(scope="module")
+def fingers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One finger, upright and turned by 7 deg in its upright frame, and another finger."""
+    folder = tmp_path_factory.mktemp("pair")
+    camera = default_rig(0.15).camera
+    for seed, name, turn_deg in ((721, "a", 0.0), (721, "turned", 7.0), (722, "other", 0.0)):
+        seen = finger_surface(draw_finger(seed, "right_loop"), Pose(insertion_mm=27.0), camera)
+        upright = find_upright(seen.mask)
+        middle = ((upright.size[1] - 1) / 2, (upright.size[0] - 1) / 2)
+        matrix = upright.input_from_upright @ rotation_about(middle, np.deg2rad(turn_deg))
+        write_perfect(folder / name, seen, camera, replace(upright, input_from_upright=matrix))
+    return folder
+
+
+def aligned(first: Path, second: Path) -> tuple[Alignment, np.ndarray, np.ndarray]:
+    """Return how `second` is laid on `first`, and the places of the same pixels in both."""
+    entries = make_catalogue([first, second]).entries
+    surfaces = [read_surface(entry.folder) for entry in entries]
+    found = align(entries[0], surfaces[0], entries[1], surfaces[1])
+    points = [np.stack([s.x_mm, s.y_mm, s.height_mm], axis=-1)[s.mask][::50] for s in surfaces]
+    return found, points[0], points[1]
+
+
+def test_ridges_lay_one_impression_on_the_other(fingers: Path) -> None:
+    found, here, there = aligned(fingers / "a", fingers / "turned")
+    assert found.how == "ridges"
+    assert found.similarity is not None and found.similarity > 0.8
+    assert abs(np.rad2deg(found.turn_rad)) == pytest.approx(7.0, abs=0.7)
+    apart = np.linalg.norm(found.moved(there) - here, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.15
+    back, _, _ = aligned(fingers / "turned", fingers / "a")
+    assert back.turn_rad == pytest.approx(-found.turn_rad, abs=0.01)
+
+
+def test_other_fingers_are_told_by_their_similarity(fingers: Path) -> None:
+    found, _, _ = aligned(fingers / "a", fingers / "other")
+    assert found.similarity is not None and found.similarity < 0.5
+
+
+def test_results_of_the_same_photographs_lie_exactly(shown: Path) -> None:
+    found, here, there = aligned(shown / "metric", shown / "ea")
+    assert found.how == "photographs"
+    np.testing.assert_allclose(found.moved(there), here, atol=1e-5)
+
+
+def test_minutiae_are_matched_where_place_and_direction_fit() -> None:
+    place = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [6.0, 0.0, 1.0], [9.0, 9.0, np.nan]])
+    tail = place + np.array([0.6, 0.0, 0.0])
+    marks = Marks(*np.zeros((3, 4)), ("ending",) * 4, np.zeros(4, int), place, tail)
+    turn = Alignment("ridges", 0.3, 1.0, -2.0)
+    back = Alignment("ridges", -0.3)
+    moved = [back.moved(points - np.array([1.0, -2.0, 0.0])) for points in (place, tail)]
+    moved[0][0] += [0.3, 0.0, 0.0]  # near enough
+    moved[1][0] += [0.3, 0.0, 0.0]
+    moved[1][1] = moved[0][1] - (moved[1][1] - moved[0][1])  # the other way round
+    other = Marks(*np.zeros((3, 4)), ("ending",) * 4, np.zeros(4, int), moved[0], moved[1])
+    assert sorted(matched_marks(marks, other, turn)) == [(0, 0), (2, 2)]

@@ -1,0 +1,149 @@
+"""What is read of a result, and in which pieces it is handed out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmade import capture_of, finger
+from splitknit.errors import BadInput
+from splitknit.io import read_npz, read_ply, write_npz
+from splitknit.io.results import upright_mesh
+from splitknit.report.result import write_results
+from splitknit.viewer.surface import (
+    TILE,
+    Surface,
+    filled_tiles,
+    first_view,
+    read_members,
+    read_surface,
+    root_stride,
+    strides,
+    tile_bytes,
+)
+
+
+@pytest.fixture(scope="module")
+def surface(shown: Path) -> Surface:
+    return read_surface(shown / "metric")
+
+
+def test_places_are_those_of_the_mesh(shown: Path, surface: Surface) -> None:
+    mesh = read_ply(shown / "metric" / "phalange.ply")
+    points = np.stack([surface.x_mm, surface.y_mm, surface.height_mm], axis=-1)[surface.mask]
+    np.testing.assert_allclose(points, mesh.vertices_mm, atol=2e-6)
+    np.testing.assert_allclose(surface.low_mm, mesh.vertices_mm.min(axis=0), atol=2e-6)
+    np.testing.assert_allclose(surface.high_mm, mesh.vertices_mm.max(axis=0), atol=2e-6)
+    assert surface.count == len(mesh.vertices_mm)
+
+
+def test_rays_of_a_perspective_camera_are_kept(tmp_path: Path) -> None:
+    result, _ = finger()
+    height, width = result.mask.shape
+    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, :] * (1 - result.height_mm / 140)
+    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None] * (1 - result.height_mm / 140)
+    object.__setattr__(result, "x_mm", x.astype(np.float32))
+    object.__setattr__(result, "y_mm", y.astype(np.float32))
+    write_results(result, capture_of(result), tmp_path / "result")
+    surface = read_surface(tmp_path / "result")
+    points = np.stack([surface.x_mm, surface.y_mm, surface.height_mm], axis=-1)[surface.mask]
+    np.testing.assert_allclose(points, upright_mesh(result)[0], atol=2e-6)
+
+
+def read_tile(data: bytes) -> tuple[np.ndarray, np.ndarray]:
+    head = np.frombuffer(data, "<i4", 8)
+    assert head[0] == len(data)
+    return head, np.frombuffer(data, "<f4", offset=32).reshape(4, head[4], head[5])
+
+
+def test_tiles_hold_every_value_once(surface: Surface) -> None:
+    seen = np.zeros(surface.mask.shape, dtype=int)
+    for row, column in filled_tiles(surface, 1):
+        head, (x, y, z, relief) = read_tile(tile_bytes(surface, 1, row, column))
+        top, left = int(head[6]) - surface.corner[0], int(head[7]) - surface.corner[1]
+        own = slice(1, min(TILE + 1, z.shape[0] - 1)), slice(1, min(TILE + 1, z.shape[1] - 1))
+        rows = slice(top + 1, top + own[0].stop)
+        columns = slice(left + 1, left + own[1].stop)
+        seen[rows, columns] += 1
+        np.testing.assert_array_equal(z[own], surface.height_mm[rows, columns])
+        known = np.isfinite(z[own])
+        for values, field in ((x, surface.x_mm), (y, surface.y_mm), (relief, surface.ridge_mm)):
+            np.testing.assert_array_equal(values[own][known], field[rows, columns][known])
+    assert (seen[surface.mask] == 1).all()
+    assert seen.max() == 1
+
+
+def test_coarse_points_are_fine_points(surface: Surface) -> None:
+    step = strides(surface)[0]
+    assert step > 1
+    head, (_, _, z, _) = read_tile(tile_bytes(surface, step, 0, 0))
+    top, left = int(head[6]) - surface.corner[0], int(head[7]) - surface.corner[1]
+    assert (top, left) == (-step, -step)  # the rim
+    np.testing.assert_array_equal(z[1:5, 1:5], surface.height_mm[: 4 * step : step, : 4 * step : step])
+    assert np.isnan(z[0]).all()
+
+
+def test_the_first_view_is_small_and_whole(surface: Surface) -> None:
+    pieces = list(first_view(surface))
+    points = sum(int(np.isfinite(read_tile(piece)[1][2]).sum()) for piece in pieces)
+    assert surface.count / root_stride(surface) ** 2 <= 70_000
+    assert 0.9 * surface.count < points * root_stride(surface) ** 2 < 1.4 * surface.count  # rims are there twice
+
+
+@pytest.mark.parametrize("where", [(3, 0, 0), (1, 99, 0), (1, 0, 99)])
+def test_tiles_that_are_not_there_are_refused(surface: Surface, where: tuple[int, int, int]) -> None:
+    with pytest.raises(BadInput):
+        tile_bytes(surface, *where)
+
+
+@pytest.fixture
+def arrays(shown: Path, tmp_path: Path) -> tuple[dict[str, np.ndarray], Path]:
+    return read_npz(shown / "metric" / "height.npz"), tmp_path / "result"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"ridge_mm": None}, "holds no 'ridge_mm'"),
+        ({"height_mm": np.zeros((3, 4), np.float32)}, "'height_mm' has another shape"),
+        ({"pitch_mm": np.float64(0.0)}, "scale or its frame"),
+        ({"input_from_upright": np.zeros((3, 3))}, "scale or its frame"),
+        ({"height_mm": np.full((440, 640), np.nan, np.float32)}, "holds no heights"),
+        ({"mask": np.zeros((440, 640), bool)}, "holds no heights"),
+        ({"mask": np.zeros(440, bool)}, "another shape"),
+        ({"ridge_mm": np.array("text")}, "'ridge_mm' has another shape or kind"),
+    ],
+)
+def test_arrays_of_another_kind_are_refused(arrays, change: dict, words: str) -> None:
+    there, folder = arrays
+    folder.mkdir()
+    there.update(change)
+    write_npz(folder / "height.npz", {name: value for name, value in there.items() if value is not None})
+    with pytest.raises(BadInput, match=words):
+        read_surface(folder)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "text", "link", "none"])
+def test_a_damaged_result_is_refused_in_one_sentence(shown: Path, tmp_path: Path, damage: str) -> None:
+    file, data = tmp_path / "height.npz", bytearray((shown / "metric" / "height.npz").read_bytes())
+    if damage == "cut":
+        file.write_bytes(data[: len(data) // 2])
+    elif damage == "flip":
+        data[len(data) // 20] ^= 255
+        file.write_bytes(data)
+    elif damage == "text":
+        file.write_text("no arrays")
+    elif damage == "link":
+        file.symlink_to(shown / "metric" / "height.npz")
+    with pytest.raises(BadInput) as refused:
+        read_surface(tmp_path)
+    assert "\n" not in str(refused.value)
+    assert str(tmp_path) in str(refused.value)
+
+
+def test_arrays_by_columns_are_read(tmp_path: Path) -> None:
+    array = np.asfortranarray(np.arange(12.0).reshape(3, 4))
+    write_npz(tmp_path / "a.npz", {"a": array})
+    np.testing.assert_array_equal(read_members(tmp_path / "a.npz", ("a",))["a"], array)
