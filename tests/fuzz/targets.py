@@ -51,8 +51,6 @@ from splitknit.apps.pattern_folder import read_pattern_folder
 from splitknit.apps.printing_sources import read_source
 from splitknit.apps.separate import read_light
 from splitknit.apps.targets import check_target
-from splitknit.apps.training.training_data import load_data
-from splitknit.apps.training.training_folder import open_folder, plain
 from splitknit.apps.viewer.open_paths import open_paths
 from splitknit.apps.viewer.people import People
 from splitknit.apps.viewer.serve import start
@@ -121,7 +119,9 @@ from splitknit.rig.optimise import SweepFolder
 from splitknit.rig.stl import read_stl, write_stl
 from splitknit.rig.study import Study
 from splitknit.settings import override
-from splitknit.training.settings import DataSettings, TrainSettings
+from splitknit.training.separation import SeparationSettings
+from splitknit.training.separation_data import SeparationData
+from splitknit.training.trainer import load_data, open_folder, plain
 
 TINY_NETWORK = Path(__file__).resolve().parents[1] / "networks" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)
@@ -663,7 +663,7 @@ def _batch(folder: Path, files: Files) -> object:
 
 
 def _training(folder: Path) -> None:
-    open_folder(folder, DataSettings(), TrainSettings(), False)
+    open_folder(folder, SeparationData(), SeparationSettings(), False)
     (folder / "data").mkdir()
     np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
     (folder / "data" / "finger_0000001.json").write_text(json.dumps(plain({"finger": 1, "light": [1, 2]})))
@@ -671,10 +671,10 @@ def _training(folder: Path) -> None:
 
 def _trained(folder: Path, files: Files) -> object:
     def loaded() -> None:
-        for sample in load_data(folder, "finger", [1], lambda shape: len(shape) == 3).values():
-            np.asarray(sample).sum()
+        for samples in load_data(folder, "finger", [1], lambda shape, facts: len(shape) == 3).values():
+            np.asarray(samples[0][0]).sum()
 
-    return _any(loaded, lambda: open_folder(folder, DataSettings(), TrainSettings(), True))
+    return _any(loaded, lambda: open_folder(folder, SeparationData(), SeparationSettings(), True))
 
 
 CANDIDATE = Candidate(150.0, 50.0, 1.0)

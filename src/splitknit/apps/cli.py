@@ -85,7 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
     from splitknit.apps.match_verb import add_match  # noqa: PLC0415
     from splitknit.apps.print_verb import add_print  # noqa: PLC0415
     from splitknit.apps.separate_verb import add_separate  # noqa: PLC0415
-    from splitknit.apps.training.verbs import add_train  # noqa: PLC0415
+    from splitknit.apps.training_verbs import add_train  # noqa: PLC0415
     from splitknit.apps.verb import Parser  # noqa: PLC0415
     from splitknit.apps.view_verb import add_view  # noqa: PLC0415
 
