@@ -59,11 +59,13 @@ def main() -> None:
 
 def thesis(image: np.ndarray, device: str) -> None:
     """Cost of the network as wide as the thesis's."""
-    from splitknit.training.train import Trainer, TrainSettings, unet_reach  # noqa: PLC0415
+    from splitknit.training.networks import unet_reach  # noqa: PLC0415
+    from splitknit.training.separation import SeparationSettings, SeparationTrainer  # noqa: PLC0415
 
-    settings = TrainSettings(device=device, threads=2)
-    trainer = Trainer(settings)
-    weights = trainer.export()
+    steps, noise = 2, np.random.default_rng(0).random((32, 3, 72, 72), dtype=np.float32)
+    patches: Any = _SamePatches((noise, 0.3 * noise), steps)
+    trainer = SeparationTrainer(SeparationSettings(device=device, threads=2), patches)
+    weights, _ = trainer.packed({})
     network = in_memory(weights, {"channels_in": 3, "channels_out": 3, "stride": 8, "reach": unet_reach(3)})
     print(f"\n### Width 64: {len(weights) / 1e6:.1f} MB\n")
     for workers in (1, 2):
@@ -71,11 +73,9 @@ def thesis(image: np.ndarray, device: str) -> None:
         run_network(network, image, tile=512, workers=workers)
         print(f"- one image of {image.shape[2]} x {image.shape[3]}, {workers} threads: ", end="")
         print(f"{time.perf_counter() - started:.1f} s")
-    steps, noise = 2, np.random.default_rng(0).random((32, 3, 72, 72), dtype=np.float32)
-    patches = _SamePatches((noise, 0.3 * noise), steps)
-    trainer.train_epoch(patches)
+    trainer.train(1)
     started = time.perf_counter()
-    loss = trainer.train_epoch(patches)
+    loss = trainer.train(1)["loss"]
     step_s = (time.perf_counter() - started) / steps
     whole_h = step_s * 37_500 / 32 * 50 / 3600
     print(
@@ -94,7 +94,7 @@ class _SamePatches:
     def __len__(self) -> int:
         return self.steps * len(self.batch[0])
 
-    def shuffled(self, settings: Any, epoch: int) -> Any:
+    def shuffled(self, batch: int, seed: int, epoch: int) -> Any:
         return iter([self.batch] * self.steps)
 
 

@@ -34,8 +34,6 @@ from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, th
 from tests.fuzz.mutators import Files
 from tests.png_files import png_of
 
-from splitknit.apps.training.training_data import load_data
-from splitknit.apps.training.training_folder import open_folder, plain
 from splitknit.batch import BatchSettings, Store, preset_cases
 from splitknit.batch.chunks import read_origin, write_chunk, write_timings
 from splitknit.batch.features import BANDS, QUALITY, feature_schema
@@ -116,7 +114,9 @@ from splitknit.rig.study import Study
 from splitknit.separation.folder import read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
-from splitknit.training.settings import DataSettings, TrainSettings
+from splitknit.training.separation import SeparationSettings
+from splitknit.training.separation_data import SeparationData
+from splitknit.training.trainer import load_data, open_folder, plain
 from splitknit.viewer.people import People
 from splitknit.viewer.server import open_paths, start
 from splitknit.viewer.service import Service
@@ -661,7 +661,7 @@ def _batch(folder: Path, files: Files) -> object:
 
 
 def _training(folder: Path) -> None:
-    open_folder(folder, DataSettings(), TrainSettings(), False)
+    open_folder(folder, SeparationData(), SeparationSettings(), False)
     (folder / "data").mkdir()
     np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
     (folder / "data" / "finger_0000001.json").write_text(json.dumps(plain({"finger": 1, "light": [1, 2]})))
@@ -669,10 +669,10 @@ def _training(folder: Path) -> None:
 
 def _trained(folder: Path, files: Files) -> object:
     def loaded() -> None:
-        for sample in load_data(folder, "finger", [1], lambda shape: len(shape) == 3).values():
-            np.asarray(sample).sum()
+        for samples in load_data(folder, "finger", [1], lambda shape, facts: len(shape) == 3).values():
+            np.asarray(samples[0][0]).sum()
 
-    return _any(loaded, lambda: open_folder(folder, DataSettings(), TrainSettings(), True))
+    return _any(loaded, lambda: open_folder(folder, SeparationData(), SeparationSettings(), True))
 
 
 CANDIDATE = Candidate(150.0, 50.0, 1.0)

@@ -8,22 +8,18 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
+from splitknit.training.networks import fields_network, network_from
 from splitknit.training.relief import (
-    CHANNELS,
-    GLARE,
     NAME,
     PARTS,
-    RELIEF,
-    WEIGHT,
     ReliefSettings,
     ReliefTrainer,
-    network_from,
+    field_scale,
     packed,
     relief_losses,
-    relief_network,
     total_loss,
 )
-from splitknit.training.relief_batches import field_scale
+from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 
 torch = pytest.importorskip("torch")
 
@@ -140,7 +136,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     first.curve.append({"iteration": 3.0})
     second = ReliefTrainer(settings, SAMPLES)
     second.restore(first.state())
-    assert second.iteration == 3 and second.curve == [{"iteration": 3.0}]
+    assert second.done == 3 and second.curve == [{"iteration": 3.0}]
     second.train(3)
     for one, other in zip(weights_of(whole), weights_of(second), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -155,7 +151,7 @@ def test_states_of_other_trainings_and_damaged_ones_are_refused() -> None:
         other.restore(state)
     with pytest.raises(BadInput, match="damaged"):
         trainer.restore(state[:1000])
-    with pytest.raises(BadInput, match="not the weights of a relief network"):
+    with pytest.raises(BadInput, match="not the weights of a relief or shape network"):
         packed({"out.weight": torch.zeros(2, 2, 1, 1)}, {})
 
 
@@ -198,7 +194,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
 
 
 def test_the_reach_on_the_card_is_how_far_the_network_looks() -> None:
-    network = relief_network((1, 1, 1, 1, 1), fields=1, outputs=1).eval()
+    network = fields_network((1, 1, 1, 1, 1), 1, 1).eval()
     reach = json.loads(packed(network.state_dict(), {})[1])["reach"]
     with torch.no_grad():
         for part in network.parameters():  # nothing cancels and no ReLU is shut
@@ -217,7 +213,7 @@ def test_the_reach_on_the_card_is_how_far_the_network_looks() -> None:
 
 
 def test_the_network_has_the_layers_of_its_widths() -> None:
-    state = relief_network((16, 32, 48, 64, 64)).state_dict()
+    state = fields_network((16, 32, 48, 64, 64), 32, 9).state_dict()
     shapes = {name: tuple(part.shape) for name, part in state.items()}
     assert shapes["down.0.0.weight"] == (16, 32, 3, 3) and shapes["down.4.2.weight"] == (64, 64, 3, 3)
     assert shapes["up.0.0.weight"] == (64, 128, 3, 3) and shapes["up.3.0.weight"] == (16, 48, 3, 3)

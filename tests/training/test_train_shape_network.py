@@ -6,6 +6,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
+from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
     NAME,
@@ -16,7 +17,6 @@ from splitknit.training.shape import (
     ShapeTrainer,
     field_scale,
     packed,
-    relief_network,
     shape_losses,
 )
 
@@ -108,7 +108,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     first.train(3)
     second = ShapeTrainer(settings, SAMPLES)
     second.restore(first.state())
-    assert second.iteration == 3
+    assert second.done == 3
     second.train(3)
     for one, other in zip(weights_of(whole), weights_of(second), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -137,7 +137,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
 
 def test_the_network_has_the_layers_of_the_one_that_ships() -> None:
     shapes = {
-        name: tuple(part.shape) for name, part in relief_network(ShapeSettings().widths, 32, 2).state_dict().items()
+        name: tuple(part.shape) for name, part in fields_network(ShapeSettings().widths, 32, 2).state_dict().items()
     }
     assert shapes["down.0.0.weight"] == (24, 32, 3, 3) and shapes["down.3.2.weight"] == (64, 64, 3, 3)
     assert shapes["up.0.0.weight"] == (48, 112, 3, 3) and shapes["out.weight"] == (2, 24, 1, 1)

@@ -29,7 +29,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.apps.training.train import HELD_OUT_FROM, enhance
 from splitknit.model import Led
 from splitknit.networks.unet import Network, load_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced
@@ -39,7 +38,8 @@ from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.separation import checkerboard_images, separate_truth
 from splitknit.simulator.skin import SkinSettings
-from splitknit.training.train import DataSettings, Photograph, photographs, surface_of
+from splitknit.training.separation_data import Photograph, SeparationData, enhance, photographs, surface_of
+from splitknit.training.trainer import HELD_OUT_FROM
 
 HERE = Path(__file__).resolve().parent
 FIRST = HELD_OUT_FROM + 1000
@@ -58,7 +58,7 @@ def main() -> int:
     parser.add_argument("--card", type=Path, default=None, help="card to write the network's figures into")
     options = parser.parse_args()
     count = 1 if options.smoke else options.count
-    data = DataSettings(labels="stack", patches=1)
+    data = SeparationData(labels="stack", patches=1)
     network = load_network(options.network)
     fractions = constant_fractions(replace(data, labels="truth"), 1 if options.smoke else 4)
     rows: list[dict[str, Any]] = []
@@ -99,7 +99,7 @@ def note(card: Path, result: dict[str, Any]) -> None:
     card.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def constant_fractions(data: DataSettings, count: int) -> np.ndarray:
+def constant_fractions(data: SeparationData, count: int) -> np.ndarray:
     """(4,) fraction of the image, per channel, that is nearest to the direct light over other photographs."""
     up, down = np.zeros(4), np.zeros(4)
     for kind in ("palm", "finger"):
@@ -117,7 +117,7 @@ def channels(photograph: Photograph) -> tuple[np.ndarray, np.ndarray]:
 
 
 def judge(
-    photograph: Photograph, name: tuple[str, int], network: Network, fractions: np.ndarray, data: DataSettings
+    photograph: Photograph, name: tuple[str, int], network: Network, fractions: np.ndarray, data: SeparationData
 ) -> list[dict[str, Any]]:
     """Every method on one photograph."""
     image, truth = channels(photograph)
@@ -162,7 +162,7 @@ def _box(shape: tuple[int, ...], middle: tuple[int, int], half: float) -> tuple[
 
 
 def by_one_image(
-    photograph: Photograph, name: tuple[str, int], image: np.ndarray, box: tuple[slice, slice], data: DataSettings
+    photograph: Photograph, name: tuple[str, int], image: np.ndarray, box: tuple[slice, slice], data: SeparationData
 ) -> dict[str, np.ndarray]:
     """Nayar's separation from a single image under a checkerboard, brought to full size."""
     facts = photograph.facts

@@ -75,7 +75,6 @@ def _leave(*unused: object) -> NoReturn:
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
     from splitknit import __version__  # noqa: PLC0415
-    from splitknit.apps.training.verbs import add_train  # noqa: PLC0415
     from splitknit.cli.batch import add_batch  # noqa: PLC0415
     from splitknit.cli.capture import add_capture  # noqa: PLC0415
     from splitknit.cli.demo import add_demo  # noqa: PLC0415
@@ -88,6 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
     from splitknit.cli.reconstruct import add_reconstruct  # noqa: PLC0415
     from splitknit.cli.separate import add_separate  # noqa: PLC0415
     from splitknit.cli.simulate import add_simulate  # noqa: PLC0415
+    from splitknit.cli.train import add_train  # noqa: PLC0415
     from splitknit.cli.verb import Parser  # noqa: PLC0415
     from splitknit.cli.view import add_view  # noqa: PLC0415
 

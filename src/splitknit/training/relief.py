@@ -1,82 +1,101 @@
-"""Training of `metric`'s own network, which draws relief and glare: the public names of the parts.
+"""Training of the relief network, which separates relief from specular reflection for the `metric` method.
 
-What photometric stereo leaves of skin's light is taken apart by how it turns with the light's azimuth
-(:mod:`splitknit.skin.features`); the network learns on simulated fingers what of it is relief and what is glare.
-Arrays in, arrays and bytes out; what reads and writes files is ``splitknit train relief``.
+What photometric stereo leaves of the light of skin is split by how it turns with the light's azimuth
+(:mod:`splitknit.skin.features`); the network learns on simulated fingers what of it is relief and what is specular
+reflection (here: glare).
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.training.fields_loop import FieldsTrainer
-from splitknit.training.fields_pack import packed_fields
-from splitknit.training.relief_batches import (
-    CHANNELS,
+from splitknit.settings import Limits
+from splitknit.skin.learned import RELIEF_MM
+from splitknit.training.fields import (
     FIELDS,
-    GLARE,
-    OUTPUTS,
-    RELIEF,
-    WEIGHT,
-    check_samples,
-    draw_batch,
-    field_scale,
-    mirrored,
-    transposed,
-    turned_by,
+    FieldsSettings,
+    FieldsTrainer,
+    Sample,
+    Turns,
+    check_channels,
+    cut_out,
+    mean_figures,
+    one_scale,
+    packed_fields,
+    patch_with_skin,
+    rounded,
+    runner_of,
+    stride_of,
+    write_fields,
 )
-from splitknit.training.relief_network import network_from, relief_network
-from splitknit.training.relief_settings import ReliefSettings
-from splitknit.training.samples import Sample
-
-__all__ = [
-    "CHANNELS",
-    "FIELDS",
-    "GLARE",
-    "JUDGED_PX",
-    "NAME",
-    "OUTPUTS",
-    "RELIEF",
-    "WEIGHT",
-    "ReliefSettings",
-    "ReliefTrainer",
-    "Sample",
-    "draw_batch",
-    "judge_middle",
-    "judged",
-    "mirrored",
-    "network_from",
-    "packed",
-    "relief_losses",
-    "relief_network",
-    "total_loss",
-    "transposed",
-    "turned_by",
-]
+from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData, training_crops, training_sample
+from splitknit.training.trainer import (
+    HELD_OUT_FROM,
+    Chart,
+    Progress,
+    files_of,
+    load_data,
+    make_data,
+    open_folder,
+    require_subjects,
+    require_torch,
+    train_in_folder,
+)
+from splitknit.training.trainer import Sample as Stored
 
 NAME = "relief"
+FILES = files_of(NAME, "fingers")
 WHAT = (
     "relief and glare of skin: the fields of splitknit.skin.features to the relief in 0.02 mm, seven "
     "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
     "variance"
 )
-
-
-def packed(state: Mapping[str, Any], facts: Mapping[str, Any], name: str = NAME) -> tuple[bytes, bytes]:
-    """The files of a finished network: ONNX, its weights in half precision, and card; see :func:`packed_fields`."""
-    return packed_fields(state, facts, name, WHAT)
-
-
-# The training of the relief's network, and how it is judged.
-
+PARTS = ("relief", "slope", "likelihood", "glare")
+OUTPUTS = 9
+"""Of the network: the relief, seven waves of the glare, the logarithm of the relief's variance."""
+TURNS = Turns(
+    vectors=((3, 4), (5, 6), (7, 8), (21, 22), (34, 35)),
+    second_waves=((9, 10), (13, 14), (17, 18), (36, 37)),
+    third_waves=((11, 12), (15, 16), (19, 20), (38, 39)),
+)
+"""How a sample turns."""
 JUDGED_PX = 512
-"""Side of the middle part of a finger on which it is judged."""
+"""Side of the middle part of a finger on which the network is evaluated."""
+UNIT_UM = 1000.0 * float(RELIEF_MM)
+"""Unit of the network's relief, micrometres."""
+VARIANCE_LIMITS = (-6.0, 4.0)
+"""Of the logarithm of the relief's variance, in the network's unit."""
+_MIN_WEIGHT = 0.2
+"""Patches with a smaller mean weight are not used: they hold next to no skin."""
+_MIN_DEVIATION = 0.02
+_SCALE_PATCHES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefSettings(FieldsSettings):
+    """Network, loss and training.
+
+    The network that ships was trained in three runs, each from the weights of the one before: about 2400 iterations on
+    whole fingers alone, then 200 and 4600 on pieces too. The defaults are its numbers, in one run.
+    """
+
+    whole_share: Annotated[float, Limits(0, 1)] = 0.2
+    """Fraction of the patches that are cut from whole fingers, where there are any; the others are from pieces."""
+    slope_share: Annotated[float, Limits(0)] = 1.0
+    """Weight of the relief's slopes in the loss, beside its heights with weight one."""
+    likelihood_share: Annotated[float, Limits(0)] = 0.2
+    """Weight of how well the network knows its own error."""
+    glare_share: Annotated[float, Limits(0)] = 0.2
+    """Weight of the glare."""
 
 
 class ReliefTrainer(FieldsTrainer):
@@ -85,77 +104,33 @@ class ReliefTrainer(FieldsTrainer):
     def __init__(self, settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> None:
         """Draw the first weights from the settings' seed, and the fields' scale from the samples.
 
-        A share of the patches, :attr:`ReliefSettings.whole_share`, is cut from the samples `whole`, if there are any.
+        A fraction of the patches (`whole_share`) is cut from the samples `whole`, if there are any.
         """
-        check_samples(samples)
+        check_channels(samples, CHANNELS)
         if len(whole) > 0:
-            check_samples(whole)
+            check_channels(whole, CHANNELS)
         super().__init__(settings, OUTPUTS, field_scale(samples, settings, whole))
-        self.settings, self.samples, self.whole = settings, samples, whole
+        self.settings: ReliefSettings = settings
+        self.samples, self.whole = samples, whole
 
     def draw(self, iteration: int) -> FloatArray:
-        """See :func:`splitknit.training.relief_batches.draw_batch`."""
+        """See :func:`draw_batch`."""
         return draw_batch(self.samples, self.settings, iteration, self.whole)
 
-    def losses(self, made: Any, batch: Any) -> dict[str, Any]:
-        """See :func:`splitknit.training.relief.relief_losses`."""
+    def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
+        """See :func:`relief_losses`."""
         return relief_losses(made, batch)
 
     def total(self, parts: dict[str, Any]) -> Any:
-        """See :func:`splitknit.training.relief.total_loss`."""
+        """See :func:`total_loss`."""
         return total_loss(parts, self.settings)
 
     def judge(self, sample: Sample) -> dict[str, float]:
-        """What the network makes of the middle of a finger, see :func:`judged`."""
+        """Figures for the middle of a finger, see :func:`judged`."""
         return judge_middle(self.run, sample, self.settings.stride)
 
 
-def judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
-    limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
-    require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
-    first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
-    rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
-    middle = np.asarray(sample[:, rows, columns], dtype=np.float32)
-    return judged(run(middle[:FIELDS]), middle)
-
-
-def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
-    """Figures of what was drawn (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2.
-
-    Returns
-    -------
-    dict of
-    ``correlation`` of the relief; ``gain``, the slope of drawn over true relief; ``rms``, its error in the network's
-    unit; ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the part of
-    the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
-    """
-    counts = sample[WEIGHT] > 0.5
-    if not counts.any():
-        return dict.fromkeys(("correlation", "gain", "rms", "error_ratio", "glare_r2"), math.nan)
-    drawn, truth = (np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF]))
-    power = float((truth**2).mean())
-    square = float(((drawn - truth) ** 2).mean())
-    expected = float(np.exp(np.clip(made[8][counts], *VARIANCE_LIMITS), dtype=np.float64).mean())
-    spread = float(drawn.std() * truth.std())
-    glare = np.asarray(sample[GLARE][:, counts], dtype=np.float64)
-    missed = float(((made[1:8][:, counts] - glare) ** 2).mean())
-    shone = float((glare**2).mean())
-    product = float(((drawn - drawn.mean()) * (truth - truth.mean())).mean())
-    return {
-        "correlation": product / spread if spread > 0 else math.nan,
-        "gain": float((drawn * truth).mean()) / power if power > 0 else math.nan,
-        "rms": math.sqrt(square),
-        "error_ratio": math.sqrt(square / expected),
-        "glare_r2": 1.0 - missed / shone if shone > 0 else math.nan,
-    }
-
-
-# Loss of the relief network.
-
-PARTS = ("relief", "slope", "likelihood", "glare")
-VARIANCE_LIMITS = (-6.0, 4.0)
-"""Of the logarithm of the relief's variance, in the network's unit."""
+# --- loss and figures ---------------------------------------------------------------------------------------------
 
 
 def relief_losses(made: Any, batch: Any) -> dict[str, Any]:
@@ -164,17 +139,17 @@ def relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     Parameters
     ----------
     made : (B, 9, h, w) torch.Tensor
-        What the network drew.
+        The network's result.
     batch : (B, 41, h, w) torch.Tensor
-        Samples, see :mod:`splitknit.training.relief_batches`.
+        Samples, see :mod:`splitknit.training.relief_data`.
 
     Returns
     -------
     dict of torch scalars by the names of :data:`PARTS`:
     ``relief``, the mean squared error of the heights; ``slope``, that of their differences from pixel to pixel, where
-    ridges outweigh what is wide; ``likelihood``, the negative logarithm of the likelihood of the error under the drawn
-    variance (the error is taken as given here, so that no height is made worse for it); ``glare``, the mean squared
-    error of its waves.
+    ridges outweigh what is wide; ``likelihood``, the negative logarithm of the likelihood of the error under the
+    estimated variance (the error is taken as given here, so that no height is made worse for it); ``glare``, the mean
+    squared error of its waves.
     """
     weight = batch[:, WEIGHT]
     count = weight.sum() + 1.0
@@ -199,3 +174,221 @@ def total_loss(parts: dict[str, Any], settings: ReliefSettings) -> Any:
         + settings.likelihood_share * parts["likelihood"]
         + settings.glare_share * parts["glare"]
     )
+
+
+def judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
+    """Figures of :func:`judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
+    limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
+    require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
+    first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
+    rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
+    middle = np.asarray(sample[:, rows, columns], dtype=np.float32)
+    return judged(run(middle[:FIELDS]), middle)
+
+
+def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
+    """Figures of a result (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2.
+
+    Returns
+    -------
+    dict of
+    ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the network's
+    unit; ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the part of
+    the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
+    """
+    counts = sample[WEIGHT] > 0.5
+    if not counts.any():
+        return dict.fromkeys(("correlation", "gain", "rms", "error_ratio", "glare_r2"), math.nan)
+    drawn, truth = (np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF]))
+    power = float((truth**2).mean())
+    square = float(((drawn - truth) ** 2).mean())
+    expected = float(np.exp(np.clip(made[8][counts], *VARIANCE_LIMITS), dtype=np.float64).mean())
+    spread = float(drawn.std() * truth.std())
+    glare = np.asarray(sample[GLARE][:, counts], dtype=np.float64)
+    missed = float(((made[1:8][:, counts] - glare) ** 2).mean())
+    shone = float((glare**2).mean())
+    product = float(((drawn - drawn.mean()) * (truth - truth.mean())).mean())
+    return {
+        "correlation": product / spread if spread > 0 else math.nan,
+        "gain": float((drawn * truth).mean()) / power if power > 0 else math.nan,
+        "rms": math.sqrt(square),
+        "error_ratio": math.sqrt(square / expected),
+        "glare_r2": 1.0 - missed / shone if shone > 0 else math.nan,
+    }
+
+
+# --- patches ---------------------------------------------------------------------------------------------------------
+
+
+def draw_patch(
+    samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator, whole: Sequence[Sample] = ()
+) -> FloatArray:
+    """Cut a patch (41, side, side) anywhere in any sample, as it is; zero where a sample is smaller.
+
+    Where there are whole fingers, a fixed fraction of the patches is from them.
+
+    Raises
+    ------
+    BadInput
+        If patches with enough skin cannot be found.
+    """
+    side = settings.patch_px
+
+    def cut() -> FloatArray:
+        pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
+        sample = pool[int(rng.integers(len(pool)))]
+        row, column = (int(rng.integers(max(1, length - side))) for length in sample.shape[1:])
+        return cut_out(sample, row, column, side)
+
+    return patch_with_skin(cut, side, _MIN_WEIGHT)
+
+
+def draw_batch(
+    samples: Sequence[Sample], settings: ReliefSettings, iteration: int, whole: Sequence[Sample] = ()
+) -> FloatArray:
+    """The patches (batch, 41, side, side) of one iteration; they follow from its number and the settings' seed."""
+    rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
+    return np.stack(
+        [
+            TURNS.turned_by(draw_patch(samples, settings, rng, whole), int(rng.integers(8)))
+            for _ in range(settings.batch)
+        ]
+    )
+
+
+def field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Sequence[Sample] = ()) -> FloatArray:
+    """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
+    rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
+    patches = np.stack([draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
+    return one_scale(patches, _MIN_DEVIATION)
+
+
+# --- training, network and card --------------------------------------------------------------------------------------
+
+
+def train_relief(
+    out: Path,
+    data: ReliefData,
+    settings: ReliefSettings,
+    *,
+    resume: bool = False,
+    command: str = "",
+    progress: Progress = lambda stage, done: None,
+    chart: Chart | None = None,
+) -> dict[str, Any]:
+    """Simulate the fingers and train; return what came out.
+
+    Parameters
+    ----------
+    out : folder to write into; it must be new, unless `resume`
+    data, settings : what to train on, and how
+    resume : go on with the training in `out`
+    command : the command line that does this again, for the card
+    progress : called with what is being done and the fraction of the whole that is done
+    chart : draws the learning curve as SVG; without it there is only the table
+
+    Raises
+    ------
+    BadInput
+        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
+    """
+    started = time.perf_counter()
+    require_torch(settings)
+    open_folder(out, data, settings, resume)
+
+    def shoot(kind: str, number: int) -> list[Stored]:
+        if kind == "finger":
+            return [training_sample(number, data)]
+        pieces = training_crops(number, data)
+        return [(pieces, {"finger": number, "pieces": len(pieces)})]
+
+    def fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
+        return len(shape) == 3 and shape[0] == CHANNELS and min(shape) >= settings.stride
+
+    pieces, whole, held_out = _numbers(data)
+    subjects = [*(("pieces", number) for number in pieces), *(("finger", number) for number in (*whole, *held_out))]
+    refused = make_data(out, subjects, shoot, progress)
+    cut = load_data(out, "pieces", pieces, lambda shape, facts: fits(shape[1:], facts))
+    crops = [crop for found in cut.values() for crop in found[0][0]]
+    fingers, judges = (
+        {number: found[0][0] for number, found in load_data(out, "finger", numbers, fits).items()}
+        for numbers in (whole, held_out)
+    )
+    require_subjects(len(crops), "train on", refused)
+    require_subjects(len(judges), "judge the network on", refused)
+    trainer = ReliefTrainer(settings, crops, list(fingers.values()))
+    lines = {
+        "training": lambda entry: UNIT_UM * math.sqrt(entry["relief"]),
+        "held out": lambda entry: UNIT_UM * entry["held_out_rms"],
+    }
+    train_in_folder(
+        out,
+        trainer,
+        settings.iterations,
+        settings.report_every,
+        lambda: mean_figures([trainer.judge(sample) for sample in judges.values()]),
+        lines=lines,
+        unit="error of the relief, µm",
+        progress=progress,
+        chart=chart,
+    )
+    progress("exporting", 1.0)
+    facts = {
+        "command": command,
+        "training": {**asdict(settings), "iterations_done": trainer.done},
+        "data": {
+            **asdict(data),
+            "pieces_used": len(crops),
+            "whole_fingers_used": len(fingers),
+            "fingers_refused": len(refused),
+        },
+        "metrics": network_metrics(trainer.network.state_dict(), judges),
+    }
+    written = write_network(out, trainer.network.state_dict(), facts)
+    return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
+
+
+def _numbers(data: ReliefData) -> tuple[range, range, range]:
+    """Numbers of the fingers to take pieces of, of the whole ones, and of those held out."""
+    return (
+        range(data.first, data.first + data.fingers),
+        range(data.first_whole, data.first_whole + data.whole_fingers),
+        range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out),
+    )
+
+
+def packed(state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
+    """ONNX file and card of a finished network, see :func:`splitknit.training.fields.packed_fields`."""
+    return packed_fields(NAME, WHAT, state, facts)
+
+
+def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write network and card of a training's ``state_dict``, see :func:`splitknit.training.fields.write_fields`."""
+    return write_fields(out, NAME, WHAT, state, facts)
+
+
+def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
+    """What a card says of how a network does on fingers that it was not trained on.
+
+    Parameters
+    ----------
+    state : torch's ``state_dict`` of the network
+    samples : fingers (41, h, w) by their numbers
+
+    Returns
+    -------
+    dict with the figures of each finger, see :func:`judged`, and their means
+    """
+    run, stride = runner_of(state), stride_of(state)
+    figures = {number: judge_middle(run, sample, stride) for number, sample in samples.items()}
+
+    def in_um(entry: Mapping[str, float]) -> dict[str, float | None]:
+        others = {name: value for name, value in entry.items() if name != "rms"}
+        return rounded({**others, "rms_um": UNIT_UM * entry["rms"]})
+
+    return {
+        "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges; the middle "
+        f"{JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be trained on",
+        "mean": in_um(mean_figures(list(figures.values()))),
+        "fingers": [{"finger": number, **in_um(entry)} for number, entry in figures.items()],
+    }

@@ -1,112 +1,168 @@
-"""Training of the network that mends the shape: the public names of the parts.
+"""Training of the shape network, which finds the slopes that the shape lacks in the `metric` method.
 
-Where a finger turns away, ridges that nobody resolves and glare at grazing angles bend the shape that all bands agree
-on (:mod:`splitknit.skin.learned`); the network learns on simulated fingers which slopes are missing. Arrays
-in, arrays and bytes out; what reads and writes files is ``splitknit train shape``.
+Where a finger turns away, ridges that are not resolved and specular reflection at grazing angles bend the shape that
+all bands agree on (:mod:`splitknit.skin.learned`); the network learns on simulated fingers which slopes are missing.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.training.fields_loop import FieldsTrainer
-from splitknit.training.fields_pack import packed_fields
-from splitknit.training.fields_settings import FieldsSettings
-from splitknit.training.network import load_torch
-from splitknit.training.relief_network import network_from, relief_network
-from splitknit.training.samples import TRIES, Sample, check_channels, one_scale, too_little_skin
-from splitknit.training.turns import Turns, cut_out
-
-__all__ = [
-    "CHANNELS",
-    "FIELDS",
-    "JUDGED_WIDE_PX",
-    "NAME",
-    "OUTPUTS",
-    "PARTS",
-    "SLOPES",
-    "TURNS",
-    "WEIGHT",
-    "Sample",
-    "ShapeSettings",
-    "ShapeTrainer",
-    "draw_batch",
-    "judge_whole",
-    "judged",
-    "network_from",
-    "packed",
-    "relief_network",
-    "shape_losses",
-    "without_nir",
-]
+from splitknit.settings import Limits
+from splitknit.skin.learned import SHAPE_SLOPE
+from splitknit.training.fields import (
+    FIELDS,
+    FieldsSettings,
+    FieldsTrainer,
+    Sample,
+    Turns,
+    check_channels,
+    cut_out,
+    mean_figures,
+    one_scale,
+    packed_fields,
+    patch_with_skin,
+    rounded,
+    runner_of,
+    stride_of,
+    write_fields,
+)
+from splitknit.training.networks import load_torch
+from splitknit.training.shape_data import ShapeData, shape_sample
+from splitknit.training.trainer import (
+    HELD_OUT_FROM,
+    Chart,
+    Progress,
+    files_of,
+    load_data,
+    make_data,
+    open_folder,
+    require_subjects,
+    require_torch,
+    train_in_folder,
+)
 
 NAME = "shape"
+FILES = files_of(NAME, "fingers")
 WHAT = (
     "slopes that a finger's shape lacks: the fields of splitknit.skin.learned on the coarse grid to slopes "
     "along x and y in units of 0.1"
 )
+PARTS = ("slope", "wide")
+SLOPES = slice(32, 34)
+"""The slopes along x and y (up) that the shape lacks, in the network's unit."""
+WEIGHT = 34
+"""Number of the weight in a sample, in [0, 1]."""
+CHANNELS = 35
+OUTPUTS = 2
+TURNS = Turns(
+    vectors=((0, 1), (2, 3), (4, 5), (6, 7), (20, 21), (32, 33)),
+    second_waves=((12, 13), (16, 17), (24, 25)),
+    third_waves=((14, 15), (18, 19)),
+)
+"""How a sample turns; the direction across the ridges is given by cosine and sine of twice its azimuth."""
+OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
+"""Fields that are zero without near-infrared images."""
+JUDGED_WIDE_PX = 17
+"""Side of the squares over which slopes are averaged: wide errors become the shape's."""
+UNIT = float(SHAPE_SLOPE)
+"""Unit of the network's slopes."""
+_WIDE_PX = 8
+"""Side of the blocks over which the loss also compares mean slopes: wide errors become the shape's."""
+_MIN_TRUST = 0.05
+"""Blocks with little weight count for less than that weight."""
+_MIN_WEIGHT = 0.15
+"""Patches with a smaller mean weight are not used: they hold next to no skin."""
+_MIN_DEVIATION = 0.05
+_SCALE_PATCHES = 24
 
 
-def packed(state: Mapping[str, Any], facts: Mapping[str, Any], name: str = NAME) -> tuple[bytes, bytes]:
-    """The files of a finished network: ONNX, its weights in half precision, and card; see :func:`packed_fields`."""
-    return packed_fields(state, facts, name, WHAT)
+@dataclass(frozen=True, slots=True)
+class ShapeSettings(FieldsSettings):
+    """Network, loss and training.
 
+    The network that ships was trained in three runs of 957, 2623 and 2354 iterations, each from the weights of the one
+    before, while its fingers became ready. The defaults are its numbers, the iterations rounded, in one run.
+    """
 
-# The training of the network that mends the shape.
+    widths: Annotated[tuple[int, ...], Limits(1)] = (24, 32, 48, 64)
+    """Channels of each level; every level but the first works at half the scale of the one before."""
+    iterations: Annotated[int, Limits(1, 10_000_000)] = 6000
+    """Corrections of the weights."""
+    batch: Annotated[int, Limits(1, 4096)] = 8
+    """Patches of each."""
+    patch_px: Annotated[int, Limits(1, 2048)] = 160
+    """Side of a patch on the coarse grid; a multiple of the network's stride."""
+    warm_up: Annotated[int, Limits(1, 10_000_000)] = 100
+    """Iterations over which the learning rate rises; then it falls along a cosine."""
+    weight_decay: Annotated[float, Limits(0)] = 1e-3
+    """By which weights shrink, times the learning rate."""
+    beyond_px: Annotated[int, Limits(0)] = 20
+    """How far a patch may reach over a finger's edge, where the shape errs most."""
+    no_nir_share: Annotated[float, Limits(0, 1)] = 0.15
+    """Fraction of the patches without near-infrared fields; below 1."""
+    wide_share: Annotated[float, Limits(0)] = 1.0
+    """Weight of the mean slopes of blocks in the loss, beside the slopes with weight one."""
+
+    def __post_init__(self) -> None:
+        FieldsSettings.__post_init__(self)
+        require(self.no_nir_share < 1, "training.no_nir_share must be below 1.")
+        require(
+            max(self.beyond_px + 1, _WIDE_PX) <= self.patch_px,
+            f"training.patch_px must be larger than beyond_px ({self.beyond_px}) and {_WIDE_PX - 1}, "
+            f"but it is {self.patch_px}.",
+        )
 
 
 class ShapeTrainer(FieldsTrainer):
-    """The network of the shape in training."""
+    """The shape network in training."""
 
     def __init__(self, settings: ShapeSettings, samples: Sequence[Sample]) -> None:
         """Draw the first weights from the settings' seed, and the fields' scale from the samples."""
-        check_samples(samples)
+        check_channels(samples, CHANNELS)
         super().__init__(settings, OUTPUTS, field_scale(samples, settings), settings.weight_decay)
-        self.settings, self.samples = settings, samples
+        self.settings: ShapeSettings = settings
+        self.samples = samples
 
     def draw(self, iteration: int) -> FloatArray:
-        """See :func:`splitknit.training.shape.draw_batch`."""
+        """See :func:`draw_batch`."""
         return draw_batch(self.samples, self.settings, iteration)
 
-    def losses(self, made: Any, batch: Any) -> dict[str, Any]:
-        """See :func:`splitknit.training.shape.shape_losses`."""
-        return shape_losses(made, batch, self.settings.wide_px)
+    def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
+        """See :func:`shape_losses`."""
+        return shape_losses(made, batch)
 
     def total(self, parts: dict[str, Any]) -> Any:
         """The weighted sum of the parts."""
         return parts["slope"] + self.settings.wide_share * parts["wide"]
 
     def judge(self, sample: Sample) -> dict[str, float]:
-        """What the network makes of a finger, see :func:`splitknit.training.shape.judged`."""
+        """Figures for a finger, see :func:`judged`."""
         return judge_whole(self.run, sample, self.settings.stride)
 
 
-# Loss of the shape network, and how it is evaluated.
-
-PARTS = ("slope", "wide")
-LEAST_SHARE = 0.05
-"""Blocks with little weight count for less than that weight."""
-JUDGED_WIDE_PX = 17
-"""Side of the squares over which slopes are averaged to judge what becomes the shape's error."""
+# --- loss and figures ------------------------------------------------------------------------------------------------
 
 
-def shape_losses(made: Any, batch: Any, wide_px: int) -> dict[str, Any]:
+def shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
     Parameters
     ----------
     made : (B, 2, h, w) torch.Tensor
-        The slopes that the network drew.
+        The network's slopes.
     batch : (B, 35, h, w) torch.Tensor
-        Samples, see :mod:`splitknit.training.shape`.
+        Samples, see :mod:`splitknit.training.fields`.
     wide_px : side of the blocks of ``wide``
 
     Returns
@@ -119,7 +175,7 @@ def shape_losses(made: Any, batch: Any, wide_px: int) -> dict[str, Any]:
     weight = batch[:, WEIGHT : WEIGHT + 1]
     error = made - batch[:, SLOPES]
     count = weight.sum() + 1.0
-    means = pooled(error * weight, wide_px) ** 2 / (pooled(weight, wide_px) + LEAST_SHARE)
+    means = pooled(error * weight, wide_px) ** 2 / (pooled(weight, wide_px) + _MIN_TRUST)
     return {"slope": (error**2 * weight).sum() / count, "wide": means.sum() * wide_px**2 / count}
 
 
@@ -129,20 +185,19 @@ def judge_whole(run: Callable[[FloatArray], FloatArray], sample: Sample, stride:
     The last rows and columns are left out where the sides are no multiples of `stride`.
     """
     rows, columns = (length // stride * stride for length in sample.shape[1:])
-    require(
-        min(rows, columns) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged."
-    )
+    height, width = sample.shape[1:]
+    require(min(rows, columns) > 0, f"a finger of {height} x {width} pixels is too small to be evaluated.")
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
     return judged(run(seen[:FIELDS]), seen)
 
 
 def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
-    """Figures of the drawn slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit.
+    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit.
 
     Returns
     -------
     dict of
-    ``before`` and ``after``, the shape's slope error (rms of one slope, weighted) without and with what was drawn;
+    ``before`` and ``after``, the shape's slope error (rms of one slope, weighted) without and with them;
     ``wide_before`` and ``wide_after``, the same of means over squares of 17 pixels. NaN where there is no skin.
     """
     weight = np.asarray(sample[WEIGHT], dtype=np.float64)
@@ -150,7 +205,7 @@ def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, error in (("before", wanted), ("after", wanted - made)):
         found[name] = _rms(error, weight)
-        share = np.maximum(_mean(weight), LEAST_SHARE)
+        share = np.maximum(_mean(weight), _MIN_TRUST)
         found[f"wide_{name}"] = _rms(np.stack([_mean(part * weight) / share for part in error]), weight)
     return found
 
@@ -164,31 +219,7 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
-# Patches of simulated fingers for the network that mends the shape: cut, turned in all eight ways, and stacked.
-#
-# A *sample* is one finger on the coarse grid: what the network is given, the slopes that it shall add, and where they
-# count, as one array of (35, h, w).
-
-FIELDS = 32
-"""Fields that the network is given, the first of a sample."""
-SLOPES = slice(32, 34)
-"""The slopes along x and y (up) that the shape lacks, in the network's unit."""
-WEIGHT = 34
-"""Number of the weight in a sample, in [0, 1]."""
-CHANNELS = 35
-OUTPUTS = 2
-
-TURNS = Turns(
-    vectors=((0, 1), (2, 3), (4, 5), (6, 7), (20, 21), (32, 33)),
-    second_waves=((12, 13), (16, 17), (24, 25)),
-    third_waves=((14, 15), (18, 19)),
-)
-"""How a sample turns; where across the ridges is, is given by cosine and sine of twice its azimuth."""
-OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
-"""Fields that are zero without near-infrared images."""
-
-_KEEP_SCALE = 0.05
-_SCALE_PATCHES = 24
+# --- patches ---------------------------------------------------------------------------------------------------------
 
 
 def draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.random.Generator) -> FloatArray:
@@ -200,15 +231,15 @@ def draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.rando
         If patches with enough skin cannot be found.
     """
     side, beyond = settings.patch_px, settings.beyond_px
-    for _ in range(TRIES):
+
+    def cut() -> FloatArray:
         sample = samples[int(rng.integers(len(samples)))]
         row, column = (
             int(rng.integers(-beyond, max(1 - beyond, length - side + beyond))) for length in sample.shape[1:]
         )
-        patch = cut_out(sample, row, column, side)
-        if patch[WEIGHT].mean() >= settings.least_trust:
-            return patch
-    raise too_little_skin(side)
+        return cut_out(sample, row, column, side)
+
+    return patch_with_skin(cut, side, _MIN_WEIGHT)
 
 
 def without_nir(patch: FloatArray) -> FloatArray:
@@ -232,63 +263,112 @@ def field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArra
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
     patches = np.stack([draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
-    return one_scale(patches, _KEEP_SCALE)
+    return one_scale(patches, _MIN_DEVIATION)
 
 
-def check_samples(samples: Sequence[Sample]) -> None:
-    """Refuse samples of another shape.
+# --- training, network and card --------------------------------------------------------------------------------------
+
+
+def train_shape(
+    out: Path,
+    data: ShapeData,
+    settings: ShapeSettings,
+    *,
+    resume: bool = False,
+    command: str = "",
+    progress: Progress = lambda stage, done: None,
+    chart: Chart | None = None,
+) -> dict[str, Any]:
+    """Simulate the fingers and train; return what came out.
+
+    Parameters
+    ----------
+    out : folder to write into; it must be new, unless `resume`
+    data, settings : what to train on, and how
+    resume : go on with the training in `out`
+    command : the command line that does this again, for the card
+    progress : called with what is being done and the fraction of the whole that is done
+    chart : draws the learning curve as SVG; without it there is only the table
 
     Raises
     ------
     BadInput
-        If there are none, or one is not (35, h, w).
+        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
     """
-    check_channels(samples, CHANNELS)
+    started = time.perf_counter()
+    require_torch(settings)
+    open_folder(out, data, settings, resume)
+
+    def fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
+        return len(shape) == 3 and shape[0] == CHANNELS and min(shape) >= settings.stride
+
+    numbers = range(data.first, data.first + data.fingers), range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out)
+    subjects = [("finger", number) for part in numbers for number in part]
+    refused = make_data(out, subjects, lambda kind, number: [shape_sample(number, data)], progress)
+    fingers, judges = (
+        {number: found[0][0] for number, found in load_data(out, "finger", part, fits).items()} for part in numbers
+    )
+    require_subjects(len(fingers), "train on", refused)
+    require_subjects(len(judges), "judge the network on", refused)
+    trainer = ShapeTrainer(settings, list(fingers.values()))
+    lines = {
+        "training": lambda entry: UNIT * math.sqrt(entry["slope"] / 2),  # of one slope
+        "held out": lambda entry: UNIT * entry["held_out_after"],
+        "held out, before": lambda entry: UNIT * entry["held_out_before"],
+    }
+    train_in_folder(
+        out,
+        trainer,
+        settings.iterations,
+        settings.report_every,
+        lambda: mean_figures([trainer.judge(sample) for sample in judges.values()]),
+        lines=lines,
+        unit="error of a slope",
+        progress=progress,
+        chart=chart,
+    )
+    progress("exporting", 1.0)
+    facts = {
+        "command": command,
+        "training": {**asdict(settings), "iterations_done": trainer.done},
+        "data": {**asdict(data), "fingers_used": len(fingers), "fingers_refused": len(refused)},
+        "metrics": network_metrics(trainer.network.state_dict(), judges),
+    }
+    written = write_network(out, trainer.network.state_dict(), facts)
+    return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
 
 
-# Settings of the training of the network that mends the shape.
+def packed(state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
+    """ONNX file and card of a finished network, see :func:`splitknit.training.fields.packed_fields`."""
+    return packed_fields(NAME, WHAT, state, facts)
 
 
-@dataclass(frozen=True, slots=True)
-class ShapeSettings(FieldsSettings):
-    """Network, loss and training.
+def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write network and card of a training's ``state_dict``, see :func:`splitknit.training.fields.write_fields`."""
+    return write_fields(out, NAME, WHAT, state, facts)
 
-    The network that ships was trained in three runs of 957, 2623 and 2354 iterations, each from the weights of the one
-    before, while its fingers became ready. The defaults are its numbers, the iterations rounded, in one run.
+
+def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
+    """What a card says of how a network does on fingers that it was not trained on.
+
+    Parameters
+    ----------
+    state : torch's ``state_dict`` of the network
+    samples : fingers (35, h, w) by their numbers
+
+    Returns
+    -------
+    dict with the figures of each finger, see :func:`judged`, as slopes, and their means
     """
-
-    widths: tuple[int, ...] = (24, 32, 48, 64)
-    """Channels of each level; every level but the first works at half the scale of the one before."""
-    iterations: int = 6000
-    """Corrections of the weights."""
-    batch: int = 8
-    """Patches of each."""
-    patch_px: int = 160
-    """Side of a patch on the coarse grid; a multiple of the network's stride."""
-    least_trust: float = 0.15
-    """Patches whose mean weight is less are not used: they hold next to no skin."""
-    warm_up: int = 100
-    """Iterations over which the learning rate rises; then it falls along a cosine."""
-    weight_decay: float = 1e-3
-    """By which weights shrink, times the learning rate."""
-    beyond_px: int = 20
-    """So far a patch may reach over a finger's edge: there the shape has most to mend."""
-    no_nir_share: float = 0.15
-    """Part of the patches that are shown as if there were no near-infrared images."""
-    wide_px: int = 8
-    """Side of the blocks over which the loss also compares mean slopes: wide errors become the shape's."""
-    wide_share: float = 1.0
-    """Weight of those means in the loss, beside the slopes with weight one."""
-
-    def __post_init__(self) -> None:
-        FieldsSettings.__post_init__(self)
-        self._check_shares("no_nir_share")
-        self._check_weights("weight_decay", "wide_share")
-        require(
-            0 <= self.beyond_px < self.patch_px,
-            f"training: patch_px must be larger than beyond_px ({self.beyond_px}), but it is {self.patch_px}.",
-        )
-        require(
-            1 <= self.wide_px <= self.patch_px,
-            f"training: wide_px must lie between 1 and {self.patch_px}, but it is {self.wide_px}.",
-        )
+    run, stride = runner_of(state), stride_of(state)
+    figures = {
+        number: {name: UNIT * value for name, value in judge_whole(run, sample, stride).items()}
+        for number, sample in samples.items()
+    }
+    return {
+        "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges: error of the "
+        "shape's slopes (rms of one slope, steep parts count less) before and after mending, and of their means over "
+        f"{JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the coarse grid",
+        "mean": rounded(mean_figures(list(figures.values()))),
+        "fingers": [{"finger": number, **rounded(entry)} for number, entry in figures.items()],
+    }

@@ -8,14 +8,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from splitknit.apps.training import train_relief as app
-from splitknit.apps.training.relief_scenes import ReliefData
-from splitknit.apps.training.train_relief import network_metrics, train_relief, write_network
-from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.cli.main import build_parser, main
+from splitknit.cli.train import curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
-from splitknit.training.relief import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefSettings, relief_network
+from splitknit.training import relief as app
+from splitknit.training.networks import fields_network
+from splitknit.training.relief import ReliefSettings, network_metrics, train_relief, write_network
+from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData
+from splitknit.training.trainer import HELD_OUT_FROM
 
 torch = pytest.importorskip("torch")
 
@@ -67,6 +68,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
         SETTINGS,
         command="splitknit train relief --out run",
         progress=lambda stage, share: heard.append((stage, share)),
+        chart=curve_svg,
     )
     assert numbers == [30, 31, 10, 11, HELD_OUT_FROM, HELD_OUT_FROM + 1]
     assert facts["refused"] == 2 and facts["onnx_difference"] < 0.02
@@ -164,7 +166,7 @@ def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers
 
 def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:
     torch.manual_seed(0)
-    state = relief_network((4, 5, 6)).state_dict()
+    state = fields_network((4, 5, 6), 32, 9).state_dict()
     facts = write_network(tmp_path, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
     assert facts["stride"] == 4 and facts["metrics"] == {"correlation": 0.5}
     assert load_network(tmp_path / "relief.onnx").card.facts["command"] == "by hand"
@@ -206,7 +208,7 @@ def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
 
 
 def test_the_cards_figures_are_of_what_the_network_draws() -> None:
-    state = relief_network((4, 5)).state_dict()
+    state = fields_network((4, 5), 32, 9).state_dict()
     for part in state.values():
         part.zero_()
     state["out.bias"][:8] = torch.tensor([0.5, 1, 2, 3, 4, 5, 6, 7])

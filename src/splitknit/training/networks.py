@@ -1,9 +1,9 @@
-"""The U-Net of the thesis (figure 3.19) in torch, and its export to ONNX.
+"""Both kinds of U-Net in torch, and their export to ONNX.
 
-Forty-five layers, counted as the thesis's figure does: the input; three encoder blocks of two convolutions, two ReLUs
-and a max pooling, the last with a dropout; the bridge of two convolutions, two ReLUs and a dropout; three decoder
-blocks of a transposed convolution, a ReLU, a concatenation, two convolutions and two ReLUs; a last convolution; the
-regression.
+The U-Net of the thesis (figure 3.19) has forty-five layers, counted as its figure does: the input; three encoder blocks
+of two convolutions, two ReLUs and a max pooling, the last with a dropout; the bridge of two convolutions, two ReLUs and
+a dropout; three decoder blocks of a transposed convolution, a ReLU, a concatenation, two convolutions and two ReLUs; a
+last convolution; the regression. The U-Net of the `metric` networks is smaller: it runs on a processor.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import copy
 import importlib
 import io
 import warnings
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from splitknit.errors import BadInput
-from splitknit.training.settings import TrainSettings
 
-OPSET = 17
+_OPSET = 17
 
 
 def load_torch() -> Any:
@@ -37,29 +38,39 @@ def load_torch() -> Any:
         ) from error
 
 
-def unet(settings: TrainSettings, channels: int = 3) -> Any:
-    """Build the network, its weights drawn after He et al. 2015 from torch's current random state.
+def unet(
+    width: int = 64, depth: int = 3, dropout: float = 0.5, start_fraction: float = 0.0, *, channels: int = 3
+) -> Any:
+    """Build the U-Net of the thesis, its weights drawn after He et al. 2015 from torch's current random state.
+
+    Parameters
+    ----------
+    width : channels of the first block; they double from block to block
+    depth : encoder blocks, and decoder blocks
+    dropout : fraction dropped after the last encoder block and the bridge
+    start_fraction : the untrained network returns this fraction of its image; 0: all weights are random
+    channels : of the image
 
     Returns
     -------
-    torch.nn.Module from (N, channels, H, W) to the same shape; H and W are multiples of `settings.stride`
+    torch.nn.Module from (N, channels, H, W) to the same shape; H and W are multiples of 2^depth
     """
     torch = load_torch()
     nn = torch.nn
 
     def block(before: int, after: int, drop: bool = False) -> Any:
         layers = [nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.Conv2d(after, after, 3, padding=1), nn.ReLU()]
-        if drop and settings.dropout > 0:
-            layers.append(nn.Dropout(settings.dropout))
+        if drop and dropout > 0:
+            layers.append(nn.Dropout(dropout))
         return nn.Sequential(*layers)
 
     class UNet(nn.Module):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:
             super().__init__()
-            widths = [settings.width << level for level in range(settings.depth + 1)]
+            widths = [width << level for level in range(depth + 1)]
             befores = [channels, *widths[:-1]]
             self.encoder = nn.ModuleList(
-                block(before, after, drop=level == settings.depth - 1)
+                block(before, after, drop=level == depth - 1)
                 for level, (before, after) in enumerate(zip(befores, widths[:-1], strict=False))
             )
             self.bridge = block(widths[-2], widths[-1], drop=True)
@@ -68,7 +79,7 @@ def unet(settings: TrainSettings, channels: int = 3) -> Any:
                 for width in reversed(widths[:-1])
             )
             self.decoder = nn.ModuleList(block(2 * width, width) for width in reversed(widths[:-1]))
-            self.last = nn.Conv2d(settings.width, channels, 1)
+            self.last = nn.Conv2d(width, channels, 1)
 
         def forward(self, image: Any) -> Any:
             skipped = []
@@ -87,27 +98,101 @@ def unet(settings: TrainSettings, channels: int = 3) -> Any:
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
             nn.init.zeros_(module.bias)
     with torch.no_grad():
-        _begin_with_fraction(network, settings, channels)
+        _begin_with_fraction(network, width, start_fraction, channels)
     return network
 
 
-def _begin_with_fraction(network: Any, settings: TrainSettings, channels: int) -> None:
+def _begin_with_fraction(network: Any, width: int, start_fraction: float, channels: int) -> None:
     """Make the untrained network's result a fraction of its image, and leave the rest to the training.
 
     The first few of the outermost blocks' channels pass the image on, the others are drawn at random as usual; the last
     layer, which regresses, listens to those first channels.
     """
     network.last.weight.mul_(0.1)
-    if settings.start_fraction == 0 or settings.width < channels:
+    if start_fraction == 0 or width < channels:
         return
     outer, inner = network.encoder[0], network.decoder[-1]
-    for layer, first in ((outer[0], 0), (outer[2], 0), (inner[0], settings.width), (inner[2], 0)):
+    for layer, first in ((outer[0], 0), (outer[2], 0), (inner[0], width), (inner[2], 0)):
         for channel in range(channels):
             layer.weight[channel] = 0.0
             layer.weight[channel, first + channel, 1, 1] = 1.0
     for channel in range(channels):
         network.last.weight[channel, :channels] = 0.0
-        network.last.weight[channel, channel] = settings.start_fraction
+        network.last.weight[channel, channel] = start_fraction
+
+
+def fields_network(widths: Sequence[int], fields: int, outputs: int) -> Any:
+    """Build the U-Net of the `metric` networks, its weights drawn from torch's current random state.
+
+    Every level is two 3 x 3 convolutions with ReLUs. On the way down, maxima over 2 x 2 pixels go on to the next level;
+    on the way up, pixels are doubled and put beside what the level had on the way down. The outputs come from a last
+    1 x 1 convolution.
+
+    Parameters
+    ----------
+    widths : channels of each level, the finest first
+    fields : channels of the input; each is first multiplied by the network's ``scale``
+    outputs : channels of the output
+
+    Returns
+    -------
+    torch.nn.Module from (N, fields, H, W) to (N, outputs, H, W); H and W are multiples of 2^(levels - 1)
+
+    References
+    ----------
+    Ronneberger et al. 2015, U-Net.
+    """
+    torch = load_torch()
+    nn = torch.nn
+
+    def level(before: int, after: int) -> Any:
+        return nn.Sequential(
+            nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.Conv2d(after, after, 3, padding=1), nn.ReLU()
+        )
+
+    class FieldsNetwork(nn.Module):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            befores = [fields, *widths[:-1]]
+            self.down = nn.ModuleList(level(before, after) for before, after in zip(befores, widths, strict=True))
+            rising = reversed(list(pairwise(widths)))
+            self.up = nn.ModuleList(level(fine + coarse, fine) for fine, coarse in rising)
+            self.out = nn.Conv2d(widths[0], outputs, 1)
+            self.register_buffer("scale", torch.ones(fields))
+
+        def forward(self, image: Any) -> Any:
+            image = image * self.scale[:, None, None]
+            kept = []
+            for number, stage in enumerate(self.down):
+                image = stage(nn.functional.max_pool2d(image, 2) if number else image)
+                kept.append(image)
+            kept.pop()
+            for stage in self.up:
+                image = nn.functional.interpolate(image, scale_factor=2, mode="nearest")
+                image = stage(torch.cat([image, kept.pop()], dim=1))
+            return self.out(image)
+
+    return FieldsNetwork()
+
+
+def network_from(state: Mapping[str, Any]) -> Any:
+    """The network whose ``state_dict`` this is; widths follow from the weights' shapes.
+
+    Raises
+    ------
+    BadInput
+        If it is not the state of a :func:`fields_network`.
+    """
+    try:
+        levels = sum(name.startswith("down.") and name.endswith(".0.weight") for name in state)
+        widths = [int(state[f"down.{number}.0.weight"].shape[0]) for number in range(levels)]
+        fields, outputs = int(state["down.0.0.weight"].shape[1]), int(state["out.weight"].shape[0])
+        network = fields_network(widths, fields, outputs)
+        network.load_state_dict(dict(state))
+    except (KeyError, AttributeError, IndexError, RuntimeError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"these are not the weights of a relief or shape network ({reason}).") from error
+    return network.eval()
 
 
 def unet_reach(depth: int) -> int:
@@ -145,7 +230,7 @@ def export_onnx(network: Any, channels: int, stride: int) -> bytes:
             input_names=["image"],
             output_names=["direct"],
             dynamic_axes={"image": axes, "direct": axes},
-            opset_version=OPSET,
+            opset_version=_OPSET,
             do_constant_folding=False,
         )
     return buffer.getvalue()

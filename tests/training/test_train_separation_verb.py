@@ -7,12 +7,11 @@ from typing import Any
 
 import pytest
 
-from splitknit.apps.training import train
-from splitknit.apps.training.train_verb import command_of
 from splitknit.cli.main import build_parser, main
+from splitknit.cli.train import command_line
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network
-from splitknit.training import network as train_network
+from splitknit.training import networks, separation
 
 Captured = pytest.CaptureFixture[str]
 TINY = [
@@ -29,7 +28,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Photographs of noise in the place of skin."""
     import numpy as np
 
-    from splitknit.training.train import Photograph
+    from splitknit.training.separation_data import Photograph
 
     def shoot(kind: str, index: int, seed: int, settings: Any, enhance: Any) -> list[Photograph]:
         rng = np.random.default_rng([kind == "finger", index, seed])
@@ -38,14 +37,14 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         corners = rng.integers(0, 8, (settings.patches, 2)).astype(np.int32)
         return [Photograph(pixels.astype(np.float16), corners, {"kind": kind}) for _ in range(settings.views)]
 
-    monkeypatch.setattr(train, "photographs", shoot)
+    monkeypatch.setattr(separation, "photographs", shoot)
 
 
 def test_without_torch_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
     def absent(name: str) -> Any:
         raise ImportError(f"No module named {name!r}")
 
-    monkeypatch.setattr(train_network.importlib, "import_module", absent)
+    monkeypatch.setattr(networks.importlib, "import_module", absent)
     assert main(["train", "separation", "--out", str(tmp_path / "out"), *TINY]) == 2
     said = capsys.readouterr()
     assert said.err.count("\n") == 1 and "make install EXTRAS=train" in said.err
@@ -55,9 +54,9 @@ def test_without_torch_nothing_is_written(tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--width", "0"], "width must lie between 1 and 1024"),
+        (["--width", "0"], "training.width must be from 1 to 1024, but it is 0"),
         (["--palms", "0"], "at least one palm or finger"),
-        (["--check-mm", "9"], "check_mm must lie between"),
+        (["--check-mm", "9"], "data.check_mm must be from 0.1 to 5, but it is 9.0"),
         (["--patches", "many"], "invalid int value"),
     ],
 )
@@ -73,7 +72,7 @@ def test_the_thesis_is_the_default_and_the_card_s_command_says_all() -> None:
     options = build_parser().parse_args(["train", "separation", "--out", "x"])
     wanted = {"palms": 50, "fingers": 0, "patches": 750, "epochs": 50, "width": 64, "labels": "stack", "dropout": 0.5}
     assert {name: getattr(options, name) for name in wanted} == wanted
-    words = command_of(build_parser().parse_args(["train", "separation", "--out", "x", *TINY])).split()
+    words = command_line(build_parser().parse_args(["train", "separation", "--out", "x", *TINY]), "separation").split()
     again = build_parser().parse_args(words[1:])
     assert (again.width, again.epochs, again.start_fraction, again.labels) == (2, 2, 0.25, "truth")
 
@@ -108,7 +107,7 @@ def test_a_training_from_start_to_card(tmp_path: Path, small: None, capsys: Capt
 def test_an_interrupted_data_set_is_completed(
     tmp_path: Path, small: None, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
-    out, real, taken = tmp_path / "out", train.photographs, []
+    out, real, taken = tmp_path / "out", separation.photographs, []
 
     def stops(kind: str, index: int, *rest: Any) -> Any:
         taken.append((kind, index))
@@ -116,7 +115,7 @@ def test_an_interrupted_data_set_is_completed(
             raise KeyboardInterrupt
         return real(kind, index, *rest)
 
-    monkeypatch.setattr(train, "photographs", stops)
+    monkeypatch.setattr(separation, "photographs", stops)
     assert main(["train", "separation", "--out", str(out), *TINY]) == 130
     assert main(["train", "separation", "--out", str(out), "--resume", *TINY]) == 0
     assert taken[0] == ("palm", 0) and taken.count(("palm", 0)) == 1  # what is there is not taken again
@@ -131,6 +130,6 @@ def test_an_interrupted_data_set_is_completed(
 @needs_torch
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(BadInput, match="holds no training of ours"):
-        train.train_separation(tmp_path, train.DataSettings(), train.TrainSettings())
+    with pytest.raises(BadInput, match="holds no training of splitknit"):
+        separation.train_separation(tmp_path, separation.SeparationData(), separation.SeparationSettings())
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]

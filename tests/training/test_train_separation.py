@@ -14,22 +14,12 @@ from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.separation.direct import direct_light
 from splitknit.simulator.skin import SkinRanges
-from splitknit.training import network as train_network
-from splitknit.training.train import (
-    DataSettings,
-    Patches,
-    Photograph,
-    Trainer,
-    TrainSettings,
-    learning_factor,
-    levelled,
-    load_torch,
-    photographs,
-    unet,
-    unet_reach,
-)
+from splitknit.training import networks
+from splitknit.training.networks import load_torch, unet, unet_reach
+from splitknit.training.separation import SeparationSettings, SeparationTrainer, learning_factor
+from splitknit.training.separation_data import Patches, Photograph, SeparationData, levelled, photographs
 
-SMALL = DataSettings(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
+SMALL = SeparationData(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
 
 
 def brighten(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
@@ -55,6 +45,9 @@ def flat(share: float = 0.5, count: int = 8) -> Photograph:
     pixels = np.concatenate([image, share * image, grey, share * grey], axis=2).astype(np.float16)
     corners = np.stack([rng.integers(0, 48, count), rng.integers(0, 38, count)], axis=1).astype(np.int32)
     return Photograph(pixels, corners, {})
+
+
+PATCHES = Patches([flat()])
 
 
 def test_a_photograph_holds_image_and_direct_light_on_one_scale(by_truth: Photograph) -> None:
@@ -105,7 +98,7 @@ def test_the_same_seed_gives_the_same_photograph_and_another_index_another(by_tr
 
 
 def test_labels_through_the_patterns_agree_with_the_truth(by_truth: Photograph) -> None:
-    settings = DataSettings(
+    settings = SeparationData(
         palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="stack", held_out=1
     )
     by_patterns = photographs("palm", 0, 7, settings, brighten)[0]
@@ -116,8 +109,7 @@ def test_labels_through_the_patterns_agree_with_the_truth(by_truth: Photograph) 
 
 def test_input_and_target_are_turned_and_shifted_together() -> None:
     patches = Patches([flat(0.5), flat(0.5)], 72)
-    settings = TrainSettings(batch=5, seed=3)
-    batches = list(patches.shuffled(settings, 0))
+    batches = list(patches.shuffled(5, 3, 0))
     assert [len(inputs) for inputs, _ in batches] == [5, 5, 5, 1]
     for inputs, targets in batches:
         assert inputs.shape[1:] == targets.shape[1:] == (3, 72, 72)
@@ -127,8 +119,8 @@ def test_input_and_target_are_turned_and_shifted_together() -> None:
 
 
 def test_an_epoch_is_drawn_from_its_number_alone() -> None:
-    patches, settings = Patches([flat()], 72), TrainSettings(batch=4)
-    first, again, next_one = (next(patches.shuffled(settings, epoch))[0] for epoch in (0, 0, 1))
+    patches = Patches([flat()], 72)
+    first, again, next_one = (next(patches.shuffled(4, 0, epoch))[0] for epoch in (0, 0, 1))
     assert (first == again).all() and not (first == next_one).all()
 
 
@@ -155,20 +147,20 @@ def test_the_learning_rate_falls_at_the_end_only() -> None:
 )
 def test_settings_that_make_no_sense_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match=next(iter(change))):
-        TrainSettings(**change)
+        SeparationSettings(**change)
 
 
 @pytest.mark.parametrize("change", [{"labels": "none"}, {"palms": 0}, {"image_size": (100, 500)}, {"patches": 0}])
 def test_data_that_make_no_sense_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BadInput):
-        DataSettings(**change)
+        SeparationData(**change)
 
 
 def test_without_torch_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> Any:
         raise ImportError(f"No module named {name!r}")
 
-    monkeypatch.setattr(train_network.importlib, "import_module", absent)
+    monkeypatch.setattr(networks.importlib, "import_module", absent)
     with pytest.raises(BadInput, match="make install EXTRAS=train"):
         load_torch()
     monkeypatch.undo()
@@ -176,7 +168,7 @@ def test_without_torch_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_network_is_the_thesis_s(torch: Any) -> None:
-    network = unet(TrainSettings())
+    network = unet()
     kinds = [type(module).__name__ for module in network.modules()]
     assert kinds.count("Conv2d") == 15 and kinds.count("ConvTranspose2d") == 3
     assert kinds.count("ReLU") == 17 and kinds.count("Dropout") == 2
@@ -191,7 +183,7 @@ def test_the_network_is_the_thesis_s(torch: Any) -> None:
 
 
 def test_an_untrained_network_may_begin_with_a_fraction_of_its_image(torch: Any) -> None:
-    trainer = Trainer(TrainSettings(width=8, dropout=0.0, start_fraction=0.25))
+    trainer = SeparationTrainer(SeparationSettings(width=8, dropout=0.0, start_fraction=0.25), PATCHES)
     image = np.random.default_rng(0).random((1, 3, 64, 64), dtype=np.float32)
     made = trainer.run(image)
     assert np.corrcoef(made.ravel(), image.ravel())[0, 1] > 0.7
@@ -200,7 +192,7 @@ def test_an_untrained_network_may_begin_with_a_fraction_of_its_image(torch: Any)
 
 def test_the_reach_is_that_of_the_network(torch: Any) -> None:
     for depth in (1, 2):
-        trainer = Trainer(TrainSettings(width=4, depth=depth, dropout=0.0))
+        trainer = SeparationTrainer(SeparationSettings(width=4, depth=depth, dropout=0.0), PATCHES)
         image = torch.rand(1, 3, 96, 96, requires_grad=True)
         trainer.network(image)[0, :, 48].sum().backward()  # row 48 begins a tile
         rows = torch.nonzero(image.grad.abs().sum(dim=(0, 1, 3))).ravel()
@@ -209,42 +201,42 @@ def test_the_reach_is_that_of_the_network(torch: Any) -> None:
 
 def test_training_learns_and_can_be_interrupted(torch: Any) -> None:
     patches = Patches([flat(0.5, count=24)], 72)
-    settings = TrainSettings(width=4, dropout=0.25, epochs=4, batch=8, decay=0.5, start_fraction=0.2, border_px=4)
-    straight = Trainer(settings)
-    losses = [straight.train_epoch(patches) for _ in range(4)]
+    settings = SeparationSettings(width=4, dropout=0.25, epochs=4, batch=8, decay=0.5, start_fraction=0.2, border_px=4)
+    straight = SeparationTrainer(settings, patches)
+    losses = [straight.train(1)["loss"] for _ in range(4)]
     assert losses[-1] < 0.7 * losses[0]
     assert straight.loss_of(patches, enhanced=True) < 0.03
-    first = Trainer(settings)
+    first = SeparationTrainer(settings, patches)
     for _ in range(2):
-        first.train_epoch(patches)
+        first.train(1)
     state = first.state()
-    second = Trainer(settings)
+    second = SeparationTrainer(settings, patches)
     second.restore(state)
-    assert second.epoch == 2
+    assert second.done == 2
     for _ in range(2):
-        second.train_epoch(patches)
-    assert second.export() == straight.export()
+        second.train(1)
+    assert second.packed({}) == straight.packed({})
 
 
 def test_a_checkpoint_that_does_not_fit_is_refused(torch: Any) -> None:
-    state = Trainer(TrainSettings(width=2)).state()
+    state = SeparationTrainer(SeparationSettings(width=2), PATCHES).state()
     with pytest.raises(BadInput, match=r"other settings \(width\)"):
-        Trainer(TrainSettings(width=3)).restore(state)
-    Trainer(TrainSettings(width=2, epochs=3, threads=2)).restore(state)
+        SeparationTrainer(SeparationSettings(width=3), PATCHES).restore(state)
+    SeparationTrainer(SeparationSettings(width=2, epochs=3, threads=2), PATCHES).restore(state)
     with pytest.raises(BadInput, match="checkpoint is damaged"):
-        Trainer(TrainSettings(width=2)).restore(state[:100])
+        SeparationTrainer(SeparationSettings(width=2), PATCHES).restore(state[:100])
 
 
 def test_a_training_that_diverges_says_so(torch: Any) -> None:
-    trainer = Trainer(TrainSettings(width=2, dropout=0.0, learning_rate=1e30))
+    trainer = SeparationTrainer(SeparationSettings(width=2, dropout=0.0, learning_rate=1e30), PATCHES)
     with pytest.raises(BadInput, match="diverged"):
         for _ in range(3):
-            trainer.train_epoch(Patches([flat()], 72))
+            trainer.train(1)
 
 
 def test_the_export_computes_what_torch_does(torch: Any, tmp_path: Path) -> None:
-    trainer = Trainer(TrainSettings(width=4, dropout=0.5, start_fraction=0.3))
-    weights = trainer.export()
+    trainer = SeparationTrainer(SeparationSettings(width=4, dropout=0.5, start_fraction=0.3), PATCHES)
+    weights, _ = trainer.packed({})
     facts = {"channels_in": 3, "channels_out": 3, "stride": 8, "reach": unet_reach(3)}
     (tmp_path / "new.onnx").write_bytes(weights)
     (tmp_path / "new.json").write_bytes(card_bytes("new", weights, facts))

@@ -7,10 +7,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.apps.training import shape_data
-from splitknit.apps.training.scene_ranges import photograph_scene
-from splitknit.apps.training.shape_data import assembled_shape, drawn_relief, shape_sample, shape_sample_of
-from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients
 from splitknit.model import Camera, Led, Rig
@@ -20,7 +16,18 @@ from splitknit.skin.bands import BandImages
 from splitknit.skin.facets import Facets
 from splitknit.skin.grid import Grid
 from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, shape_features
-from splitknit.training.shape import CHANNELS, FIELDS, OF_NIR, SLOPES, TURNS, WEIGHT, without_nir
+from splitknit.training import shape_data
+from splitknit.training.fields import FIELDS
+from splitknit.training.scenes import photograph_scene
+from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, TURNS, WEIGHT, without_nir
+from splitknit.training.shape_data import (
+    ShapeData,
+    assembled_shape,
+    draw_shape_scene,
+    drawn_relief,
+    shape_sample,
+    shape_sample_of,
+)
 
 PITCH_MM = 0.106
 SIDE = 64

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on, sample_of
-from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
-from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import preset_settings
@@ -20,7 +17,20 @@ from splitknit.skin.features import COUNT, features
 from splitknit.skin.grid import Grid
 from splitknit.skin.learned import GLARE as GLARE_UNIT
 from splitknit.skin.learned import RELIEF_MM
-from splitknit.training.relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT, mirrored, transposed
+from splitknit.training.fields import FIELDS
+from splitknit.training.relief import TURNS
+from splitknit.training.relief_data import (
+    CHANNELS,
+    GLARE,
+    RELIEF,
+    WEIGHT,
+    ReliefData,
+    assembled,
+    draw_scene,
+    light_on,
+    sample_of,
+)
+from splitknit.training.scenes import TruthOnGrid, photograph_scene
 
 PITCH_MM = 0.04
 SIDE = 96
@@ -89,13 +99,13 @@ def scene() -> Scene:
 def test_the_mirrored_finger_is_the_mirrored_sample(scene) -> None:
     x, y = scene.grid.x_mm, scene.grid.y_mm
     other = scene.moved(lambda a: a[..., ::-1], -x[::-1], y, lambda px, py: (-px, py))
-    _same(other.sample(), mirrored(scene.sample()))
+    _same(other.sample(), TURNS.mirrored(scene.sample()))
 
 
 def test_the_transposed_finger_is_the_transposed_sample(scene) -> None:
     x, y = scene.grid.x_mm, scene.grid.y_mm
     other = scene.moved(lambda a: a.swapaxes(-1, -2), -y, -x, lambda px, py: (-py, -px))
-    _same(other.sample(), transposed(scene.sample()))
+    _same(other.sample(), TURNS.transposed(scene.sample()))
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> None:
@@ -169,10 +179,10 @@ def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -
     assert true.shape == found.shape and np.isfinite(true).all() and np.isfinite(found).all()
     inner = (true[WEIGHT] > 0.9) & (found[WEIGHT] > 0.9)
     assert inner.sum() > 2500
-    # the slopes of the smooth shape: the true one and the first turn's are alike, not the same
+    # the slopes of the smooth shape: the true one and the first round's are similar, not the same
     for number in (21, 22):
         assert 0.9 < np.corrcoef(true[number][inner], found[number][inner])[0, 1] < 0.99999
-    # the relief does not depend on it, and fields tell of it: ridges are darker where they face away from all lights
+    # the relief does not depend on it, and fields show it: ridges are darker where they face away from all lights
     np.testing.assert_array_equal(true[RELIEF][inner], found[RELIEF][inner])
     assert 0.2 < true[RELIEF][inner].std() < 5
     assert abs(np.corrcoef(true[RELIEF][inner], true[2][inner])[0, 1]) > 0.1
@@ -210,7 +220,7 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
         ({"other_scale": (0.6, 0.4)}, "other_scale"),
         ({"aperture_share": 1.5}, "aperture_share"),
         ({"glare": (0.0, 9.0)}, "glare"),
-        ({"led_height_mm": (5.0, 100.0)}, "lights"),
+        ({"led_height_mm": (5.0, 100.0)}, "led_height_mm"),
     ],
 )
 def test_ranges_that_make_no_sense_are_refused(change, words) -> None:

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.apps.training import relief_crops
-from splitknit.apps.training.relief_crops import TRIM_PX, training_crops
-from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.errors import BadInput
 from splitknit.imaging.view import pixel_axes_mm
 from splitknit.simulator.renderer import BandLight
-from splitknit.training.relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT
+from splitknit.training import relief_data
+from splitknit.training.fields import FIELDS
+from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, TRIM_PX, WEIGHT, ReliefData, training_crops
 
 SMALL = ReliefData(scale=0.15, crop_usual_share=1.0, crop_px=180, crops=3)
 SIDE = 180 - 2 * TRIM_PX
@@ -21,15 +20,15 @@ SIDE = 180 - 2 * TRIM_PX
 def taken():
     """Pieces of a finger, and what each was assembled from."""
     seen = []
-    plain, surface, surfaces = relief_crops.assembled, relief_crops.finger_surface, []
+    plain, surface, surfaces = relief_data.assembled, relief_data.finger_surface, []
 
     def assembled(white, grid, surface_mm, light, truth):
         seen.append((white, grid, surface_mm, truth))
         return plain(white, grid, surface_mm, light, truth)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(relief_crops, "assembled", assembled)
-        patch.setattr(relief_crops, "finger_surface", lambda *a, **k: surfaces.append(surface(*a, **k)) or surfaces[-1])
+        patch.setattr(relief_data, "assembled", assembled)
+        patch.setattr(relief_data, "finger_surface", lambda *a, **k: surfaces.append(surface(*a, **k)) or surfaces[-1])
         return training_crops(7000, SMALL), seen, surfaces[0]
 
 
@@ -74,7 +73,7 @@ def test_rendered_light_is_put_where_its_window_says() -> None:
     light = np.arange(2 * 4 * 5, dtype=np.float32).reshape(2, 4, 5)
     # rows 9 to 12 and columns 18 to 22 of the picture; the piece begins at row 10 and column 20
     band = BandLight((slice(9, 13), slice(18, 23)), light, light)
-    piece = relief_crops._placed(light, band, (slice(10, 16), slice(20, 26)))
+    piece = relief_data._placed(light, band, (slice(10, 16), slice(20, 26)))
     assert piece.shape == (2, 6, 6)
     np.testing.assert_array_equal(piece[:, :3, :3], light[:, 1:, 2:])
     assert piece[:, 3:].sum() == 0 and piece[:, :, 3:].sum() == 0

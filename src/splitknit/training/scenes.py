@@ -1,28 +1,37 @@
-"""Simulated fingers to train `metric`'s networks on: skin, ridges, camera and lights drawn from wide ranges."""
+"""Simulated fingers to train the networks of the `metric` method on, and their truth on the grid of a reconstruction.
+
+Skin, ridges, camera and lights are drawn from ranges far beyond those of plausible fingers.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from splitknit.errors import require
-from splitknit.model import Capture, Rig
+from splitknit.imaging import Window, bin_mean
+from splitknit.model import BoolArray, Capture, FloatArray, Rig
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.finger import Finger, draw_finger, finger_surface
 from splitknit.simulator.pose_ranges import PoseRanges
 from splitknit.simulator.skin import SkinRanges, SkinSettings
 from splitknit.simulator.twin import TwinSettings, photograph
+from splitknit.skin.grid import Grid
 
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class SceneRanges:
-    """The ranges from which each finger is drawn: all far beyond those of plausible fingers."""
+class SceneRanges(Checked):
+    """The ranges (low, high) from which each finger is drawn: all far beyond those of plausible fingers."""
+
+    _group = "data"
 
     scattering_factor: Range = (0.45, 2.2)
     """Log-uniform; multiplies the scattering of the literature's skin."""
@@ -31,7 +40,7 @@ class SceneRanges:
     blood: Range = (0.002, 0.015)
     """Log-uniform volume fraction."""
     oxygenation: Range = (0.5, 0.9)
-    """Oxygenated share of the haemoglobin, 0 to 1."""
+    """Oxygenated fraction of the haemoglobin, 0 to 1."""
     yellow_per_mm: Range = (0.05, 0.2)
     """Absorption in the blue channel beside blood and melanin."""
     baseline_per_mm: Range = (0.005, 0.02)
@@ -42,18 +51,18 @@ class SceneRanges:
     """Weight of the surface reflection, 0 to 5; 1 is bare skin."""
     relief_gain: Range = (0.4, 2.0)
     """Log-uniform."""
-    ridge_depth_um: Range = (40.0, 105.0)
+    ridge_depth_um: Annotated[Range, Limits(0, above=True)] = (40.0, 105.0)
     """Mean height of ridges over valleys, positive."""
-    aperture_mm: Range = (1.0, 4.0)
+    aperture_mm: Annotated[Range, Limits(0, above=True)] = (1.0, 4.0)
     """Of a part of the cameras, which are out of focus where the finger falls away."""
-    aperture_share: float = 0.3
+    aperture_share: Annotated[float, Limits(0, 1)] = 0.3
     """That part; the others are sharp everywhere."""
-    other_rig_share: float = 0.5
+    other_rig_share: Annotated[float, Limits(0, 1)] = 0.5
     """Part of the fingers whose lights stand elsewhere than on the thesis's rig, within the following ranges."""
-    led_radius_mm: Range = (42.0, 62.0)
+    led_radius_mm: Annotated[Range, Limits(0, above=True)] = (42.0, 62.0)
     """Of the circle of lights, positive."""
-    led_height_mm: Range = (120.0, 165.0)
-    """Of lights and camera."""
+    led_height_mm: Annotated[Range, Limits(20, above=True)] = (120.0, 165.0)
+    """Of lights and camera above the finger."""
     led_twist_rad: Range = (-0.45, 0.45)
     """By which the circle of lights is turned."""
     led_jitter_mm: float = 1.0
@@ -65,22 +74,11 @@ class SceneRanges:
             if isinstance(value, (tuple, list)):
                 object.__setattr__(self, name, (float(value[0]), float(value[1])))
                 require(value[0] <= value[1], f"data.{name} must be (low, high), but it is {list(value)}.")
-        self._check_shares("aperture_share", "other_rig_share")
-        require(self.ridge_depth_um[0] > 0 and self.aperture_mm[0] > 0, "data: depth and aperture must be positive.")
-        require(self.led_height_mm[0] > 20 and self.led_radius_mm[0] > 0, "data: lights must stand above the finger.")
+        check_fields(self)
         self.skin(SkinSettings())
 
-    def _check_shares(self, *names: str) -> None:
-        for name in names:
-            require(0 <= getattr(self, name) <= 1, f"data.{name} must lie in [0, 1].")
-
-    def _check_counts(self, *limits: tuple[str, int, int]) -> None:
-        for name, least, most in limits:
-            value = getattr(self, name)
-            require(least <= value <= most, f"data.{name} must lie between {least} and {most}, but it is {value}.")
-
     def skin(self, base: SkinSettings) -> SkinRanges:
-        """The ranges that the twin draws from by itself, around what it does not draw."""
+        """The simulator's own ranges around a base skin."""
         names = ("scattering_factor", "melanin", "blood", "oxygenation", "roughness", "glare", "relief_gain")
         return SkinRanges(base=base, **{name: getattr(self, name) for name in names})
 
@@ -109,7 +107,7 @@ class Scene:
 
 
 def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
-    """What the twin's own ranges of skin do not draw."""
+    """The parts of the skin that the simulator's own ranges do not draw."""
     yellow = float(rng.uniform(*data.yellow_per_mm))
     low, high = (math.log(limit) for limit in data.baseline_per_mm)
     return SkinSettings(yellow_per_mm=yellow, baseline_per_mm=math.exp(float(rng.uniform(low, high))))
@@ -147,3 +145,34 @@ def photograph_scene(scene: Scene) -> tuple[Capture, Mapping[str, NDArray[Any]]]
     pose = settings.pose.draw(np.random.default_rng(pose_seed), camera)
     surface = finger_surface(scene.finger, pose, camera, workers=settings.render.workers)
     return photograph(surface, scene.rig, skin, photo_seed, settings=settings)
+
+
+TRUTH_FRACTION = 0.999
+"""Blocks of pixels of which a smaller fraction lies on the finger have no truth."""
+
+
+class TruthOnGrid:
+    """The truth of the simulator on the fine grid."""
+
+    def __init__(self, truth: Mapping[str, NDArray[Any]], window: Window, grid: Grid, binning: int) -> None:
+        """Take the window of the simulator's arrays; `binning` pixels a side make one of the grid's."""
+        self._truth, self._window, self._shape, self._binning = truth, window, grid.shape, binning
+        self.mask: BoolArray = np.asarray(self._mean("mask") > TRUTH_FRACTION)
+
+    def relief_mm(self) -> FloatArray:
+        """(h, w) height less shape; defined inside the mask."""
+        return self._mean("height_mm") - self._mean("shape_mm")
+
+    def shape_mm(self) -> FloatArray:
+        """(h, w) shape, continued beyond the mask by the nearest values."""
+        nearest = ndimage.distance_transform_edt(~self.mask, return_distances=False, return_indices=True)
+        return np.asarray(self._mean("shape_mm")[tuple(nearest)], dtype=np.float32)
+
+    def glare(self) -> FloatArray:
+        """(L, h, w) in the white images' units."""
+        return self._mean("glare_white")
+
+    def _mean(self, name: str) -> FloatArray:
+        rows, columns = (length * self._binning for length in self._shape)
+        cut = self._truth[name][(..., *self._window)][..., :rows, :columns]
+        return bin_mean(np.nan_to_num(np.ascontiguousarray(cut, dtype=np.float32)), self._binning)

@@ -1,21 +1,19 @@
-"""Training data of the network that mends the shape: simulated fingers through a whole reconstruction.
+"""Training data of the shape network: simulated fingers through a whole reconstruction.
 
-A finger is photographed by the twin and reconstructed as any other, but for the network of the relief: in its place
-stands the true relief, a little too low or too high as a drawn one is. What the network of the shape would be given in
-the last turn is kept, and the slopes that the shape lacks there against the truth.
+A finger is photographed by the simulator and reconstructed as any other, except for the relief network: in its place
+stands the true relief, a little too low or too high as an estimated one is. What the shape network would see in the
+last round is kept, and the slopes that the shape lacks there against the truth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.apps.training.relief_data import TRUTH_SHARE, TruthOnGrid
-from splitknit.apps.training.scene_ranges import photograph_scene
-from splitknit.apps.training.shape_scenes import ShapeData, draw_shape_scene
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
 from splitknit.imaging import bin_mean
@@ -23,25 +21,82 @@ from splitknit.imaging.geometry import height_gradients
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.pipeline import bands_of, preset_settings
 from splitknit.presets import PipelineSettings
+from splitknit.settings import Limits
+from splitknit.simulator.renderer import RenderSettings
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.twin import TwinSettings
 from splitknit.skin.features import RIDGE_BAND_MM
 from splitknit.skin.grid import Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
 from splitknit.skin.light import slant_of, trust_of
 from splitknit.skin.surface import reconstruct_skin
-from splitknit.training.shape import FIELDS
+from splitknit.training.fields import FIELDS
+from splitknit.training.scenes import (
+    TRUTH_FRACTION,
+    Range,
+    Scene,
+    SceneRanges,
+    TruthOnGrid,
+    draw_base,
+    draw_finger_of,
+    moved_rig,
+    photograph_scene,
+)
 
-MOST_MISSING = 3.0
+_MAX_MISSING = 3.0
 """Slopes that are missing beyond this are cut off."""
-SEEN_SLOPES = slice(20, 22)
+_SEEN_SLOPES = slice(20, 22)
 """The shape's own slopes among the fields, over two."""
-TRUSTED = 0.9
-"""From this trust on, the relief's power and error are asked for in a reconstruction."""
-LOG_VARIANCE_NONE = -8.0
+_TRUSTED = 0.9
+"""From this trust on, a reconstruction uses the relief's power and error."""
+_LOG_VARIANCE_NONE = -8.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeData(SceneRanges):
+    """How many fingers, and the ranges from which each is drawn.
+
+    The network that ships learned from about 160 such fingers. Some 60 of them had the usual rim exponent; here it
+    varies from finger to finger.
+    """
+
+    fingers: Annotated[int, Limits(1, 100_000)] = 160
+    """To train on; about 4 MB each on disk."""
+    held_out: Annotated[int, Limits(1, 1000)] = 8
+    """Further ones, for the learning curve and the card."""
+    first: Annotated[int, Limits(0, 900_000)] = 5000
+    """Number of the first finger; everything about a finger follows from its number."""
+    scale: Annotated[Range, Limits(0, 1, above=True)] = (0.36, 0.5)
+    """Size of the images relative to the full frame of 2200 x 3200 pixels."""
+    rim_exponent: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
+    """Of the light at the finger's outline, see :class:`splitknit.simulator.renderer.RenderSettings`: the least certain
+    part of the simulator's physics."""
+    gain: Annotated[float, Limits(0, 2, above=True)] = 0.93
+    """Mean height of the relief that the reconstruction is given, over the true one."""
+    gain_spread: Annotated[float, Limits(0, 0.2)] = 0.06
+    """Its standard deviation from finger to finger."""
+
+
+def draw_shape_scene(number: int, data: ShapeData) -> tuple[Scene, float]:
+    """Draw the finger `number`, its skin's ranges, camera and lights, and the gain of the relief."""
+    rng = np.random.default_rng([number, 77])
+    scale = float(rng.uniform(*data.scale))
+    rim = float(rng.uniform(*data.rim_exponent))
+    base = draw_base(rng, data)
+    finger = draw_finger_of(number, rng, data)
+    sharp = rng.random() < 1 - data.aperture_share
+    aperture_mm = 0.0 if sharp else float(rng.uniform(*data.aperture_mm))
+    rig = default_rig(scale, int(rng.integers(1000)))
+    if rng.random() < data.other_rig_share:
+        rig = moved_rig(rig, rng, data)
+    render = RenderSettings(aperture_mm=aperture_mm, rim_exponent=rim)
+    gain = max(float(rng.normal(data.gain, data.gain_spread)), 0.1)
+    return Scene(number, finger, rig, TwinSettings(scale=scale, skin=data.skin(base), render=render)), gain
 
 
 def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dict[str, Any]]:
-    """Photograph the finger `number` and turn it into a sample (35, h, w); see ``separate.train_shape_batches``.
+    """Photograph the finger `number` and turn it into a sample (35, h, w), see :mod:`splitknit.training.fields`.
 
     Returns
     -------
@@ -68,7 +123,7 @@ def shape_sample_of(
 
     Parameters
     ----------
-    capture, truth : of the twin
+    capture, truth : of the simulator
     settings : of the reconstruction
     gain : height of the relief that it is given, over the true one
     """
@@ -79,7 +134,7 @@ def shape_sample_of(
     require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
     relief, wide = split_relief(on_grid, grid)
-    inner = trust_of(slant_of(on_grid.shape_mm(), grid.pitch_mm), grid) > TRUSTED
+    inner = trust_of(slant_of(on_grid.shape_mm(), grid.pitch_mm), grid) > _TRUSTED
     drawn = drawn_relief(relief, inner & on_grid.mask, gain)
     kept: list[FloatArray] = []
 
@@ -103,16 +158,16 @@ def split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArray
 
 
 def drawn_relief(relief_mm: FloatArray, inner: BoolArray, gain: float) -> FloatArray:
-    """What a network (9, h, w) draws that sees this relief `gain` times as high, and knows what it misses.
+    """Result (9, h, w) of a network that sees this relief `gain` times as high, and knows what it misses.
 
-    Its power is that in the part `inner` of the finger, where a reconstruction asks for it too.
+    Its power is that in the part `inner` of the finger, where a reconstruction uses it too.
     """
     require(bool(inner.any()), "no part of the finger faces the camera.")
     drawn = np.zeros((9, *relief_mm.shape), dtype=np.float32)
     drawn[0] = relief_mm * np.float32(gain) / RELIEF_MM
     power = float((drawn[0][inner] ** 2).mean(dtype=np.float64))
     missed = max(gain**-2 - 1.0, 0.0) * power
-    drawn[8] = np.log(missed) if missed > 0 else LOG_VARIANCE_NONE
+    drawn[8] = np.log(missed) if missed > 0 else _LOG_VARIANCE_NONE
     return drawn
 
 
@@ -125,7 +180,7 @@ def assembled_shape(
     ----------
     fields : (32, h, w) of :func:`splitknit.skin.learned.shape_features`
     true_mm : (H, W) true shape on the fine grid
-    known : (H, W) where it means something
+    known : (H, W) where it is known
     low : coarse grid
     factor : pixels of the fine grid along one of the coarse grid
     """
@@ -134,10 +189,10 @@ def assembled_shape(
     def coarse(field: Any) -> FloatArray:
         return bin_mean(np.ascontiguousarray(field[: rows * factor, : columns * factor], dtype=np.float32), factor)
 
-    there = low.mask & (coarse(known) > TRUTH_SHARE)
+    there = low.mask & (coarse(known) > TRUTH_FRACTION)
     slopes = np.stack(height_gradients(np.where(there, coarse(true_mm), np.float32(np.nan)), low.pitch_mm))
     inner = there & _inside(low.mask) & _inside(there)
-    missing = np.clip(slopes - 2 * fields[SEEN_SLOPES], -MOST_MISSING, MOST_MISSING) * inner / SHAPE_SLOPE
+    missing = np.clip(slopes - 2 * fields[_SEEN_SLOPES], -_MAX_MISSING, _MAX_MISSING) * inner / SHAPE_SLOPE
     weight = inner / (1 + (slopes**2).sum(axis=0))
     return np.concatenate([fields[:FIELDS], missing, weight[None]]).astype(np.float16)
 

@@ -8,14 +8,23 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from splitknit.apps.training import train_shape as app
-from splitknit.apps.training.shape_scenes import ShapeData
-from splitknit.apps.training.train_shape import shape_metrics, train_shape, write_shape_network
-from splitknit.apps.training.training_data import HELD_OUT_FROM
 from splitknit.cli.main import build_parser, main
+from splitknit.cli.train import curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
-from splitknit.training.shape import CHANNELS, SLOPES, WEIGHT, ShapeSettings, relief_network
+from splitknit.training import shape as app
+from splitknit.training.networks import fields_network
+from splitknit.training.shape import (
+    CHANNELS,
+    SLOPES,
+    WEIGHT,
+    ShapeSettings,
+    network_metrics,
+    train_shape,
+    write_network,
+)
+from splitknit.training.shape_data import ShapeData
+from splitknit.training.trainer import HELD_OUT_FROM
 
 
 def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
@@ -69,6 +78,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
         SETTINGS,
         command="splitknit train shape --out run",
         progress=lambda stage, share: heard.append((stage, share)),
+        chart=curve_svg,
     )
     assert numbers == [10, 11, 12, HELD_OUT_FROM, HELD_OUT_FROM + 1]
     assert facts["refused"] == 1 and facts["onnx_difference"] < 0.02
@@ -153,7 +163,7 @@ def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, c
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--fingers 0", "data.fingers must lie between 1 and"),
+        ("--fingers 0", "data.fingers must be from 1 to 100000"),
         ("--patch 100", "patch_px must be a multiple of 8"),
         ("--patch 16", "patch_px must be larger than beyond_px"),
         ("--iterations 0", "iterations"),
@@ -173,15 +183,15 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path, capsys) -> N
 
 
 def test_the_cards_figures_are_of_what_the_network_draws(tmp_path) -> None:
-    state = relief_network((4, 5), 32, 2).state_dict()
+    state = fields_network((4, 5), 32, 2).state_dict()
     for part in state.values():
         part.zero_()
     state["out.bias"][:] = torch.tensor([1.0, -2.0])
     sample = made_up(3, DATA)[0].astype(np.float32)
     sample[SLOPES] = np.array([2.0, -1.0])[:, None, None]
-    found = shape_metrics(state, {3: sample, 4: sample})
+    found = network_metrics(state, {3: sample, 4: sample})
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["before"] == pytest.approx(0.1 * np.sqrt(2.5), abs=1e-4)
     assert found["mean"]["after"] == pytest.approx(0.1, abs=1e-4) == found["mean"]["wide_after"]
-    facts = write_shape_network(tmp_path, state, {"command": "by hand", "metrics": found})
+    facts = write_network(tmp_path, state, {"command": "by hand", "metrics": found})
     assert facts["stride"] == 2 and load_network(tmp_path / "shape.onnx").card.facts["command"] == "by hand"

@@ -1,1 +1,0 @@
-"""Training of the networks from the command line: data, folders, cards."""

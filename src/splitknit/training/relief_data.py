@@ -1,0 +1,339 @@
+"""Training data of the relief network: simulated fingers through the front end of a reconstruction, and pieces of them.
+
+A finger is photographed by the simulator, found and cut out as in any reconstruction, and its smooth shape taken from
+the first round. The network shall find the relief on any smooth shape, so that the shape is mixed for each finger from
+that one and the true one. What it shall find, relief and glare, is the simulator's truth.
+
+A piece of a finger takes a tenth of the time of a whole one, so that a network sees ten times as many kinds of skin. A
+piece is not reconstructed: its smooth shape is the true one with a random smooth error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.finger.locate import find_finger
+from splitknit.imaging import bin_mean
+from splitknit.model import Capture, FloatArray, Rig
+from splitknit.pipeline import bands_of, preset_settings
+from splitknit.presets import PipelineSettings
+from splitknit.settings import Limits
+from splitknit.simulator.diffusion import WalkTable, load_walks
+from splitknit.simulator.finger import finger_surface
+from splitknit.simulator.pose_ranges import PoseRanges
+from splitknit.simulator.renderer import BandLight, RenderSettings, render_band
+from splitknit.simulator.rig import default_rig
+from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.surface import Surface
+from splitknit.simulator.twin import TwinSettings
+from splitknit.skin.bands import BandImages
+from splitknit.skin.features import RIDGE_BAND_MM, azimuth_waves, features
+from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.images import skin_images
+from splitknit.skin.learned import GLARE as GLARE_UNIT
+from splitknit.skin.learned import RELIEF_MM
+from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
+from splitknit.skin.surface import first_shape
+from splitknit.training.scenes import (
+    Range,
+    Scene,
+    SceneRanges,
+    TruthOnGrid,
+    draw_base,
+    draw_finger_of,
+    moved_rig,
+    photograph_scene,
+)
+
+RELIEF = 32
+"""Number of the relief in a sample, in the network's unit."""
+GLARE = slice(33, 40)
+"""The glare in a sample, in the network's unit: its mean over the light's azimuth a, cos a, sin a, ..., sin 3a."""
+WEIGHT = 40
+"""Number of the weight in a sample, in [0, 1]."""
+CHANNELS = 41
+_MAX_RELIEF = np.float32(10.0)
+"""Relief beyond this many units (0.2 mm) is none."""
+_MAX_GLARE = np.float32(3.0)
+"""Glare above this many times the green level is cut off: it hides the skin whatever more there is of it."""
+TRIM_PX = 60
+"""Rim of a piece that is rendered but not kept: light from beyond the piece is missing there."""
+_MIN_SKIN = 0.35
+"""Pieces with a smaller fraction of skin are not rendered."""
+_MIN_WEIGHT = 0.2
+"""Pieces with a smaller mean weight are not kept."""
+_BRIGHTEST = 0.72
+_EXPOSURE = (0.55, 1.05)
+"""Times :data:`_BRIGHTEST`, the brightest diffuse light of a piece over the sensor's full scale."""
+_BLUR_PX = (0.3, 1.2)
+"""Standard deviation of the defocus of a fraction of the pieces."""
+_BLURRED = 0.25
+_SHIFT_MM = 0.5
+_TILT = 0.06
+_BEND_PER_MM = 0.01
+"""Standard deviations of the smooth shape's error: a shift, slopes along both axes, and three second-order terms."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefData(SceneRanges):
+    """How many fingers, and the ranges from which each is drawn."""
+
+    fingers: Annotated[int, Limits(1, 100_000)] = 160
+    """Of which pieces are taken to train on; about 35 MB each on disk."""
+    crops: Annotated[int, Limits(1, 1000)] = 5
+    """Pieces of each, every one with its own skin, lights and exposure."""
+    crop_px: Annotated[int, Limits(1, 2000)] = 420
+    """Side of a piece as it is rendered."""
+    crop_usual_share: Annotated[float, Limits(0, 1)] = 0.7
+    """Part of these fingers whose images have the size `scale`; the others' is drawn from `other_scale`."""
+    whole_fingers: Annotated[int, Limits(0, 100_000)] = 116
+    """That are trained on as a whole, through the front end of a reconstruction; about 60 MB each on disk."""
+    held_out: Annotated[int, Limits(1, 1000)] = 6
+    """Further whole ones, for the learning curve and the card."""
+    first: Annotated[int, Limits(0, 900_000)] = 7000
+    """Number of the first finger for pieces; everything about a finger follows from its number."""
+    first_whole: Annotated[int, Limits(0, 900_000)] = 5000
+    """Number of the first whole finger."""
+    scale: Annotated[float, Limits(0, 1, above=True)] = 0.5
+    """Size of the images relative to the full frame of 2200 x 3200 pixels."""
+    other_scale: Annotated[Range, Limits(0, 1, above=True)] = (0.38, 0.62)
+    """Of the other fingers."""
+    other_scale_share: Annotated[float, Limits(0, 1)] = 0.25
+    """Part of the whole fingers that have another size."""
+
+
+def draw_scene(number: int, data: ReliefData) -> Scene:
+    """Draw the finger `number`, its skin's ranges, camera and lights."""
+    rng = np.random.default_rng([number, 77])
+
+    def between(limits: Range) -> float:
+        return float(rng.uniform(*limits))
+
+    other = rng.random() < data.other_scale_share
+    scale = between(data.other_scale) if other else data.scale
+    base = draw_base(rng, data)
+    finger = draw_finger_of(number, rng, data)
+    sharp = rng.random() < 1 - data.aperture_share
+    aperture_mm = 0.0 if sharp else between(data.aperture_mm)
+    rig = default_rig(scale, int(rng.integers(1000)))
+    if rng.random() < data.other_rig_share:
+        rig = moved_rig(rig, rng, data)
+    settings = TwinSettings(scale=scale, skin=data.skin(base), render=RenderSettings(aperture_mm=aperture_mm))
+    return Scene(number, finger, rig, settings)
+
+
+def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16], dict[str, Any]]:
+    """Photograph the finger `number` and turn it into a sample (41, h, w), see :mod:`splitknit.training.fields`.
+
+    Returns
+    -------
+    sample : (41, h, w) float16
+    facts : what was drawn
+
+    Raises
+    ------
+    BadInput
+        If the reconstruction would refuse the capture.
+    """
+    scene = draw_scene(number, data)
+    capture, truth = photograph_scene(scene)
+    mix = float(np.random.default_rng(number).random())
+    settings = preset_settings("metric")
+    skin = {
+        name: float(truth[f"skin_{name}"]) for name in ("scattering_factor", "melanin", "blood", "roughness", "glare")
+    }
+    return sample_of(capture, truth, settings, mix), {**scene.facts(), "skin": skin, "estimated_share": mix}
+
+
+def sample_of(
+    capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, mix: float
+) -> NDArray[np.float16]:
+    """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
+
+    Parameters
+    ----------
+    capture, truth : of the simulator
+    settings : of the reconstruction
+    mix : fraction of the reconstruction's smooth shape in [0, 1]; the rest is the true shape
+    """
+    finger = find_finger(capture, settings)
+    white, nir, _ = bands_of(capture, settings)
+    seen = (white,) if nir is white else (white, nir)
+    grid, bands, binning = skin_images(capture, seen, finger.window, finger.inside, settings.metric.working_pitch_mm)
+    found = first_shape(bands, grid, settings.skin, settings.metric)
+    on_grid = TruthOnGrid(truth, finger.window, grid, binning)
+    true = on_grid.shape_mm()
+    level = true[grid.mask].mean(dtype=np.float64)
+    true = true - np.float32(level) + np.float32(settings.metric.plane_mm)
+    surface = ((1 - np.float32(mix)) * true + np.float32(mix) * found).astype(np.float32)
+    light = light_on(bands[0].rig, grid, surface, settings.metric.coarse_pitch_mm)
+    return assembled(bands[0], grid, surface, light, on_grid)
+
+
+def assembled(
+    white: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLight, truth: TruthOnGrid
+) -> NDArray[np.float16]:
+    """The sample (41, h, w) of one finger on one smooth surface."""
+    seen = features(white, grid, surface_mm, light)
+    known = grid.mask & truth.mask
+    relief = np.where(known, truth.relief_mm(), np.float32(0.0))
+    relief = (relief - grid.smooth(relief, known, RIDGE_BAND_MM)) * known
+    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
+    glare = truth.glare() / (seen.level[1] * size + np.float32(1e-9))
+    to_waves = np.linalg.pinv(azimuth_waves(white.rig, 3), rcond=1e-3).astype(np.float32)
+    waves = np.tensordot(to_waves, glare, 1) * known
+    weight = trust_of(slant_of(surface_mm, grid.pitch_mm), grid) * known
+    parts = (
+        seen.fields,
+        np.clip(relief / RELIEF_MM, -_MAX_RELIEF, _MAX_RELIEF)[None],
+        np.clip(waves, -_MAX_GLARE, _MAX_GLARE) / GLARE_UNIT,
+        weight[None],
+    )
+    return np.concatenate(parts).astype(np.float16)
+
+
+def light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: float) -> FineLight:
+    """Lights on a smooth surface of the fine grid, by way of the coarse one as in a reconstruction."""
+    factor = max(1, round(coarse_pitch_mm / grid.pitch_mm))
+    low = coarsen(grid, factor)
+    rows, columns = low.shape
+    height = bin_mean(np.ascontiguousarray(surface_mm[: rows * factor, : columns * factor]), factor)
+    height = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
+    return fine_lighting(rig, low, height, factor, grid)
+
+
+# --- pieces ---------------------------------------------------------------------------------------------------------
+
+
+def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
+    """Samples (n, 41, h, w) of pieces of the finger `number`, see :mod:`splitknit.training.fields`.
+
+    Raises
+    ------
+    BadInput
+        If the images are smaller than a piece, or not one piece holds enough skin.
+    """
+    rng = np.random.default_rng([number, 78])
+    usual = rng.random() < data.crop_usual_share
+    scale = data.scale if usual else float(rng.uniform(*data.other_scale))
+    finger = draw_finger_of(number, rng, data)
+    camera = default_rig(scale).camera
+    side = data.crop_px
+    require(
+        min(camera.image_size) >= side > 2 * TRIM_PX,
+        f"pieces of {side} pixels do not fit into images of {camera.image_size[0]} x {camera.image_size[1]}, "
+        f"or are not larger than twice their rim of {TRIM_PX}.",
+    )
+    surface = finger_surface(finger, PoseRanges().draw(rng, camera), camera, workers=1)
+    walks = load_walks()
+    rows, columns = np.nonzero(surface.mask)
+    found = []
+    for piece in range(data.crops):
+        i = int(rng.integers(len(rows)))
+        middle = (int(rows[i]), int(columns[i]))
+        corner = [
+            min(max(at - side // 2, 0), length - side) for at, length in zip(middle, surface.mask.shape, strict=True)
+        ]
+        window = (slice(corner[0], corner[0] + side), slice(corner[1], corner[1] + side))
+        if surface.mask[window].mean() < _MIN_SKIN:
+            continue
+        skin = data.skin(draw_base(rng, data)).draw(rng)
+        rig = _white_rig(rng, scale, data)
+        sample = _piece(surface, window, (skin, rig, scale), (number, piece), rng, walks)
+        if sample[WEIGHT].mean(dtype=np.float32) >= _MIN_WEIGHT:
+            found.append(sample)
+    require(len(found) > 0, f"not one piece of {side} pixels of finger {number} holds enough skin.")
+    return np.stack(found)
+
+
+def _white_rig(rng: np.random.Generator, scale: float, data: ReliefData) -> Rig:
+    """The white lights of a rig."""
+    rig = default_rig(scale, int(rng.integers(10_000)))
+    rig = replace(rig, leds=tuple(led for led in rig.leds if led.band == "white"))
+    return moved_rig(rig, rng, data) if rng.random() < data.other_rig_share else rig
+
+
+def _piece(  # noqa: PLR0917
+    surface: Surface,
+    window: tuple[slice, slice],
+    scene: tuple[SkinSettings, Rig, float],
+    name: tuple[int, int],
+    rng: np.random.Generator,
+    walks: WalkTable,
+) -> NDArray[np.float16]:
+    """Photograph one piece and describe it."""
+    skin, rig, scale = scene
+    mask = np.zeros_like(surface.mask)
+    mask[window] = surface.mask[window]
+    optics = [skin.channel(channel) for channel in BAND_CHANNELS["white"]]
+    light = render_band(
+        replace(surface, mask=mask),
+        rig.leds,
+        optics,
+        roughness=skin.roughness,
+        glare=skin.glare,
+        walks=walks,
+        settings=RenderSettings(workers=1),
+    )
+    diffuse, glare = (_placed(part, light, window) for part in (light.diffuse, light.glare))
+    inside = mask[window]
+    brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)
+    exposure = np.float32(_BRIGHTEST / brightest * rng.uniform(*_EXPOSURE))
+    blur_px = float(rng.uniform(*_BLUR_PX)) if rng.random() < _BLURRED else 0.0
+    images = []
+    for k in range(len(rig.leds)):
+        frame = np.moveaxis((diffuse[k] + glare[k]) * exposure, 0, -1)
+        if blur_px > 0:
+            frame = cv2.GaussianBlur(frame, (0, 0), blur_px)
+        seed = np.random.SeedSequence([*name, k])
+        stored = record(np.ascontiguousarray(frame), "white", seed, SensorSettings(), scale)
+        images.append(np.moveaxis(stored.astype(np.float32) / np.float32(255), -1, 0))
+    white = BandImages(("red", "green", "blue"), np.stack(images, axis=1), rig)
+    pitch_mm = rig.camera.pitch_mm
+    (height, width), (rows, columns) = surface.mask.shape, window
+    x = (np.arange(columns.start, columns.stop) - (width - 1) / 2) * pitch_mm
+    y = ((height - 1) / 2 - np.arange(rows.start, rows.stop)) * pitch_mm
+    grid = Grid(np.ascontiguousarray(inside), x, y, pitch_mm, (False,) * 4)
+    truth = {
+        "mask": inside,
+        "height_mm": surface.height_mm[window],
+        "shape_mm": surface.shape_mm[window],
+        "glare_white": glare * exposure,
+    }
+    on_grid = TruthOnGrid(truth, (slice(None), slice(None)), grid, 1)
+    smooth = on_grid.shape_mm() + _smooth_error(rng, grid)
+    lights = light_on(rig, grid, smooth, preset_settings("metric").metric.coarse_pitch_mm)
+    sample = assembled(white, grid, smooth, lights, on_grid)
+    return np.ascontiguousarray(sample[:, TRIM_PX:-TRIM_PX, TRIM_PX:-TRIM_PX])
+
+
+def _placed(light: FloatArray, band: BandLight, window: tuple[slice, slice]) -> FloatArray:
+    """Rendered light (..., h, w), whose own window is that of the skin, on the piece; zero around it."""
+    sides = [part.stop - part.start for part in window]
+    piece = np.zeros((*light.shape[:-2], *sides), dtype=np.float32)
+    into: list[slice] = []
+    source: list[slice] = []
+    for length, own, part in zip(light.shape[-2:], band.window, window, strict=True):
+        start = own.start - part.start
+        low, high = max(start, 0), min(start + length, part.stop - part.start)
+        into.append(slice(low, high))
+        source.append(slice(low - start, high - start))
+    piece[..., into[0], into[1]] = light[..., source[0], source[1]]
+    return piece
+
+
+def _smooth_error(rng: np.random.Generator, grid: Grid) -> FloatArray:
+    """A random smooth error (h, w) of a shape, mm."""
+    x, y = np.meshgrid(grid.x_mm - grid.x_mm.mean(), grid.y_mm - grid.y_mm.mean())
+    spreads = (_SHIFT_MM, _TILT, _TILT, _BEND_PER_MM, _BEND_PER_MM, _BEND_PER_MM)
+    terms = (np.ones_like(x), x, y, x * x, y * y, x * y)
+    total = sum(rng.normal(0, spread) * term for spread, term in zip(spreads, terms, strict=True))
+    return np.asarray(total, dtype=np.float32)

@@ -1,0 +1,255 @@
+"""Training of the network that separates direct light.
+
+The thesis, 3.3.1.4: a U-Net of three encoder and three decoder blocks, trained on 72 x 72 patches of 50 palms whose
+direct light was measured with 25 shifted checkerboards; Adam on the mean squared error, an epoch at a time.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from splitknit.errors import require
+from splitknit.settings import Limits, check_fields
+from splitknit.training.networks import unet
+from splitknit.training.separation_data import (
+    CHANNELS,
+    PATCH_PX,
+    Batch,
+    Patches,
+    Photograph,
+    SeparationData,
+    enhance,
+    levelled,
+    photographs,
+)
+from splitknit.training.trainer import (
+    FREE,
+    HELD_OUT_FROM,
+    Chart,
+    Progress,
+    Sample,
+    Step,
+    Subject,
+    Trainer,
+    TrainerSettings,
+    files_of,
+    load_data,
+    make_data,
+    open_folder,
+    packed,
+    require_subjects,
+    require_torch,
+    train_in_folder,
+    write_network,
+)
+
+NAME = "direct"
+FILES = files_of(NAME, "photographs")
+WHAT = "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its direct part"
+
+
+@dataclass(frozen=True, slots=True)
+class SeparationSettings(TrainerSettings):
+    """Network and training; the defaults are the thesis's where it gives a number."""
+
+    width: Annotated[int, Limits(1, 1024)] = 64
+    """Channels of the first block; they double from block to block. The thesis: 64."""
+    depth: Annotated[int, Limits(1, 6)] = 3
+    """Encoder blocks, and decoder blocks."""
+    dropout: Annotated[float, Limits(0, 1)] = 0.5
+    """Fraction dropped after the last encoder block and the bridge, while training; below 1."""
+    start_fraction: Annotated[float, Limits(0, 1)] = 0.0
+    """The untrained network gives this fraction of its image: a shorter way to go than from noise. 0 = all random."""
+    epochs: Annotated[int, Limits(1, 100_000)] = 50
+    """How often every patch is seen."""
+    decay: Annotated[float, Limits(0, 1)] = 0.0
+    """Over this last part of the training the learning rate falls to zero along a cosine; the thesis keeps it."""
+    border_px: Annotated[int, Limits(0, 512)] = 0
+    """Pixels at a patch's border that the loss leaves out: there the network sees zeros where an image would go on."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(self.dropout < 1, "training.dropout must be below 1.")
+
+    @property
+    def stride(self) -> int:
+        """Both sides of what the network sees are multiples of this."""
+        return int(2**self.depth)
+
+
+class SeparationTrainer(Trainer):
+    """The network for direct light in training."""
+
+    counted: ClassVar[str] = "epoch"
+    free: ClassVar[tuple[str, ...]] = (*FREE, "epochs", "decay")
+
+    def __init__(self, settings: SeparationSettings, patches: Patches) -> None:
+        """Draw the first weights from the settings' seed."""
+        shape = (settings.width, settings.depth, settings.dropout, settings.start_fraction)
+        super().__init__(settings, lambda: unet(*shape))
+        self.settings: SeparationSettings = settings
+        self.patches = patches
+
+    def steps(self) -> Iterator[Step]:
+        """One epoch: every patch once, augmented."""
+        settings = self.settings
+        count = math.ceil(len(self.patches) / settings.batch)
+        for number, batch in enumerate(self.patches.shuffled(settings.batch, settings.seed, self.done)):
+            done = (self.done + number / count) / settings.epochs
+            rate = settings.learning_rate * learning_factor(done, settings.decay)
+            yield Step(batch, rate, len(batch[0]), done)
+
+    def losses(self, batch: Batch) -> dict[str, Any]:
+        """Mean squared error."""
+        inputs, targets = (self.tensor(part) for part in batch)
+        error = self.forward(inputs) - targets
+        rim = self.settings.border_px
+        if rim:
+            error = error[:, :, rim:-rim, rim:-rim]
+        return {"loss": (error * error).mean()}
+
+    def total(self, parts: dict[str, Any]) -> Any:
+        """The only part."""
+        return parts["loss"]
+
+    def loss_of(self, patches: Patches, enhanced: bool) -> float:
+        """Mean squared error over all patches as they are, nothing dropped."""
+        self.network.eval()
+        total, count = 0.0, 0
+        with self.torch.no_grad():
+            for batch in patches.fixed(enhanced, self.settings.batch):
+                total += float(self.losses(batch)["loss"]) * len(batch[0])
+                count += len(batch[0])
+        return total / count
+
+    def packed(self, facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
+        """Network and card, see :func:`splitknit.training.trainer.packed`."""
+        settings = self.settings
+        architecture = f"U-Net of the thesis (figure 3.19), depth {settings.depth}, width {settings.width}"
+        return packed(
+            NAME,
+            self.network,
+            facts,
+            channels=(3, 3),
+            depth=settings.depth,
+            what=WHAT,
+            architecture=architecture,
+        )
+
+
+def learning_factor(done: float, decay: float) -> float:
+    """Learning rate, relative to its start, when a fraction is `done`: it falls over the last `decay`."""
+    if decay <= 0 or done <= 1 - decay:
+        return 1.0
+    return 0.5 * (1.0 + math.cos(math.pi * min((done - 1 + decay) / decay, 1.0)))
+
+
+def train_separation(
+    out: Path,
+    data: SeparationData,
+    settings: SeparationSettings,
+    *,
+    resume: bool = False,
+    command: str = "",
+    progress: Progress = lambda stage, done: None,
+    chart: Chart | None = None,
+) -> dict[str, Any]:
+    """Build the data set and train; return what came out.
+
+    Parameters
+    ----------
+    out : folder to write into; it must be new, unless `resume`
+    data, settings : what to train on, and how
+    resume : go on with the training in `out`
+    command : the command line that does this again, for the card
+    progress : called with what is being done and the fraction of the whole that is done
+    chart : draws the learning curve as SVG; without it there is only the table
+
+    Raises
+    ------
+    BadInput
+        If torch is missing, `out` is in use, or what is there does not fit the settings.
+    """
+    started = time.perf_counter()
+    require_torch(settings)
+    open_folder(out, data, settings, resume, SeparationTrainer.free)
+    views = [f"_{view:02d}" for view in range(data.views)]
+    subjects = _subjects(data)
+    refused = make_data(out, subjects, lambda kind, index: _shoot(kind, index, data, settings.seed), progress, views)
+
+    def patches(held_out: bool) -> Patches:
+        chosen = [subject for subject in subjects if (subject[1] >= HELD_OUT_FROM) is held_out]
+        loaded = [load_data(out, kind, [number], _fits, views).get(number, []) for kind, number in chosen]
+        found = [
+            Photograph(pixels, np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2), facts)
+            for photographed in loaded
+            for pixels, facts in photographed
+        ]
+        require_subjects(len(found), "judge the network on" if held_out else "train on", refused)
+        return Patches(found)
+
+    train, held_out = patches(False), patches(True)
+    trainer = SeparationTrainer(settings, train)
+    lines = {
+        "training": lambda entry: _psnr(entry["loss"]),
+        "held out": lambda entry: _psnr(entry["held_out_linear"]),
+        "held out, enhanced": lambda entry: _psnr(entry["held_out_enhanced"]),
+    }
+    train_in_folder(
+        out,
+        trainer,
+        settings.epochs,
+        1,
+        lambda: {"linear": trainer.loss_of(held_out, False), "enhanced": trainer.loss_of(held_out, True)},
+        lines=lines,
+        unit="PSNR, dB",
+        progress=progress,
+        chart=chart,
+    )
+    progress("exporting", 1.0)
+    last = trainer.curve[-1]
+    facts = {
+        "command": command,
+        "training": {**asdict(settings), "epochs_done": trainer.done, "patches": len(train)},
+        "data": asdict(data),
+        "metrics": {
+            "held_out": f"{data.held_out} palms and {data.held_out} fingers not trained on, patches, local level 1",
+            "psnr_linear_db": _psnr(last["held_out_linear"]),
+            "psnr_enhanced_db": _psnr(last["held_out_enhanced"]),
+        },
+    }
+    side = 10 * settings.stride
+    probe = np.random.default_rng(0).random((1, 3, side, side + settings.stride), dtype=np.float32)
+    written = write_network(out, NAME, trainer.packed(facts), trainer.run, probe)
+    return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
+
+
+def _subjects(data: SeparationData) -> list[Subject]:
+    """Every palm and finger, those held out last."""
+    counts = {"palm": data.palms, "finger": data.fingers}
+    trained = [(kind, index) for kind, count in counts.items() for index in range(count)]
+    return trained + [(kind, HELD_OUT_FROM + index) for kind in counts for index in range(data.held_out)]
+
+
+def _shoot(kind: str, index: int, data: SeparationData, seed: int) -> Iterable[Sample]:
+    for photograph in photographs(kind, index, seed, data, enhance):
+        yield levelled(photograph).pixels, {**photograph.facts, "corners": photograph.corners.tolist()}
+
+
+def _fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
+    """Whether these are the pixels of a photograph, and its patches lie within."""
+    corners = np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2)
+    inside = corners.min() >= 0 and (corners.max(axis=0) + PATCH_PX <= shape[:2]).all()
+    return len(shape) == 3 and shape[2] == CHANNELS and bool(inside)
+
+
+def _psnr(loss: float) -> float:
+    """Of a mean squared error, in dB, for a peak of one: the local level."""
+    return float(-10.0 * np.log10(max(loss, 1e-12)))
