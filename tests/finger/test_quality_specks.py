@@ -136,7 +136,5 @@ def test_lines_survive_and_dots_do_not():
 
 
 def test_bad_input():
-    with pytest.raises(BadInput, match=r"quality\.specks\.dark_mm must be positive"):
-        SpeckSettings(dark_mm=0.0)
-    with pytest.raises(BadInput, match=r"quality\.specks\.darker must lie between 0 and 1, but it is 1"):
-        SpeckSettings(darker=1)
+    with pytest.raises(BadInput, match=r"quality\.specks\.most_dark must be above 0 to below 1, but it is 1\."):
+        SpeckSettings(most_dark=1)

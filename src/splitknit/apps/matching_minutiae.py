@@ -13,7 +13,6 @@ from splitknit.apps.matching_inputs import Side, naming, read_print
 from splitknit.errors import BadInput
 from splitknit.matching import ridge_match
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_joined import joined_similarity
 from splitknit.recipe.matchable import surface_print
 
@@ -35,7 +34,7 @@ def compare_minutiae(a: Side, b: Side) -> dict[str, Any]:
     found, facts = [], []
     for side in (a, b):
         image, ppi, pressed = _print_of(side)
-        minutiae = naming(side.path, lambda: extract(image, ppi, EnhanceSettings() if pressed else None))  # noqa: B023
+        minutiae = naming(side.path, lambda: extract(image, ppi, enhance=pressed))  # noqa: B023
         quality = nfiq2(image, ppi)
         found.append(minutiae)
         facts.append(

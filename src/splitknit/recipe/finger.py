@@ -69,7 +69,7 @@ class Finger:
 def finger_key(settings: PipelineSettings) -> tuple[Hashable, ...]:
     """What a finger follows from, beside its capture: equal keys, equal fingers."""
     camera = settings.camera, settings.top_mm
-    found = settings.mask, settings.orientation, settings.crease, settings.cut_at_crease, settings.photometric
+    found = settings.mask, settings.cut_at_crease
     return "finger", *camera, *found, settings.quality, settings.motion, settings.lights
 
 
@@ -98,12 +98,12 @@ def find_finger(capture: Capture, settings: PipelineSettings, watch: Stopwatch) 
                 image = without_mirrors(image, capture.rig.camera, mirrors, binning)
             outline = finger_mask(image, small_px, settings.mask)
             check_borders(outline)
-        upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
-        crease = find_crease(grey, outline, upright, small_px, settings.crease)
+        upright = find_upright(outline, capture.tip_direction_deg)
+        crease = find_crease(grey, outline, upright, small_px)
         cut = settings.cut_at_crease and not given
         kept = phalange_mask(outline, crease, upright) if cut else outline
         limits = saturation_levels(white, capture.encoding)
-        usable = photometric_mask(stack, kept, small_px, settings.photometric, saturation=limits) if not given else kept
+        usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
         wider = _beyond(outline, crease, upright, small_px) if cut else outline
         quality, warnings = _quality(capture, settings, stack, outline, small_px, limits, binning)
         full = capture.shape

@@ -7,11 +7,8 @@ from dataclasses import dataclass, field, replace
 from splitknit.errors import require
 from splitknit.finger import (
     ClaheSettings,
-    CreaseSettings,
     MaskSettings,
     MotionSettings,
-    OrientationSettings,
-    PhotometricMaskSettings,
     QualitySettings,
 )
 from splitknit.integration import PoissonSettings, ShapeletSettings
@@ -137,11 +134,8 @@ class PipelineSettings:
     """Assumed height of the finger's highest point above the finger plane; with a perspective camera sizes follow from
     it, 0.7 % for each mm at 140 mm."""
     mask: MaskSettings = field(default_factory=MaskSettings)
-    orientation: OrientationSettings = field(default_factory=OrientationSettings)
-    crease: CreaseSettings = field(default_factory=CreaseSettings)
     cut_at_crease: bool = True
     """Keep only the finger's first phalange."""
-    photometric: PhotometricMaskSettings = field(default_factory=PhotometricMaskSettings)
     enhance: EnhanceSettings = field(default_factory=EnhanceSettings)
     direct: DirectSettings = field(default_factory=DirectSettings)
     normals: NormalsSettings = field(default_factory=NormalsSettings)

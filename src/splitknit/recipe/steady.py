@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger import Seen, register_band, register_shots, without_glare
+from splitknit.finger.motion import MIN_RELIABILITY, WARN_MM
+from splitknit.finger.registration import BLOCK_MM, WORKING_PX_PER_MM
 from splitknit.finger.registration_flow import Flow
 from splitknit.imaging import Window, has_colour, linear_channels, linear_stack
 from splitknit.imaging.view import plane_points
@@ -81,7 +83,7 @@ def seen_motion_mm(finger: Finger, settings: PipelineSettings) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
-        believed = np.asarray(figures.get("motion_reliability", [])) >= settings.motion.least_reliability
+        believed = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
         found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[believed]]
     return max(found)
 
@@ -90,7 +92,7 @@ def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Re
     """Registration of the white band, of the others to it, and what a report says of them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
-    binning = max(1, int(px_per_mm / method.working_px_per_mm))
+    binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
     px = px_per_mm / binning
     window = around(capture, finger)
     white = capture.bands["white"]
@@ -100,7 +102,7 @@ def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Re
     else:
         skin = grey = linear_stack(white, capture.encoding, "grey", window, binning)
     mask = _reduced(finger.wider[window], grey.shape[1:])
-    lights = lights_over(capture, white, window, method.block_mm)
+    lights = lights_over(capture, white, window, BLOCK_MM)
     shots = _shots(white)
     reference = len(white.pixels) // 2
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
@@ -113,7 +115,7 @@ def register(capture: Capture, finger: Finger, settings: PipelineSettings) -> Re
         if name == "white" or band.colours:
             continue
         stack = linear_stack(band, capture.encoding, "grey", window, binning)
-        vectors = lights_over(capture, band, window, method.block_mm)
+        vectors = lights_over(capture, band, window, BLOCK_MM)
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
         told = _told(flows[name], mask, px)
@@ -130,7 +132,7 @@ def worth_undoing(registered: Registered, seen_mm: float, settings: PipelineSett
     if registered.most_mm < motion.correct_mm:
         return False
     if registered.after > motion.most_left:  # no skin, or shots that do not fit together
-        return seen_mm >= motion.warn_mm
+        return seen_mm >= WARN_MM
     return registered.after < HELPS * registered.before
 
 
