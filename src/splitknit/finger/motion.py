@@ -110,9 +110,8 @@ def shot_motion(
     return ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
-def motion_warnings(motion: ShotMotion, settings: MotionSettings | None = None) -> tuple[str, ...]:
+def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
     """Warnings in words for shots in which the finger moved by more than `WARN_MM`."""
-    settings = settings or MotionSettings()
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:

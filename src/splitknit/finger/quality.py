@@ -60,9 +60,7 @@ class SpeckSettings(Checked):
     """Share of the finger that bright specks may cover."""
 
 
-def speck_shares(
-    stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: SpeckSettings | None = None
-) -> tuple[float | None, float | None]:
+def speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
     """Measure how much of the finger dark and bright specks cover.
 
     Parameters
@@ -72,7 +70,6 @@ def speck_shares(
         The finger.
     px_per_mm : float
         Of the stack.
-    settings : SpeckSettings, optional
 
     Returns
     -------
@@ -91,7 +88,6 @@ def speck_shares(
     ----------
     Soille, P. and Talbot, H., "Directional morphological filtering", IEEE PAMI 23(11), 2001.
     """
-    settings = settings or SpeckSettings()
     if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
         return None, None
     scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
@@ -179,7 +175,6 @@ def capture_quality(
     lights: NDArray[np.float64] | None = None,
     ambient: FloatArray | None = None,
     saturation: float | NDArray[np.float64] | None = None,
-    settings: QualitySettings | None = None,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -196,7 +191,6 @@ def capture_quality(
         Linear image with all LEDs off.
     saturation : float or (L,), optional
         Value at which each image saturates.
-    settings : QualitySettings, optional
 
     Returns
     -------
@@ -212,7 +206,6 @@ def capture_quality(
     ----------
     Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
     """
-    settings = settings or QualitySettings()
     stack = check_stack(stack)
     shape = (stack.shape[1], stack.shape[2])
     mask = check_mask(mask, shape)
@@ -225,7 +218,7 @@ def capture_quality(
     ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
     saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
-    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm, settings.specks)
+    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")

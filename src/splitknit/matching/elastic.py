@@ -112,9 +112,7 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
     )
 
 
-def compare_patches(
-    patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine, settings: PatchSettings
-) -> Agreement:
+def compare_patches(patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine) -> Agreement:
     """Lay A (H, W) on B's patches by `b_from` and search around each."""
     reach, side = patches.reach, patches.side
     if not len(patches.rows):

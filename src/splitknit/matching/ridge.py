@@ -175,16 +175,16 @@ def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
             float(np.deg2rad(peak.angle_deg)),
             (peak.right_mm / pitch, peak.down_mm / pitch),
         )
-        found = compare_patches(b.first, a.value, a.template.valid, start, FIRST_PATCHES)
+        found = compare_patches(b.first, a.value, a.template.valid, start)
         worth = found.mean * np.sqrt(len(found.used))
         if best is None or worth > best[0]:
             best = (float(worth), start, found)
     assert best is not None
     affine = better_affine(b.first, best[2], best[1])
     for _ in range(_REFINEMENTS - 1):
-        again = compare_patches(b.first, a.value, a.template.valid, affine, FIRST_PATCHES)
+        again = compare_patches(b.first, a.value, a.template.valid, affine)
         affine = better_affine(b.first, again, affine)
-    final = compare_patches(b.patches, a.value, a.template.valid, affine, settings.patches)
+    final = compare_patches(b.patches, a.value, a.template.valid, affine)
     overlap = float(final.weight.sum()) * settings.patches.step_mm**2
     smaller = min(a.template.area_mm2, b.template.area_mm2)
     least = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller), 1e-9)

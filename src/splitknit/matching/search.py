@@ -15,7 +15,7 @@ from splitknit.errors import require
 from splitknit.matching.code import ProbeSettings, code_size, probe_codes
 from splitknit.matching.code_field import laid_on
 from splitknit.matching.elastic import compare_patches
-from splitknit.matching.ridge import FIRST_PATCHES, Prepared, RidgeMatchSettings, prepared, ridge_match
+from splitknit.matching.ridge import Prepared, RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
@@ -237,5 +237,5 @@ def _glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: 
     )
     turn, right, down = (float(values[variant]) for values in settings.variants())
     start = laid_on(probe.template, other.template, turn, right, down)
-    seen = compare_patches(probe.first, other.value, other.template.valid, start, FIRST_PATCHES)
+    seen = compare_patches(probe.first, other.value, other.template.valid, start)
     return float(seen.mean * np.sqrt(len(seen.used)))

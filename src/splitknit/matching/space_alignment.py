@@ -117,7 +117,7 @@ def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: A
     """
     none = np.zeros(0, dtype=np.intp)
     best = Agreement(none, none, np.eye(3), np.zeros(3))
-    for chosen in voted(a, b, pairs, settings):
+    for chosen in voted(a, b, pairs):
         found = _moved(a, b, pairs[0][chosen].ravel(), pairs[1][chosen].ravel(), settings)
         for _ in range(_ROUNDS):
             if len(found.a) < 3:
@@ -131,7 +131,7 @@ def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: A
     return best
 
 
-def voted(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: AgreementSettings) -> list[Index]:
+def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
     """Correspondences that propose like motions, the largest such groups first.
 
     Each proposes a turn in the finger's plane, and a shift; they are counted in overlapping cells.
@@ -246,7 +246,7 @@ def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
 
 def _moved(a: Framed, b: Framed, left: Index, right: Index, settings: AgreementSettings) -> Agreement:
     """What agrees after the motion that takes minutiae `left` best to `right`."""
-    rotation, shift = rigid_motion(_armed(a, left, settings), _armed(b, right, settings))
+    rotation, shift = rigid_motion(_armed(a, left), _armed(b, right))
     return agreeing(a, b, rotation, shift, settings)
 
 
@@ -267,7 +267,7 @@ def _beside(k: np.intp, size: int) -> list[int]:
     return list(range(max(int(k) - 1, 0), min(int(k) + 2, size)))
 
 
-def _armed(side: Framed, index: Index, settings: AgreementSettings) -> Array:
+def _armed(side: Framed, index: Index) -> Array:
     """Places and the ends of their directions, (2 n, 3)."""
     places = side.places[0][index]
     return np.concatenate([places, places + _ARM_MM * side.places[1][index]])

@@ -163,15 +163,13 @@ def _quality(  # noqa: PLR0917
         if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
             lights = lights * colour_factors_of(stack, capture.rig, band, outline)[:, None]
         ambient = _ambient(band, capture.encoding, binning)
-        found = capture_quality(
-            stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation, settings=settings.quality
-        )
+        found = capture_quality(stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation)
         words = list(quality_warnings(found, settings.quality))
         if len(stack) >= 4:
             motion = shot_motion(stack, outline, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
-            words += motion_warnings(motion, settings.motion)
+            words += motion_warnings(motion)
         if "radiometry" in capture.rig.provenance and len(stack) >= 5:
             drift, said = _drift(capture, band, stack, lights, outline)
             found["light_drift"] = drift

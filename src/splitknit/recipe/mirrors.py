@@ -168,7 +168,7 @@ def _views_and_images(capture: Capture, settings: PipelineSettings) -> tuple[Vie
     """Views, and the white images (L, h, w) on their grid."""
     rig = capture.rig
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
-    binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
+    binning = view_binning(rig.camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     return views_in(mean, rig.camera, mirrors, binning, settings), grey
 
@@ -188,7 +188,6 @@ def views_in(
         mirrors,
         lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
         binning,
-        settings.shape.mirror.views,
         lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from splitknit.errors import require
 from splitknit.finger import (
@@ -160,7 +161,7 @@ class PipelineSettings:
         )
 
 
-def _thesis(split: bool, knit: str) -> PipelineSettings:
+def _thesis(split: bool, knit: Literal["addition", "none"]) -> PipelineSettings:
     """`split`: with contrast enhancement and direct light."""
     return PipelineSettings(
         method="thesis",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.rolled import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
+from splitknit.mirrors.rolled.search import MIN_CORRELATION
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_body import radius_of, rolled_pad
@@ -176,7 +177,7 @@ class Work:
                     wider = self.rolled.search_cut
                     again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, wider)
                     found = max(found, again, key=lambda one: one.correlation)
-                self.met[name] = found.correlation >= self.rolled.search.least
+                self.met[name] = found.correlation >= MIN_CORRELATION
                 added += found.radius_mm
                 poses.append(found.pose)
                 alike.append(found.correlation)

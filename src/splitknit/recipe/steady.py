@@ -45,7 +45,7 @@ def find_steady_finger(capture: Capture, settings: PipelineSettings, watch: Stop
     """
     finger = find_finger(capture, settings, watch)
     motion = settings.motion
-    seen_mm = seen_motion_mm(finger, settings)
+    seen_mm = seen_motion_mm(finger)
     suspect = capture.material == "skin" and seen_mm >= motion.correct_mm  # gloss of other things looks like motion
     wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
     enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
@@ -79,7 +79,7 @@ class Registered:
     facts: dict[str, Any]
 
 
-def seen_motion_mm(finger: Finger, settings: PipelineSettings) -> float:
+def seen_motion_mm(finger: Finger) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
