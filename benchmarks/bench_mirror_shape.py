@@ -72,7 +72,7 @@ def timed(work: Callable[[], Any], rounds: int) -> tuple[Any, dict[str, float]]:
 def bench(image: np.ndarray, rig: Any, names: tuple[str, ...], rounds: int) -> dict[str, Any]:
     """All steps with these mirrors alone."""
     settings = preset_settings("metric")
-    binning = view_binning(rig.camera.px_per_mm, settings.shape.mirror.views)
+    binning = view_binning(rig.camera.px_per_mm)
     mirrors = {mirror.name: mirror for mirror in rig.mirrors if mirror.name in names}
 
     def views() -> Any:

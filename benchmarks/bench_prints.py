@@ -135,7 +135,7 @@ def phalange(scale: float, rounds: int) -> None:
         settings = CurvatureSettings(degree=degree)
         row(f"curvature map, {word}", lambda s=settings: curvature(seen.height_mm, seen.mask, camera.pitch_mm, s))
     enhanced = row("Gabor enhancement of the unrolled print", lambda: enhance(unrolled, 500.0))
-    row("STFT enhancement of it", lambda: stft_enhance(unrolled.image, 500.0, None, unrolled.weight > 0.5))
+    row("STFT enhancement of it", lambda: stft_enhance(unrolled.image, 500.0, unrolled.weight > 0.5))
     row("black and white, thinned", lambda: thin(ridge_mask(enhanced)))
     print(f"\nThe print has {unrolled.image.shape[0]} x {unrolled.image.shape[1]} pixels.")
 

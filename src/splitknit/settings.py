@@ -28,6 +28,8 @@ class Limits:
     max: float = math.inf
     above: bool = False
     """Whether `min` itself is excluded."""
+    below: bool = False
+    """Whether `max` itself is excluded."""
 
     def hold(self, value: Any) -> bool:
         """Whether a value, or every part of a tuple, lies in the range."""
@@ -36,7 +38,8 @@ class Limits:
         if value is None:
             return True
         low = value > self.min if self.above else value >= self.min
-        return bool(low and value <= self.max and math.isfinite(value))
+        high = value < self.max if self.below else value <= self.max
+        return bool(low and high and math.isfinite(value))
 
     def __str__(self) -> str:
         if math.isinf(self.max):
@@ -44,8 +47,8 @@ class Limits:
                 return "positive" if self.above else "zero or more"
             return f"{'above' if self.above else 'at least'} {self.min:g}"
         if math.isinf(self.min):
-            return f"at most {self.max:g}"
-        return f"{'above' if self.above else 'from'} {self.min:g} to {self.max:g}"
+            return f"{'below' if self.below else 'at most'} {self.max:g}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{self.max:g}"
 
 
 class Checked:

@@ -233,7 +233,7 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(
         (["--set", "knit.mehtod=addition"], ("did you mean 'knit.method'",)),
         (["--set", "knit.method=glue"], ("knit.method", "crossover")),
         (["--set", "normals.rounds=many"], ("normals.rounds", "whole number")),
-        (["--set", "mask.edge_share=7"], ("mask.edge_share",)),
+        (["--set", "mask.fine_px_per_mm=0"], ("mask.fine_px_per_mm",)),
         (["--set", "metric.working_pitch_mm=NaN"], ("metric.working_pitch_mm",)),
         (["--set", "mask"], ("--set", "stage.field=value")),
         (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),

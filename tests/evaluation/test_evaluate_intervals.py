@@ -299,7 +299,6 @@ def test_progress_is_told() -> None:
     ("settings", "words"),
     [
         ({"replicates": 5}, "replicates"),
-        ({"confidence": 1.0}, "confidence"),
         ({"seed": -1}, "seed"),
         ({"targets": (0.0,)}, "targets"),
         ({"curve_points": -1}, "curve_points"),

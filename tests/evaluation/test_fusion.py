@@ -183,7 +183,7 @@ def test_what_cannot_be_fused_is_refused() -> None:
         fuse(two, FusionSettings("linear", weights=(1.0, -1.0)))
     with pytest.raises(BadInput, match="do not vary"):
         fuse([two[0], replace(two[1], score=np.ones(two[1].score.size))])
-    with pytest.raises(BadInput, match="linear or trained"):
+    with pytest.raises(BadInput, match="linear, trained"):
         FusionSettings("median")
     few = ids_of(["a", "b"], ["a", "a"])
     with pytest.raises(BadInput, match="three subjects"):

@@ -10,7 +10,6 @@ import pytest
 from splitknit.io import read_print_png
 from splitknit.matching import Prepared, make_template, print_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_joined import joined_similarity
 from splitknit.matching.minutiae_record import pack_minutiae, unpack_minutiae
 
@@ -48,7 +47,7 @@ def test_our_route_is_no_worse_than_nbis_py(files) -> None:
     )
     plain = [extractor.extract_minutiae(file.read_bytes()) for file in files]
     images = [read_print_png(file).image for file in files]
-    points = [extract(image, 500.0, EnhanceSettings()) for image in images]
+    points = [extract(image, 500.0, enhance=True) for image in images]
     ridges = [Prepared(make_template(print_band(image))) for image in images]
 
     def joined(i: int, j: int) -> float:

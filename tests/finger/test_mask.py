@@ -172,10 +172,8 @@ def test_bad_images(image, message):
 
 
 def test_bad_settings():
-    with pytest.raises(BadInput, match="edge_share"):
-        MaskSettings(edge_share=1.5)
-    with pytest.raises(BadInput, match="blur_mm"):
-        MaskSettings(blur_mm=0.0)
+    with pytest.raises(BadInput, match="fine_px_per_mm"):
+        MaskSettings(fine_px_per_mm=0.0)
 
 
 def test_chromaticity_is_neutral_in_the_dark_and_ignores_neutral_light():

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
-from splitknit.finger import MotionSettings, motion_warnings, shot_motion
+from splitknit.finger import motion_warnings, shot_motion
 
 
 def moved(stack, k, x_mm, y_mm, px_per_mm):
@@ -50,8 +49,3 @@ def test_few_shots_are_not_judged(scene):
     assert motion.shift_mm.shape == (4, 2)
     assert (motion.reliability == 0).all()
     assert motion_warnings(motion) == ()
-
-
-def test_bad_settings():
-    with pytest.raises(BadInput, match="bands_mm"):
-        MotionSettings(bands_mm=())

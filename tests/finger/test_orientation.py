@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger import OrientationSettings, find_upright
+from splitknit.finger import find_upright
 from splitknit.imaging.geometry import warp
 
 CASES = [
@@ -79,5 +79,3 @@ def test_a_disc_is_reported_as_having_no_axis():
 def test_bad_input():
     with pytest.raises(BadInput, match="empty"):
         find_upright(np.zeros((50, 50), dtype=bool))
-    with pytest.raises(BadInput, match="full_width"):
-        OrientationSettings(full_width=0.0)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
-from splitknit.finger import CreaseSettings, find_crease, find_upright, phalange_mask
+from splitknit.finger import find_crease, find_upright, phalange_mask
 
 
-def search(scene, **settings):
+def search(scene):
     upright = find_upright(scene.mask)
-    return upright, find_crease(scene.grey, scene.mask, upright, scene.px_per_mm, CreaseSettings(**settings))
+    return upright, find_crease(scene.grey, scene.mask, upright, scene.px_per_mm)
 
 
 @pytest.mark.parametrize("tone", ["very dark", "dark", "medium", "very light"])
@@ -88,10 +87,3 @@ def test_half_a_line_is_no_crease(draw_finger):
     stack[:, row - 6 : row + 6, :middle] *= 0.8
     upright = find_upright(scene.mask)
     assert not find_crease(stack.mean(axis=0), scene.mask, upright, scene.px_per_mm).found
-
-
-def test_bad_settings():
-    with pytest.raises(BadInput, match="ratio_range"):
-        CreaseSettings(ratio_range=(2.0, 1.0))
-    with pytest.raises(BadInput, match="least_coverage"):
-        CreaseSettings(least_coverage=0.0)

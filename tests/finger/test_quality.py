@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger import QualitySettings, capture_quality, quality_warnings
+from splitknit.finger import capture_quality, quality_warnings
 
 
 @pytest.fixture(scope="module")
@@ -75,5 +75,3 @@ def test_bad_input(scene):
         capture_quality(scene.stack, scene.mask, 24.0, lights=np.ones((3, 3)))
     with pytest.raises(BadInput, match="ambient image"):
         capture_quality(scene.stack, scene.mask, 24.0, ambient=np.zeros((4, 4), np.float32))
-    with pytest.raises(BadInput, match="led_range"):
-        QualitySettings(led_range=(2.0, 3.0))

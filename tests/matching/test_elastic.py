@@ -23,7 +23,7 @@ def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
     b = texture(1)
     valid = np.ones(b.shape, np.bool_)
     a = np.roll(b, shift[::-1], axis=(0, 1))  # A's content lies `shift` (columns, rows) further
-    found = compare_patches(patch_grid(b, valid, 0.1, PatchSettings()), a, valid, IDENTITY, PatchSettings())
+    found = compare_patches(patch_grid(b, valid, 0.1, PatchSettings()), a, valid, IDENTITY)
     inner = slice(20, -20)
     assert np.median(found.correlation[inner]) == pytest.approx(1.0, abs=0.02)
     # it must move back
@@ -49,10 +49,10 @@ def test_too_little_valid_skin_is_not_compared() -> None:
     half = valid.copy()
     half[:, 70:] = False
     patches = patch_grid(b, valid, 0.1, PatchSettings())
-    found = compare_patches(patches, np.where(half, b, 0).astype(np.float32), half, IDENTITY, PatchSettings())
+    found = compare_patches(patches, np.where(half, b, 0).astype(np.float32), half, IDENTITY)
     assert 0.3 < len(found.used) / len(patches.rows) < 0.6
     assert patches.columns[found.used].max() + 0.6 * patches.side <= 71
-    nothing = compare_patches(patches, b, np.zeros_like(valid), IDENTITY, PatchSettings())
+    nothing = compare_patches(patches, b, np.zeros_like(valid), IDENTITY)
     assert nothing.mean == 0.0
     assert len(nothing.used) == 0
 
@@ -64,9 +64,9 @@ def test_affine_fit_follows_a_stretched_skin() -> None:
     a = cv2.warpAffine(b, true, (200, 220), flags=cv2.INTER_CUBIC)  # A at true(p) shows B at p
     settings = PatchSettings(search_mm=0.8)
     patches = patch_grid(b, valid, 0.1, settings)
-    found = compare_patches(patches, a, valid, IDENTITY, settings)
+    found = compare_patches(patches, a, valid, IDENTITY)
     fitted = better_affine(patches, found, IDENTITY)
-    fitted = better_affine(patches, compare_patches(patches, a, valid, fitted, settings), fitted)
+    fitted = better_affine(patches, compare_patches(patches, a, valid, fitted), fitted)
     corners = np.array([[30, 30, 1], [170, 30, 1], [30, 190, 1], [170, 190, 1]], float)
     np.testing.assert_allclose(corners @ fitted.T, corners @ true.T, atol=0.5)
     few = Agreement(found.used[:3], found.correlation[:3], found.shift[:3], found.weight[:3])
@@ -85,5 +85,5 @@ def test_chance_finds_no_support() -> None:
     """Unlike textures: each patch alone finds some shift that fits; its neighbours do not share it."""
     a, b = texture(5), texture(6)
     valid = np.ones(b.shape, np.bool_)
-    found = compare_patches(patch_grid(b, valid, 0.1, PatchSettings()), a, valid, IDENTITY, PatchSettings())
+    found = compare_patches(patch_grid(b, valid, 0.1, PatchSettings()), a, valid, IDENTITY)
     assert abs(found.mean) < 0.205  # 0.22 if every patch chose for itself

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
-from splitknit.matching.minutiae_enhance import EnhanceSettings, enhance_print
+from splitknit.matching.minutiae_enhance import enhance_print
 
 
 def waves(angle_deg: float, period_px: float, shape: tuple[int, int] = (160, 180)) -> np.ndarray:
@@ -56,12 +55,3 @@ def test_paper_stays_white() -> None:
 def test_the_same_bytes_each_time() -> None:
     image = np.random.default_rng(3).integers(0, 256, (200, 170)).astype(np.uint8)
     assert np.array_equal(enhance_print(image), enhance_print(image))
-
-
-def test_settings_are_checked() -> None:
-    with pytest.raises(BadInput, match="even"):
-        EnhanceSettings(window_px=31)
-    with pytest.raises(BadInput, match="half a window"):
-        EnhanceSettings(step_px=20)
-    with pytest.raises(BadInput, match="positive"):
-        EnhanceSettings(spread_deg=0)

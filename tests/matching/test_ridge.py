@@ -138,11 +138,8 @@ def test_sides_must_be_alike(templates) -> None:
     ("kind", "change"),
     [
         (PhaseSettings, {"limit_deg": 60}),
-        (PhaseSettings, {"step_deg": 0}),
-        (PhaseSettings, {"candidates": 0}),
+        (PhaseSettings, {"whitening": 1.5}),
         (PatchSettings, {"patch_mm": 0}),
-        (PatchSettings, {"least_share": 0}),
-        (RidgeMatchSettings, {"refinements": 0}),
     ],
 )
 def test_settings_are_checked(kind, change) -> None:

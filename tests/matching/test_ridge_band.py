@@ -8,7 +8,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
 from splitknit.matching import PhaseSettings, RidgeBandSettings, print_band, ridge_band
-from splitknit.matching.phase import peaks, views
+from splitknit.matching.phase import _PLANE_PX, peaks, views
 
 PITCH = 0.05
 
@@ -116,7 +116,7 @@ def test_whitening_sharpens_the_peak() -> None:
         assert (found.right_mm, found.down_mm) == (0.0, 0.0)
         import scipy.fft
 
-        around = scipy.fft.irfft2(one.ridges[0].conj() * one.ridges[0], s=settings.plane_px)
+        around = scipy.fft.irfft2(one.ridges[0].conj() * one.ridges[0], s=_PLANE_PX)
         return float((np.abs(around) > 0.5).sum())
 
     assert width(0.8) < 0.5 * width(0.0)

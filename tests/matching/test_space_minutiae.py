@@ -10,7 +10,14 @@ import pytest
 from space_samples import again, finger, turned
 
 from splitknit.errors import BadInput
-from splitknit.matching.minutiae3d import Minutiae3DSettings, PreparedMinutiae3D, alike_pairs, minutiae3d_match
+from splitknit.matching.minutiae3d import (
+    _ANGLE_DEG,
+    _LENGTH_MM,
+    Minutiae3DSettings,
+    PreparedMinutiae3D,
+    alike_pairs,
+    minutiae3d_match,
+)
 from splitknit.matching.minutiae3d_record import (
     SpaceMinutiae,
     no_space_minutiae,
@@ -18,6 +25,9 @@ from splitknit.matching.minutiae3d_record import (
     unpack_space_minutiae,
 )
 from splitknit.matching.space_alignment import (
+    _HEIGHT_MM,
+    _PHI_DEG,
+    _THETA_DEG,
     AgreementSettings,
     Framed,
     agreeing,
@@ -112,7 +122,7 @@ def test_pairs_as_slow_loops_find_them() -> None:
         for other in _near(b, settings.neighbours):
             one, two = _look(a, *pair), _look(b, *other)
             apart = [abs(np.angle(np.exp(1j * (one[k] - two[k])))) for k in (1, 2)]
-            if abs(one[0] - two[0]) <= settings.length_mm and max(apart) <= np.deg2rad(settings.angle_deg):
+            if abs(one[0] - two[0]) <= _LENGTH_MM and max(apart) <= np.deg2rad(_ANGLE_DEG):
                 slow.add((*pair, *other))
     assert len(slow) > 20
     assert fast == slow
@@ -190,9 +200,9 @@ def test_agreement_as_a_slow_loop_finds_it() -> None:
             rise = abs(np.arcsin(ahead[2]) - np.arcsin(there[2]))
             limits = (
                 settings.plane_mm,
-                settings.height_mm,
-                np.deg2rad(settings.theta_deg),
-                np.deg2rad(settings.phi_deg),
+                _HEIGHT_MM,
+                np.deg2rad(_THETA_DEG),
+                np.deg2rad(_PHI_DEG),
             )
             ratios = np.array([np.hypot(apart[0], apart[1]), abs(apart[2]), turn, rise]) / limits
             if ratios.max() <= 1:

@@ -18,6 +18,7 @@ from splitknit.matching.surface_code import (
     unpack_surface_code,
 )
 from splitknit.matching.surface_code_match import (
+    _MIN_OVERLAP,
     PreparedSurface,
     SurfaceMatchSettings,
     surface_code_match,
@@ -104,7 +105,7 @@ def test_distance_as_a_slow_loop_counts_it(shift: tuple[int, int]) -> None:
     )
     settings = SurfaceMatchSettings(turn_deg=0.0, turn_step_deg=0.5, shift_mm=1.4, side_shift_mm=1.4, coarse_mm=0.1)
     found = surface_code_match(one, two, settings)
-    least = settings.least_share * min(one.area_mm2, two.area_mm2)
+    least = _MIN_OVERLAP * min(one.area_mm2, two.area_mm2)
     slow = 1.0
     for rows in range(-15, 16):
         for columns in range(-15, 16):

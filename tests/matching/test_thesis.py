@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
 from splitknit.matching import (
-    FeatureSettings,
     FingerImages,
     ThesisSettings,
     align_masks,
@@ -157,8 +156,6 @@ def test_sizes_and_settings_are_checked(impressions) -> None:
     for change in ({"gate": 2}, {"feature": "sift"}, {"attributes": ("colour",)}, {"attributes": ()}):
         with pytest.raises(BadInput):
             ThesisSettings(**change)
-    with pytest.raises(BadInput):
-        FeatureSettings(hog_bins=1)
     one = impressions[0].images()
     with pytest.raises(BadInput, match="px/mm"):
         thesis_match(one, FingerImages(one.channels, one.mask, 75.7))

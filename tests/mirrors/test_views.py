@@ -100,7 +100,7 @@ def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
 
 def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
     image, camera = large(FRONT, *BESIDE)
-    views = find_views(image, camera, MIRRORS, bright, 1, None, outlined)
+    views = find_views(image, camera, MIRRORS, bright, 1, outlined)
     assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -124,4 +124,4 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> Non
 def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
     image, camera = large(*fingers)
     with pytest.raises(BadInput, match=words):
-        find_views(image, camera, MIRRORS, bright, 1, None, outlined)
+        find_views(image, camera, MIRRORS, bright, 1, outlined)

@@ -74,7 +74,7 @@ def test_solved_agrees_with_numpy(size):
     assert np.allclose(solved(upper, vector.T, damping).T, wanted, rtol=1e-9)
 
 
-@pytest.mark.parametrize("change", [{"iterations": 0}, {"step": 0.0}, {"gain": float("nan")}, {"damping": 1.0}])
+@pytest.mark.parametrize("change", [{"iterations": 0}, {"step": 0.0}, {"gain": float("nan")}, {"gain": 1.0}])
 def test_settings_that_make_no_sense_are_refused(change):
     with pytest.raises(BadInput, match=next(iter(change))):
         LevenbergSettings(**change)

@@ -184,9 +184,3 @@ def test_bad_input() -> None:
         Part(0.5, 0.5, 1.0)
     with pytest.raises(BadInput, match="weight"):
         Part(0.0, 0.5, -1.0)
-    with pytest.raises(BadInput, match="least_purity"):
-        PrintQualitySettings(least_purity=1.0)
-    with pytest.raises(BadInput, match="period_tolerance"):
-        PrintQualitySettings(period_tolerance=0.0)
-    with pytest.raises(BadInput, match="least_height_um"):
-        PrintQualitySettings(least_height_um=-1.0)

@@ -29,7 +29,6 @@ from splitknit.evaluation.fusion import fit_linear, fit_logistic
 from splitknit.io import read_print_png
 from splitknit.matching import Prepared, make_template, print_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae_enhance import EnhanceSettings
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "real_prints.json"
@@ -54,7 +53,7 @@ def nbis_py(images: Sequence[Image]) -> Callable[[int, int], float]:
 
 def minutiae(images: Sequence[Image]) -> Callable[[int, int], float]:
     """Our route: enhanced, then mindtct and bozorth3."""
-    found = [extract(image, 500.0, EnhanceSettings()) for image in images]
+    found = [extract(image, 500.0, enhance=True) for image in images]
     return lambda i, j: minutiae_match(found[i], found[j])
 
 

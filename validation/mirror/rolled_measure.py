@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from splitknit.io import read_capture
 from splitknit.mirrors.rolled import Blended, read, ridge_band, seam_lines, seam_steps
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG
 from splitknit.mirrors.rolled.finger import Rolled, rolled_finger
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import find_mirror_views
@@ -69,7 +70,7 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
 
 def front_alone(rolled: Rolled) -> Rolled:
     """The same finger as its front shows it, as far as any view is used: the same relief, without the mirrors'."""
-    facing = rolled.normals[..., 2] > np.cos(np.deg2rad(RolledSettings().blend.steepest_deg))
+    facing = rolled.normals[..., 2] > np.cos(np.deg2rad(STEEPEST_DEG))
     known = rolled.blended.known & (rolled.view_reliefs[0] != 0) & facing
     relief = np.where(known, rolled.view_reliefs[0], np.float32(0.0)).astype(np.float32)
     shares = np.stack([known.astype(np.float32)])

@@ -22,7 +22,6 @@ from splitknit.errors import BadInput
 from splitknit.imaging import linear_channels
 from splitknit.io import read_capture
 from splitknit.matching.minutiae import extract, nfiq2
-from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit.prints.make import Print, enhance, make_print
 from splitknit.prints.sources import Source
@@ -158,7 +157,7 @@ def pressed_record(population: Path, subject: str, finger: str, seed: int) -> di
     rows: dict[str, Any] = {"nfiq2": nfiq2(pressed.image), "area_mm2": pressed.area_mm2}
     for name, minutiae in (
         ("print", extract(pressed.image)),
-        ("enhanced", extract(pressed.image, 500.0, EnhanceSettings())),
+        ("enhanced", extract(pressed.image, 500.0, enhance=True)),
     ):
         place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
         sides = [

@@ -6,14 +6,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 from splitknit.errors import require
 from splitknit.io.provenance import settings_hash
 from splitknit.matching.surface import MatchingSettings
 from splitknit.pipeline import PipelineSettings, preset_settings
 from splitknit.presets import settings_document
-from splitknit.settings import override
+from splitknit.settings import Checked, Limits, check_fields, override
 
 MATCHERS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
 
@@ -56,33 +56,31 @@ def preset_cases(names: tuple[str, ...] = ("metric", "snk", "pr", "ea")) -> tupl
 
 
 @dataclass(frozen=True, slots=True)
-class BatchSettings:
+class BatchSettings(Checked):
     """What is reconstructed and compared."""
 
     cases: tuple[Case, ...] = field(default_factory=preset_cases)
     """Ways to reconstruct, at least one, each by its own name; as shipped `metric`, `snk`, `pr` and `ea`."""
     matchers: tuple[str, ...] = ("ridge",)
     """Of :data:`MATCHERS`; none: reconstruct only."""
-    impostors: float = 1.0
+    impostors: Annotated[float, Limits(0, 1)] = 1.0
     """Share of the comparisons of different fingers that is made; genuine ones are all made."""
-    seed: int = 0
+    seed: Annotated[int, Limits(0)] = 0
     """Which of them, where not all are."""
     matching: MatchingSettings = field(default_factory=MatchingSettings)
     surfaces: bool = True
     """Keep the surfaces, about 2.3 MB a reconstruction at 30 px/mm: the thesis's matcher needs them."""
-    chunk_captures: int = 10
+    chunk_captures: Annotated[int, Limits(1, 1000)] = 10
     """Captures that are reconstructed, and stored, together: what a killed run loses at most, for each job."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(len(self.cases) > 0, "a batch needs at least one case.")
         names = [case.name for case in self.cases]
         require(len(set(names)) == len(names), f"two cases are called '{_twice(names)}'; give each its own name.")
         unknown = [name for name in self.matchers if name not in MATCHERS]
         require(not unknown, f"there is no matcher '{unknown[0] if unknown else ''}'; known are {', '.join(MATCHERS)}.")
         require(len(set(self.matchers)) == len(self.matchers), "a matcher is named twice.")
-        require(0 <= self.impostors <= 1, f"the share of impostors must lie in [0, 1], but it is {self.impostors}.")
-        require(self.seed >= 0, f"the seed must not be negative, but it is {self.seed}.")
-        require(1 <= self.chunk_captures <= 1000, "a chunk holds 1 to 1000 captures.")
 
 
 def _twice(names: list[str]) -> str:

@@ -13,7 +13,7 @@ from splitknit.capture.exposure import MEDIAN, clipped_share
 from splitknit.capture.focus import grey_light
 from splitknit.devices import Frame
 from splitknit.errors import require
-from splitknit.finger.motion import MotionSettings, shot_motion
+from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import BoolArray, FloatArray
 
@@ -124,7 +124,7 @@ class Examiner:
         px = self.working_px_per_mm(stack.shape[2], full_columns)
         motion = shot_motion(stack, inside, px, MotionSettings(working_px_per_mm=self.settings.working_px_per_mm))
         length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
-        believed = motion.reliability >= MotionSettings().least_reliability
+        believed = motion.reliability >= MIN_RELIABILITY
         return np.asarray(np.where(believed, length, 0.0), dtype=np.float64)
 
     def _mask(self, shape: tuple[int, int]) -> tuple[BoolArray, FloatArray]:

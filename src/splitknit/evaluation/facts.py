@@ -11,7 +11,7 @@ import numpy as np
 from splitknit.evaluation import rates
 from splitknit.evaluation.error_bounds import rule_of_three
 from splitknit.evaluation.identification import Cmc, cmc, rank_one_interval
-from splitknit.evaluation.intervals import BootstrapSettings, Interval, Intervals
+from splitknit.evaluation.intervals import CONFIDENCE, BootstrapSettings, Interval, Intervals
 from splitknit.evaluation.protocol import by_session_pair
 from splitknit.evaluation.scores import Scores
 
@@ -62,7 +62,7 @@ def system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
             "method": result.primary,
             "drawn": result.intervals.drawn,
             "replicates": settings.replicates,
-            "confidence": settings.confidence,
+            "confidence": CONFIDENCE,
             "seed": settings.seed,
         },
         "intervals": {
@@ -98,9 +98,7 @@ def cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] 
     """Rank one and the curve, up to rank 100."""
     if found is None:
         return None
-    low, high = rank_one_interval(
-        found, replicates=settings.replicates, confidence=settings.confidence, seed=settings.seed
-    )
+    low, high = rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
     return {
         "gallery": found.gallery,
         "probes": found.rank.size,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,34 +18,26 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.pairing import pair_up
 from splitknit.evaluation.scores import Ids, Scores
+from splitknit.settings import Checked, Limits
 
-METHODS = ("linear", "trained")
+_PENALTY = 1e-3
+"""Of ``trained``: on half the sum of the squared weights."""
 
 
 @dataclass(frozen=True, slots=True)
-class FusionSettings:
+class FusionSettings(Checked):
     """How scores are fused."""
 
-    method: str = "trained"
+    method: Literal["linear", "trained"] = "trained"
     """``linear``: weighted sum of normalised scores; ``trained``: logistic regression."""
-    normalisation: str = "z"
+    normalisation: Literal["z", "minmax"] = "z"
     """Of ``linear``: ``z`` or ``minmax``, with what the training folds give."""
     weights: tuple[float, ...] = ()
     """Of ``linear``, one for each system; none: equal ones (the thesis does not say its own)."""
-    penalty: float = 1e-3
-    """Of ``trained``: on half the sum of the squared weights."""
-    folds: int = 5
+    folds: Annotated[int, Limits(3)] = 5
     """At most; fewer where there are fewer subjects."""
-    seed: int = 0
+    seed: Annotated[int, Limits(0)] = 0
     """By which subjects are dealt to folds."""
-
-    def __post_init__(self) -> None:
-        require(self.method in METHODS, f"scores are fused by {' or '.join(METHODS)}, not by '{self.method}'.")
-        known = self.normalisation in NORMALISATIONS
-        require(known, f"scores are normalised by 'z' or 'minmax', not by '{self.normalisation}'.")
-        require(self.penalty > 0, f"fusion.penalty must be positive, but it is {self.penalty}.")
-        require(self.folds >= 3, f"a fusion needs three folds at least, but there are {self.folds}.")
-        require(self.seed >= 0, f"the seed must not be negative, but it is {self.seed}.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +175,7 @@ def cross_fit(
 
 def _fitter(settings: FusionSettings) -> Callable[[Table, NDArray[np.bool_]], LinearModel | LogisticModel]:
     if settings.method == "trained":
-        return lambda table, genuine: fit_logistic(table, genuine, settings.penalty)
+        return lambda table, genuine: fit_logistic(table, genuine, _PENALTY)
     weights = np.array(settings.weights) if settings.weights else None
     return lambda table, genuine: fit_linear(table, weights, settings.normalisation)
 

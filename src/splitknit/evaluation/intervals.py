@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,33 +16,29 @@ from splitknit.evaluation.cells import Cells, make_cells
 from splitknit.evaluation.few_errors import bounds
 from splitknit.evaluation.rates import SLACK
 from splitknit.evaluation.scores import Ids, Scores
+from splitknit.settings import Checked, Limits
 
 TARGETS = (0.01, 0.001, 0.0001)
 METHODS = ("plain", "finger", "subject")
 Progress = Callable[[float], None]
 
 
+CONFIDENCE = 0.95
+"""Share of the resampled figures that an interval spans, between 0 and 1."""
+
+
 @dataclass(frozen=True, slots=True)
-class BootstrapSettings:
+class BootstrapSettings(Checked):
     """How intervals are made."""
 
-    replicates: int = 1000
+    replicates: Annotated[int, Limits(20, 1_000_000)] = 1000
     """Resampled sets of comparisons."""
-    confidence: float = 0.95
-    """Share of the resampled figures that an interval spans, between 0 and 1."""
-    seed: int = 0
+    seed: Annotated[int, Limits(0)] = 0
     """What the sets are drawn from, 0 or more."""
-    targets: tuple[float, ...] = TARGETS
+    targets: Annotated[tuple[float, ...], Limits(0, 1, above=True)] = TARGETS
     """FARs at which the GAR is given."""
-    curve_points: int = 41
+    curve_points: Annotated[int, Limits(0, 1000)] = 41
     """FARs of the band around the ROC, evenly spaced in the logarithm; 0: no band."""
-
-    def __post_init__(self) -> None:
-        require(20 <= self.replicates <= 1_000_000, f"replicates must be 20 to 1000000, but are {self.replicates}.")
-        require(0 < self.confidence < 1, f"confidence must lie between 0 and 1, but it is {self.confidence}.")
-        require(self.seed >= 0, f"the seed must not be negative, but it is {self.seed}.")
-        require(all(0 < far <= 1 for far in self.targets), "FAR targets must lie above 0 and not above 1.")
-        require(0 <= self.curve_points <= 1000, "curve_points must be 0 to 1000.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +99,7 @@ def bootstrap(
     units = plain_units(cells) if method == "plain" else _clusters(scores, method)
     rows = _rows(units, [cells], layout, settings, progress)[0]
     possible = bounds(scores, method, settings.targets)
-    lows, highs = _limits(rows, settings.confidence)
+    lows, highs = _limits(rows, CONFIDENCE)
     figures = {
         name: _holding(values[name], lows[k], highs[k], possible.get(name, ()))
         for k, name in enumerate(layout.names)
@@ -139,7 +136,7 @@ def differences(
     else:
         units = _clusters(first, method)
     rows = _rows(units, systems, layout, settings, progress)
-    lows, highs = _limits(rows[0] - rows[1], settings.confidence)
+    lows, highs = _limits(rows[0] - rows[1], CONFIDENCE)
     values = [figure_values(one, settings.targets) for one in (first, second)]
     both = [name for name in layout.names if name in values[0] and name in values[1]]
     places = {name: layout.names.index(name) for name in both}

@@ -243,7 +243,7 @@ def fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Sco
     require(
         len(systems) >= 2, "--fuse needs two systems at least; give several score files, or one with a column system."
     )
-    settings = FusionSettings(method=method, seed=seed)
+    settings = FusionSettings(method=method, seed=seed)  # type: ignore[arg-type]
     fused = fuse(systems, settings, name=f"fused, {method}")
     folds = len(set(fused.fold.tolist()) - {-1})
     weights = fused.mean_weights()

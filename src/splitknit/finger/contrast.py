@@ -9,34 +9,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, check_mask, require
+from splitknit.errors import check_image, check_mask
 from splitknit.finger.regions import bounding_box
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+_BINS = 256
+"""Bins of the histograms; the mapping between them is interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
-class ClaheSettings:
+class ClaheSettings(Checked):
     """Adaptive equalisation."""
 
-    cell_px: float = 64.0
+    cell_px: Annotated[float, Limits(0, above=True)] = 64.0
     """Side of a cell in pixels at 75.7 px/mm; scales with px_per_mm."""
-    clip_limit: float = 3.0
+    clip_limit: Annotated[float, Limits(1)] = 3.0
     """Bins are clipped at this many times the mean bin (the thesis: usually 2 to 4); contrast grows at most by this
     factor and one."""
-    bins: int = 256
-    """Bins of the histograms; the mapping between them is interpolated."""
-    high_percentile: float = 99.9
+    high_percentile: Annotated[float, Limits(50, 100, above=True)] = 99.9
     """This percentile of the finger becomes white before equalisation."""
-
-    def __post_init__(self) -> None:
-        require(self.cell_px > 0, "clahe.cell_px must be positive.")
-        require(self.clip_limit >= 1, "clahe.clip_limit must be at least 1.")
-        require(8 <= self.bins <= 4096, "clahe.bins must lie between 8 and 4096.")
-        require(50 < self.high_percentile <= 100, "clahe.high_percentile must lie in (50, 100].")
 
 
 def clahe(
@@ -75,9 +72,9 @@ def clahe(
     inside = mask[box]
     white = float(np.percentile(image[box][inside], settings.high_percentile))
     grey = np.clip(image[box] / np.float32(max(white, 1e-12)), 0.0, 1.0)
-    level = grey * np.float32(settings.bins - 1)
+    level = grey * np.float32(_BINS - 1)
     cell = max(8, round(settings.cell_px * px_per_mm / 75.7))
-    counts = _histograms(level, inside, cell, settings.bins)
+    counts = _histograms(level, inside, cell, _BINS)
     mappings = _mappings(_borrow(counts, 0.25 * cell * cell), settings.clip_limit)
     result = np.zeros(image.shape, dtype=np.float32)
     result[box] = np.where(inside, _apply(level, mappings, cell), np.float32(0.0))

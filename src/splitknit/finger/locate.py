@@ -15,9 +15,9 @@ from splitknit.calibration.drift import drift_words, led_drift
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
-from splitknit.finger.orientation import OrientationSettings, Upright, find_upright
-from splitknit.finger.phalange import Crease, CreaseSettings, find_crease, phalange_mask
-from splitknit.finger.photometric import PhotometricMaskSettings, photometric_mask
+from splitknit.finger.orientation import Upright, find_upright
+from splitknit.finger.phalange import Crease, find_crease, phalange_mask
+from splitknit.finger.photometric import photometric_mask
 from splitknit.finger.quality import QualitySettings, capture_quality, quality_warnings
 from splitknit.imaging import (
     Window,
@@ -50,11 +50,8 @@ class FingerSettings(Checked):
     """``calibrated``: rays run as the rig file's camera model says; ``orthographic``: parallel, whatever it says."""
     lights: LightsSettings = field(default_factory=LightsSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
-    orientation: OrientationSettings = field(default_factory=OrientationSettings)
-    crease: CreaseSettings = field(default_factory=CreaseSettings)
     cut_at_crease: bool = True
     """Keep only the finger's first phalange."""
-    photometric: PhotometricMaskSettings = field(default_factory=PhotometricMaskSettings)
     quality: QualitySettings = field(default_factory=QualitySettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
 
@@ -119,12 +116,12 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
             image = without_mirrors(image, capture.rig.camera, mirrors, binning)
         outline = finger_mask(image, small_px, settings.mask)
         check_borders(outline)
-    upright = find_upright(outline, capture.tip_direction_deg, settings.orientation)
-    crease = find_crease(grey, outline, upright, small_px, settings.crease)
+    upright = find_upright(outline, capture.tip_direction_deg)
+    crease = find_crease(grey, outline, upright, small_px)
     cut = settings.cut_at_crease and not given
     kept = phalange_mask(outline, crease, upright) if cut else outline
     limits = saturation_levels(white, capture.encoding)
-    usable = photometric_mask(stack, kept, small_px, settings.photometric, saturation=limits) if not given else kept
+    usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
     wider = _beyond(outline, crease, upright, small_px) if cut else outline
     quality, warnings = _quality(capture, settings, stack, outline, small_px, limits, binning)
     full = capture.shape
@@ -184,15 +181,13 @@ def _quality(  # noqa: PLR0917
         if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
             lights = lights * colour_factors_of(stack, capture.rig, band, outline)[:, None]
         ambient = _ambient(band, capture.encoding, binning)
-        found = capture_quality(
-            stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation, settings=settings.quality
-        )
+        found = capture_quality(stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation)
         words = list(quality_warnings(found, settings.quality))
         if len(stack) >= 4:
             motion = shot_motion(stack, outline, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
-            words += motion_warnings(motion, settings.motion)
+            words += motion_warnings(motion)
         if "radiometry" in capture.rig.provenance and len(stack) >= 5:
             drift, said = _drift(capture, band, stack, lights, outline)
             found["light_drift"] = drift

@@ -7,6 +7,7 @@ the full grid: finer than the skin's own blur, and a tenth of the work.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -27,49 +28,36 @@ from splitknit.finger.regions import (
     remove_spurs,
 )
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+BLUR_MM = 0.25
+"""Gaussian blur (sigma) of the chromaticity before clustering."""
+_FINE_BLUR_MM = 0.06
+"""Gaussian blur (sigma) of the images on which the outline is found."""
+_EDGE_FRACTION = 0.12
+"""A pixel is finger if it rises from the backdrop by this fraction of the finger's median rise."""
+_NOISE_FACTOR = 5.0
+"""A pixel is finger if it also rises by this many standard deviations of the backdrop's noise."""
+_SPUR_FRACTION = 0.4
+"""Parts narrower than this share of the finger's own width are cut off."""
+_SPECK_MM = 1.0
+"""Bumps of the outline narrower than twice this (dust on the backdrop beside the finger) are cut off."""
+_EDGE_MARGIN_MM = 1.0
+"""Width of the zone along the outline that counts neither as finger nor as backdrop while either is measured."""
+_MIN_WIDTH_MM = 4.0
+"""A region nowhere as wide as this is no finger."""
+_MIN_STEP = 0.15
+"""A region across whose outline neither brightness nor colour changes by this share is no finger."""
 
 
 @dataclass(frozen=True, slots=True)
-class MaskSettings:
+class MaskSettings(Checked):
     """How the finger is told from the backdrop."""
 
-    coarse_px_per_mm: float = 10.0
+    coarse_px_per_mm: Annotated[float, Limits(0, above=True)] = 10.0
     """Scale of the copy that is clustered."""
-    fine_px_per_mm: float = 20.0
+    fine_px_per_mm: Annotated[float, Limits(0, above=True)] = 20.0
     """Scale of the copy on which the outline is found."""
-    blur_mm: float = 0.25
-    """Gaussian blur (sigma) of the chromaticity before clustering."""
-    fine_blur_mm: float = 0.06
-    """Gaussian blur (sigma) of the images on which the outline is found."""
-    edge_share: float = 0.12
-    """A pixel is finger if it rises from the backdrop by this share of the finger's median rise."""
-    noise_factor: float = 5.0
-    """... and by this many standard deviations of the backdrop's noise."""
-    spur_share: float = 0.4
-    """Parts narrower than this share of the finger's own width are cut off."""
-    speck_mm: float = 1.0
-    """Bumps of the outline narrower than twice this (dust on the backdrop beside the finger) are cut off."""
-    edge_margin_mm: float = 1.0
-    """Width of the zone along the outline that counts neither as finger nor as backdrop while either is measured."""
-    least_width_mm: float = 4.0
-    """A region nowhere as wide as this is no finger."""
-    least_step: float = 0.15
-    """A region across whose outline neither brightness nor colour changes by this share is no finger."""
-
-    def __post_init__(self) -> None:
-        for name in (
-            "coarse_px_per_mm",
-            "fine_px_per_mm",
-            "blur_mm",
-            "fine_blur_mm",
-            "noise_factor",
-            "edge_margin_mm",
-            "speck_mm",
-        ):
-            require(getattr(self, name) > 0, f"mask.{name} must be positive.")
-        for name in ("edge_share", "spur_share", "least_step"):
-            require(0 < getattr(self, name) < 1, f"mask.{name} must lie between 0 and 1.")
-        require(self.least_width_mm >= 0, "mask.least_width_mm must not be negative.")
 
 
 def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
@@ -112,30 +100,28 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse_scale = reduction(fine.shape[:2], px_per_mm * fine_scale, settings.coarse_px_per_mm, 600)
     coarse = reduce_image(fine, coarse_scale)
     coarse_px = px_per_mm * fine_scale * coarse_scale
-    coarse = blur(coarse, 0.5 * settings.blur_mm * coarse_px)
+    coarse = blur(coarse, 0.5 * BLUR_MM * coarse_px)
 
     try:
-        mask = coarse_mask(coarse, coarse_px, settings)
+        mask = coarse_mask(coarse, coarse_px)
     except BadInput:
         check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
         raise
-    result = fine_outline(fine, mask, (height, width), px_per_mm * fine_scale, settings)
+    result = fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
     check_borders(result)
     return result
 
 
-def coarse_mask(image: FloatArray, px_per_mm: float, settings: MaskSettings, samples: int = SAMPLES) -> BoolArray:
+def coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) -> BoolArray:
     """The finger on the coarse copy."""
-    margin = settings.edge_margin_mm * px_per_mm
-    mask = _seed(image, settings.blur_mm * px_per_mm, settings)
+    margin = _EDGE_MARGIN_MM * px_per_mm
+    mask = _seed(image, BLUR_MM * px_per_mm)
     for _ in range(2):
-        evidence, usable = skin_evidence(
-            image, mask, margin, settings.edge_share, settings.noise_factor, samples=samples
-        )
+        evidence, usable = skin_evidence(image, mask, margin, _EDGE_FRACTION, _NOISE_FACTOR, samples=samples)
         require(usable, NO_FINGER)
-        mask = _clean(evidence > 1.0, mask, settings)
-    require(2.0 * float(depth_inside(mask).max()) >= settings.least_width_mm * px_per_mm, NO_FINGER)
-    require(rise_at_edge(image, mask, margin) >= settings.least_step, NO_FINGER)
+        mask = _clean(evidence > 1.0, mask)
+    require(2.0 * float(depth_inside(mask).max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
+    require(rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
     return mask
 
 
@@ -198,7 +184,7 @@ def check_image(mean_image: FloatArray) -> FloatArray:
     return image
 
 
-def _seed(image: FloatArray, sigma: float, settings: MaskSettings) -> BoolArray:
+def _seed(image: FloatArray, sigma: float) -> BoolArray:
     """Cluster by chromaticity and by brightness, keep the split that is clearer and lies like a finger."""
     brightness = image if image.ndim == 2 else image.sum(axis=2)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
@@ -211,7 +197,7 @@ def _seed(image: FloatArray, sigma: float, settings: MaskSettings) -> BoolArray:
     for features in candidates:
         second, separation = two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
-        region = remove_spurs(fill_holes(cluster), settings.spur_share)
+        region = remove_spurs(fill_holes(cluster), _SPUR_FRACTION)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:
             best, clearest = region, separation * purity
@@ -231,34 +217,31 @@ def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
     return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
 
 
-def _clean(candidate: BoolArray, seed: BoolArray, settings: MaskSettings) -> BoolArray:
+def _clean(candidate: BoolArray, seed: BoolArray) -> BoolArray:
     """One component that contains the middle of `seed`, without spurs and holes."""
     grown = fill_holes(candidate | erode(seed, 0.5 * float(depth_inside(seed).max())))
-    cleaned = remove_spurs(largest_component(grown), settings.spur_share)
+    cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)
     require(bool(cleaned.any()), NO_FINGER)
     return fill_holes(cleaned)
 
 
-def fine_outline(  # noqa: PLR0917
+def fine_outline(
     fine: FloatArray,
     mask: BoolArray,
     size: tuple[int, int],
     px_per_mm: float,
-    settings: MaskSettings,
     samples: int = SAMPLES,
 ) -> BoolArray:
     """Find the edge of the coarse `mask` on the `fine` copy and interpolate it to `size` (rows, columns)."""
     shape = fine.shape[:2]
     guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
-    smooth = blur(fine, settings.fine_blur_mm * px_per_mm)
-    margin = settings.edge_margin_mm * px_per_mm
-    evidence, _ = skin_evidence(
-        smooth, guess, margin, settings.edge_share, settings.noise_factor, local=True, samples=samples
-    )
+    smooth = blur(fine, _FINE_BLUR_MM * px_per_mm)
+    margin = _EDGE_MARGIN_MM * px_per_mm
+    evidence, _ = skin_evidence(smooth, guess, margin, _EDGE_FRACTION, _NOISE_FACTOR, local=True, samples=samples)
     near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
     found = np.where(near, evidence > 1.0, guess)
-    cleaned = remove_spurs(largest_component(fill_holes(found)), settings.spur_share)
-    cleaned = fill_holes(remove_specks(cleaned, settings.speck_mm * px_per_mm))
+    cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
+    cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
     require(bool(cleaned.any()), NO_FINGER)
     # above one exactly on `cleaned`; between the grid points the evidence itself says where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))

@@ -7,6 +7,7 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.finger.mask import (
+    BLUR_MM,
     NO_FINGER,
     MaskSettings,
     check_borders,
@@ -32,8 +33,8 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
     height, width = image.shape[:2]
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 600)
-    coarse = blur(reduce_image(image, scale), 0.5 * settings.blur_mm * px_per_mm * scale)
-    mask = coarse_mask(coarse, px_per_mm * scale, settings, FEW_SAMPLES)
+    coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
+    mask = coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
     check_borders(mask)
     full = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return np.asarray(full, dtype=np.bool_)
@@ -70,4 +71,4 @@ def finger_outline(
     require(bool(rough.any()), NO_FINGER)
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, scale)
-    return fine_outline(fine, rough, (height, width), px_per_mm * scale, settings, FEW_SAMPLES)
+    return fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)

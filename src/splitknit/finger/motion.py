@@ -8,56 +8,49 @@ millimetre. That apparent shift follows the light's direction, so it is fitted a
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack
 from splitknit.finger.regions import blur, bounding_box, dilate, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import RegistrationSettings
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+_BANDS_MM = (0.3, 0.15, 0.08)
+"""Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the first."""
+_BAND_RATIO = 3.2
+"""Coarse end of each filter over its fine end."""
+_ITERATIONS = 6
+"""Most refinements in each band."""
+_SURROUND_MM = 0.7
+"""Width of the backdrop around the finger that is used, for the sake of its silhouette."""
+WARN_MM = 0.05
+"""Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
+MIN_RELIABILITY = 0.8
+"""Motion of a shot with less reliability than this is not believed."""
 
 
 @dataclass(frozen=True, slots=True)
-class MotionSettings:
+class MotionSettings(Checked):
     """How motion between shots is measured, and undone."""
 
-    correct: str = "auto"
+    correct: Literal["auto", "on", "off"] = "auto"
     """``auto``: skin that moved by `correct_mm` at least is brought back; ``on``: always; ``off``: it is warned of."""
-    correct_mm: float = 0.02
+    correct_mm: Annotated[float, Limits(0, above=True)] = 0.02
     """Motion from here on is undone. Still fingers of the twin show at most 0.014 mm."""
-    most_mm: float = 0.8
+    most_mm: Annotated[float, Limits(0, above=True)] = 0.8
     """More motion is refused: ridges may be taken for their neighbours."""
-    most_left: float = 0.35
+    most_left: Annotated[float, Limits(0, above=True)] = 0.35
     """Share of the details that may be left over, where the shots do not fit together, before they are refused."""
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     """How the shots are brought onto one of them."""
 
-    working_px_per_mm: float = 10.0
+    working_px_per_mm: Annotated[float, Limits(0, above=True)] = 10.0
     """Scale of the copies that are compared in the finest band."""
-    bands_mm: tuple[float, ...] = (0.3, 0.15, 0.08)
-    """Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the first."""
-    band_ratio: float = 3.2
-    """Coarse end of each filter over its fine end."""
-    iterations: int = 6
-    """Most refinements in each band."""
-    surround_mm: float = 0.7
-    """Width of the backdrop around the finger that is used, for the sake of its silhouette."""
-    warn_mm: float = 0.05
-    """Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
-    least_reliability: float = 0.8
-    """Motion of a shot with less reliability than this is not believed."""
-
-    def __post_init__(self) -> None:
-        require(self.correct in ("auto", "on", "off"), f"motion.correct must be auto, on or off, not '{self.correct}'.")
-        for name in ("working_px_per_mm", "warn_mm", "correct_mm", "most_mm", "most_left"):
-            require(getattr(self, name) > 0, f"motion.{name} must be positive.")
-        require(len(self.bands_mm) > 0 and min(self.bands_mm) > 0, "motion.bands_mm must be positive numbers.")
-        require(self.band_ratio > 1, "motion.band_ratio must be above 1.")
-        require(self.iterations >= 1, "motion.iterations must be at least 1.")
-        require(self.surround_mm >= 0, "motion.surround_mm must not be negative.")
-        require(0 <= self.least_reliability <= 1, "motion.least_reliability must lie in [0, 1].")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,23 +98,22 @@ def shot_motion(
         return ShotMotion(np.zeros((count, 2)), np.zeros(count))
     shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
-    for band in settings.bands_mm:
+    for band in _BANDS_MM:
         bands, region, light, px = _details(stack, mask, px_per_mm, settings, band)
         aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
         total = np.asarray(aligned.sum(axis=0), dtype=np.float32)
         found = np.zeros_like(shifts)
         for k in range(count):
             reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
-            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region, settings.iterations)
+            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region, _ITERATIONS)
         shifts = _without_illumination(found / px, light)
     return ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
-def motion_warnings(motion: ShotMotion, settings: MotionSettings | None = None) -> tuple[str, ...]:
-    """Warnings in words for shots in which the finger moved by more than `settings.warn_mm`."""
-    settings = settings or MotionSettings()
+def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
+    """Warnings in words for shots in which the finger moved by more than `WARN_MM`."""
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
-    moved = np.flatnonzero((length > settings.warn_mm) & (motion.reliability >= settings.least_reliability))
+    moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:
         return ()
     which = ", ".join(f"{k} by {length[k]:.2f} mm" for k in moved)
@@ -139,8 +131,8 @@ def _details(
     px = px_per_mm * scale
     share = reduce_mask(mask, scale)
     inside = share > 0.5 if bool((share > 0.5).any()) else share > 0.0
-    region = dilate(inside, settings.surround_mm * px)
-    reach = settings.band_ratio * band_mm
+    region = dilate(inside, _SURROUND_MM * px)
+    reach = _BAND_RATIO * band_mm
     box = bounding_box(dilate(region, 2.0 * reach * px))
     rim = max(2, round(reach * px))
     framed = np.zeros_like(region)

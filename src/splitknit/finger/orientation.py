@@ -11,33 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, require
+from splitknit.errors import check_mask
 from splitknit.finger.regions import reduce_mask
 from splitknit.imaging.geometry import rotation_about, warp
 from splitknit.model import BoolArray, FloatArray
 
-
-@dataclass(frozen=True, slots=True)
-class OrientationSettings:
-    """How the finger's axis is fitted."""
-
-    longest_side: int = 512
-    """Longer side of the reduced mask, pixels."""
-    full_width: float = 0.85
-    """Rows at least this share as wide as the widest count as full width."""
-    tip_exclusion: float = 0.5
-    """Rows nearer to the tip than this share of the widest row are left out of the fit."""
-    limit_deg: float = 75.0
-    """Largest turn from the expected direction that is believed (captures promise 60 deg)."""
-    margin_share: float = 0.02
-    """Margin around the finger in the upright frame, as a share of its longer side."""
-
-    def __post_init__(self) -> None:
-        require(self.longest_side >= 64, "orientation.longest_side must be at least 64.")
-        require(0 < self.full_width < 1, "orientation.full_width must lie between 0 and 1.")
-        require(self.tip_exclusion >= 0, "orientation.tip_exclusion must not be negative.")
-        require(0 < self.limit_deg <= 90, "orientation.limit_deg must lie in (0, 90].")
-        require(self.margin_share >= 0, "orientation.margin_share must not be negative.")
+_LONGEST_SIDE = 512
+"""Longer side of the reduced mask, pixels."""
+_FULL_WIDTH = 0.85
+"""Rows at least this share as wide as the widest count as full width."""
+_TIP_EXCLUSION = 0.5
+"""Rows nearer to the tip than this share of the widest row are left out of the fit."""
+_LIMIT_DEG = 75.0
+"""Largest turn from the expected direction that is believed (captures promise 60 deg)."""
+_MARGIN_FRACTION = 0.02
+"""Margin around the finger in the upright frame, as a share of its longer side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,9 +58,7 @@ class Upright:
         return float((self.upright_from_input @ np.array([*self.tip, 1.0]))[1])
 
 
-def find_upright(
-    mask: BoolArray, tip_direction_deg: float | None = None, settings: OrientationSettings | None = None
-) -> Upright:
+def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upright:
     """Find the finger's yaw and the frame in which it is upright. Nothing is resampled.
 
     A straight line is fitted to the midpoints of the rows in which the finger has its full width, robustly (Tukey's
@@ -84,8 +70,7 @@ def find_upright(
     mask : (H, W) bool
     tip_direction_deg : float, optional
         Expected direction of the tip, 0 = up, counter-clockwise. The search starts where the finger leaves the image
-        and stays within `settings.limit_deg` of this direction (default 0).
-    settings : OrientationSettings, optional
+        and stays within 75 degrees of this direction (default 0).
 
     Returns
     -------
@@ -96,11 +81,10 @@ def find_upright(
     ----------
     The thesis, section 3.3.1.1, "Orientation Correction": midpoints of the mask's rows and a line through them.
     """
-    settings = settings or OrientationSettings()
     array = np.asarray(mask)
     mask = check_mask(array, (array.shape[0], array.shape[1]))
     expected = np.deg2rad(tip_direction_deg or 0.0)
-    scale = min(1.0, settings.longest_side / max(mask.shape))
+    scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
     visible = np.ones(small.shape, dtype=np.float32)
     visible[[0, -1], :] = 0.0
@@ -108,7 +92,7 @@ def find_upright(
     angle = _start(small, expected)
     reliable = False
     for _ in range(12):
-        correction, reliable = _tilt(small, visible, angle, settings)
+        correction, reliable = _tilt(small, visible, angle)
         if not reliable:
             break
         angle += float(np.clip(correction, -0.35, 0.35))
@@ -118,14 +102,14 @@ def find_upright(
     turn = (angle - expected + np.pi) % (2 * np.pi) - np.pi
     if not reliable:
         note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
-    elif abs(turn) > np.deg2rad(settings.limit_deg):
+    elif abs(turn) > np.deg2rad(_LIMIT_DEG):
         note = (
             f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected; it was not "
             "believed (set tip_direction_deg)."
         )
         reliable = False
     yaw = float(expected + turn) if reliable else float(expected)
-    return _frame(mask, small, yaw, reliable, note, settings)
+    return _frame(mask, small, yaw, reliable, note)
 
 
 def _start(small: FloatArray, expected: float) -> float:
@@ -154,7 +138,7 @@ def _direction(axis: NDArray[np.float64]) -> float:
     return float(np.arctan2(-axis[0], -axis[1]))
 
 
-def _tilt(small: FloatArray, visible: FloatArray, angle: float, settings: OrientationSettings) -> tuple[float, bool]:
+def _tilt(small: FloatArray, visible: FloatArray, angle: float) -> tuple[float, bool]:
     """Angle by which the midline leans (counter-clockwise) in the frame turned by `angle`, and whether it exists."""
     side = int(np.ceil(np.hypot(*small.shape))) + 2
     middle = ((small.shape[1] - 1) / 2, (small.shape[0] - 1) / 2)
@@ -175,8 +159,8 @@ def _tilt(small: FloatArray, visible: FloatArray, angle: float, settings: Orient
     if not whole.any():
         return 0.0, False
     widest = float(np.percentile(widths[whole], 95))
-    chosen = whole & (widths >= settings.full_width * widest)
-    chosen &= row >= occupied[0] + settings.tip_exclusion * widest
+    chosen = whole & (widths >= _FULL_WIDTH * widest)
+    chosen &= row >= occupied[0] + _TIP_EXCLUSION * widest
     if chosen.sum() < max(8.0, 0.12 * widest):
         chosen = whole & (row >= occupied[0] + 0.3 * widest)
     if chosen.sum() < max(8.0, 0.12 * widest):
@@ -204,15 +188,13 @@ def _robust_slope(rows: NDArray[np.float64], columns: NDArray[np.float64]) -> fl
     return slope
 
 
-def _frame(  # noqa: PLR0917
-    mask: BoolArray, small: FloatArray, yaw: float, reliable: bool, note: str, settings: OrientationSettings
-) -> Upright:
+def _frame(mask: BoolArray, small: FloatArray, yaw: float, reliable: bool, note: str) -> Upright:
     """Bounding box of the turned mask, its tip and its width, from the outline's pixels at full resolution."""
     rows, columns = _outline(mask)
     turn = rotation_about((0.0, 0.0), -yaw)  # input to turned, both about the first pixel
     turned = turn[:2, :2] @ np.stack([columns, rows]).astype(np.float64)
     low, high = turned.min(axis=1), turned.max(axis=1)
-    margin = max(2.0, settings.margin_share * float((high - low).max()))
+    margin = max(2.0, _MARGIN_FRACTION * float((high - low).max()))
     origin = np.floor(low - margin)
     size = np.ceil(high + margin) - origin + 1.0
     input_from_upright = rotation_about((0.0, 0.0), yaw) @ np.array(

@@ -13,56 +13,38 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import check_image, check_mask, require
+from splitknit.errors import check_image, check_mask
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import warp
 from splitknit.model import BoolArray, FloatArray
 
-
-@dataclass(frozen=True, slots=True)
-class CreaseSettings:
-    """What counts as the first flexion crease."""
-
-    working_px_per_mm: float = 8.0
-    """Scale of the copy that is searched."""
-    smoothing_mm: float = 0.3
-    """Blur (sigma) across the crease; takes out ridges of 0.43 mm period."""
-    side_mm: float = 1.6
-    """A valley must be darker than the skin this far above and below it."""
-    least_depth: float = 0.025
-    """Least relative darkening, averaged over the finger's width."""
-    least_coverage: float = 0.6
-    """Share of the finger's width along which the valley must be seen."""
-    least_prominence: float = 2.5
-    """Least depth in units of what lines across this finger usually show (80th percentile of the profile)."""
-    greatest_tilt_deg: float = 15.0
-    """Creases may lean by this much against the finger's axis."""
-    ratio_range: tuple[float, float] = (0.95, 2.4)
-    """Where the first crease may lie: distance from the tip in finger widths."""
-    distance_range_mm: tuple[float, float] = (14.0, 38.0)
-    """... and in millimetres."""
-    expected_ratio: float = 1.55
-    """Distance of the first crease in finger widths, on average."""
-    ratio_spread: float = 0.35
-    """Standard deviation of that ratio, with which two candidates are weighed against each other."""
-    doublet_mm: float = 5.0
-    """Two creases nearer than this are the two lines of one joint."""
-    doublet_share: float = 0.75
-    """Of two such lines the upper is taken if it is at least this deep relative to the lower."""
-
-    def __post_init__(self) -> None:
-        for name in (
-            "working_px_per_mm", "smoothing_mm", "side_mm", "least_depth", "least_prominence", "expected_ratio",
-            "ratio_spread", "doublet_mm",
-        "doublet_share",
-        ):  # fmt: skip
-            require(getattr(self, name) > 0, f"crease.{name} must be positive.")
-        require(0 < self.least_coverage <= 1, "crease.least_coverage must lie in (0, 1].")
-        require(0 <= self.greatest_tilt_deg <= 30, "crease.greatest_tilt_deg must lie in [0, 30].")
-        for name in ("ratio_range", "distance_range_mm"):
-            low, high = getattr(self, name)
-            require(0 <= low < high, f"crease.{name} must be two numbers, the smaller first.")
+_WORKING_PX_PER_MM = 8.0
+"""Scale of the copy that is searched."""
+_SMOOTHING_MM = 0.3
+"""Blur (sigma) across the crease; takes out ridges of 0.43 mm period."""
+_SIDE_MM = 1.6
+"""A valley must be darker than the skin this far above and below it."""
+_MIN_DEPTH = 0.025
+"""Least relative darkening, averaged over the finger's width."""
+_MIN_COVERAGE = 0.6
+"""Share of the finger's width along which the valley must be seen."""
+_MIN_PROMINENCE = 2.5
+"""Least depth in units of what lines across this finger usually show (80th percentile of the profile)."""
+_MAX_TILT_DEG = 15.0
+"""Creases may lean by this much against the finger's axis."""
+_RATIO_RANGE = (0.95, 2.4)
+"""Where the first crease may lie: distance from the tip in finger widths."""
+_DISTANCE_RANGE_MM = (14.0, 38.0)
+"""Where it may lie in millimetres."""
+_EXPECTED_RATIO = 1.55
+"""Distance of the first crease in finger widths, on average."""
+_RATIO_SPREAD = 0.35
+"""Standard deviation of that ratio, with which two candidates are weighed against each other."""
+_DOUBLET_MM = 5.0
+"""Two creases nearer than this are the two lines of one joint."""
+_DOUBLET_FRACTION = 0.75
+"""Of two such lines the upper is taken if it is at least this deep relative to the lower."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,13 +64,7 @@ class Crease:
     """What was decided and why, in words."""
 
 
-def find_crease(
-    mean_grey: FloatArray,
-    mask: BoolArray,
-    upright: Upright,
-    px_per_mm: float,
-    settings: CreaseSettings | None = None,
-) -> Crease:
+def find_crease(mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float) -> Crease:
     """Find the first flexion crease below the tip.
 
     The thesis equalises and blurs the mean grey image, binarises it and looks for the row with most dark pixels. Here
@@ -105,7 +81,6 @@ def find_crease(
     mask : (H, W) bool
     upright : Upright
     px_per_mm : float
-    settings : CreaseSettings, optional
 
     Returns
     -------
@@ -116,27 +91,16 @@ def find_crease(
     ----------
     The thesis, section 3.3.1.1, "Phalange Segmentation", steps 1-5.
     """
-    settings = settings or CreaseSettings()
     grey = check_image(mean_grey, name="the mean grey image")
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
-    scale = min(1.0, settings.working_px_per_mm / px_per_mm, 700 / max(upright.size))
+    scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(grey, mask, upright, scale)
-    found = transverse_valleys(
-        small,
-        inside,
-        px_per_mm * scale,
-        smoothing_mm=settings.smoothing_mm,
-        side_mm=settings.side_mm,
-        least_depth=settings.least_depth,
-        least_coverage=settings.least_coverage,
-        least_prominence=settings.least_prominence,
-        greatest_tilt_deg=settings.greatest_tilt_deg,
-    )
+    found = transverse_valleys(small, inside, px_per_mm * scale)
     width_mm = upright.width_px / px_per_mm
     tip_row = upright.tip_row
     placed = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in found)
     length_mm = (upright.size[0] - tip_row) / px_per_mm
-    chosen, verdict = _judge(placed, width_mm, length_mm, settings)
+    chosen, verdict = _judge(placed, width_mm, length_mm)
     if chosen is None:
         return Crease(False, float("nan"), float("nan"), None, placed, verdict)
     return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), placed, verdict)
@@ -168,15 +132,13 @@ def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: fl
     return warp(small, transform, size), np.asarray(warp(share, transform, size) > 0.9, dtype=np.bool_)
 
 
-def _judge(
-    candidates: tuple[Valley, ...], width_mm: float, length_mm: float, settings: CreaseSettings
-) -> tuple[Valley | None, str]:
+def _judge(candidates: tuple[Valley, ...], width_mm: float, length_mm: float) -> tuple[Valley | None, str]:
     """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
         return None, f"no flexion crease is fully in view ({length_mm:.0f} mm of the finger are); {keep}"
-    low, high = settings.ratio_range
-    near, far = settings.distance_range_mm
+    low, high = _RATIO_RANGE
+    near, far = _DISTANCE_RANGE_MM
     plausible = [
         valley
         for valley in candidates
@@ -190,14 +152,14 @@ def _judge(
         )
 
     def weight(valley: Valley) -> float:
-        offset = (valley.distance_mm / width_mm - settings.expected_ratio) / settings.ratio_spread
+        offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
         return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
 
     best = max(plausible, key=weight)
     for valley in plausible:
         if (
-            0.0 < best.distance_mm - valley.distance_mm <= settings.doublet_mm
-            and valley.depth >= settings.doublet_share * best.depth
+            0.0 < best.distance_mm - valley.distance_mm <= _DOUBLET_MM
+            and valley.depth >= _DOUBLET_FRACTION * best.depth
         ):
             best = valley
             break
@@ -248,29 +210,18 @@ class Valley:
         )
 
 
-def transverse_valleys(
-    image: FloatArray,
-    inside: BoolArray,
-    px_per_mm: float,
-    *,
-    smoothing_mm: float,
-    side_mm: float,
-    least_depth: float,
-    least_coverage: float,
-    least_prominence: float,
-    greatest_tilt_deg: float,
-) -> tuple[Valley, ...]:
+def transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[Valley, ...]:
     """All dark lines across an upright finger, from the tip down.
 
-    A place of the blurred `image` (H, W) responds by how much darker it is than the skin `side_mm` above and below,
-    the lesser of the two; the response is averaged along lines that lean by up to `greatest_tilt_deg`.
+    A place of the blurred `image` (H, W) responds by how much darker it is than the skin `_SIDE_MM` above and below,
+    the lesser of the two; the response is averaged along lines that lean by up to `_MAX_TILT_DEG`.
     """
-    response, valid = _response(image, inside, px_per_mm, smoothing_mm, side_mm)
+    response, valid = _response(image, inside, px_per_mm)
     core = valid & (depth_inside(inside) > 0.08 * _width(inside))
     found: list[Valley] = []
     best: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    for tilt_deg in np.arange(-greatest_tilt_deg, greatest_tilt_deg + 0.1, 3.0):
-        depth, coverage = _along_lines(response, core, inside, float(np.deg2rad(tilt_deg)), least_depth)
+    for tilt_deg in np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0):
+        depth, coverage = _along_lines(response, core, inside, float(np.deg2rad(tilt_deg)))
         tilt = np.full(depth.shape, np.deg2rad(tilt_deg), dtype=np.float32)
         if best is None:
             best = depth, coverage, tilt
@@ -285,9 +236,9 @@ def transverse_valleys(
         return ()
     depth, coverage, tilt = best
     scatter = _scatter(depth)
-    reach = max(1, round(side_mm * px_per_mm))
+    reach = max(1, round(_SIDE_MM * px_per_mm))
     peaks = depth >= ndimage.maximum_filter1d(depth, 2 * reach + 1)
-    strong = peaks & (depth >= max(least_depth, least_prominence * scatter)) & (coverage >= least_coverage)
+    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * scatter)) & (coverage >= _MIN_COVERAGE)
     for row in np.flatnonzero(strong):
         columns = np.flatnonzero(inside[row])
         if len(columns) == 0 or (found and row - found[-1].row <= reach):
@@ -305,9 +256,7 @@ def transverse_valleys(
     return tuple(found)
 
 
-def _response(
-    image: FloatArray, inside: BoolArray, px_per_mm: float, smoothing_mm: float, side_mm: float
-) -> tuple[FloatArray, BoolArray]:
+def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[FloatArray, BoolArray]:
     """Relative darkness against the lesser of the two sides (H, W), and where it is known.
 
     Differences of logarithms, so skin tone and brightness drop out. Each side is continued to the centre with the
@@ -316,13 +265,13 @@ def _response(
     the foot of one just above a crease, never are.
     """
     weight = inside.astype(np.float32)
-    sigma = max(smoothing_mm * px_per_mm, 0.3)
+    sigma = max(_SMOOTHING_MM * px_per_mm, 0.3)
     light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     cover = cv2.GaussianBlur(weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     smooth = np.asarray(light / np.maximum(cover, np.float32(1e-3)), dtype=np.float32)
     typical = float(np.median(smooth[inside])) if inside.any() else 1.0
     level = np.log(np.maximum(smooth, np.float32(max(0.02 * typical, 1e-12))))
-    step = max(1, round(side_mm * px_per_mm))
+    step = max(1, round(_SIDE_MM * px_per_mm))
     above, has_above = _moved_down(level, inside, step)
     below, has_below = _moved_down(level, inside, -step)
     farther_above, has_slope_above = _moved_down(level, inside, 2 * step)
@@ -348,7 +297,7 @@ def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatA
 
 
 def _along_lines(
-    response: FloatArray, core: BoolArray, inside: BoolArray, tilt: float, least_depth: float
+    response: FloatArray, core: BoolArray, inside: BoolArray, tilt: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean response and share of responding columns for every line of one lean; zero where too little is known."""
     height, width = response.shape
@@ -363,7 +312,7 @@ def _along_lines(
     enough = count > 0.6 * _width(inside)
     clipped = np.clip(values, -0.2, 0.2)
     depth = np.where(enough, (clipped * valid).sum(axis=1) / np.maximum(count, 1.0), 0.0)
-    hits = ((values > 0.4 * least_depth) & valid).sum(axis=1)
+    hits = ((values > 0.4 * _MIN_DEPTH) & valid).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,32 +9,20 @@ from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import bounding_box, erode, fill_holes, largest_component
 from splitknit.model import BoolArray, FloatArray
 
-
-@dataclass(frozen=True, slots=True)
-class PhotometricMaskSettings:
-    """When a pixel of the finger is left out of photometric stereo."""
-
-    dark_share: float = 0.03
-    """A light reaches a pixel if it is brighter than this share of the finger's median brightness."""
-    saturation: float = 0.98
-    """Values from here on are saturated (linear, full scale is one), unless the caller says otherwise."""
-    least_lights: int = 3
-    """Lights that must reach a pixel unsaturated; three determine a normal."""
-    pinhole_mm2: float = 1.0
-    """Holes up to this area are filled: a few unreliable pixels harm less than a hole in the surface."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.dark_share < 1, "photometric_mask.dark_share must lie in [0, 1).")
-        require(self.saturation > 0, "photometric_mask.saturation must be positive.")
-        require(self.least_lights >= 1, "photometric_mask.least_lights must be at least 1.")
-        require(self.pinhole_mm2 >= 0, "photometric_mask.pinhole_mm2 must not be negative.")
+_DARK_FRACTION = 0.03
+"""A light reaches a pixel if it is brighter than this share of the finger's median brightness."""
+_SATURATION = 0.98
+"""Values from here on are saturated (linear, full scale is one), unless the caller says otherwise."""
+_MIN_LIGHTS = 3
+"""Lights that must reach a pixel unsaturated; three determine a normal."""
+_PINHOLE_MM2 = 1.0
+"""Holes up to this area are filled: a few unreliable pixels harm less than a hole in the surface."""
 
 
 def photometric_mask(
     stack: FloatArray,
     finger: BoolArray,
     px_per_mm: float,
-    settings: PhotometricMaskSettings | None = None,
     *,
     saturation: float | NDArray[np.float64] | None = None,
 ) -> BoolArray:
@@ -50,7 +36,6 @@ def photometric_mask(
     stack : (L, H, W) float32 linear
     finger : (H, W) bool
     px_per_mm : float
-    settings : PhotometricMaskSettings, optional
     saturation : float or (L,), optional
         Value at which each image saturates on the stack's scale (after exposures were made equal).
 
@@ -67,20 +52,19 @@ def photometric_mask(
     ----------
     The thesis, section 3.3.1.5 (refined mask).
     """
-    settings = settings or PhotometricMaskSettings()
     stack = check_stack(stack)
     finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")
     box = bounding_box(finger)
     inside = finger[box]
-    least = min(settings.least_lights, len(stack))
-    ceilings = np.broadcast_to(np.asarray(settings.saturation if saturation is None else saturation), (len(stack),))
+    least = min(_MIN_LIGHTS, len(stack))
+    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
     sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
     sample = sample if sample.size else stack[:, finger]
-    floor = np.float32(settings.dark_share * float(np.median(sample)))
+    floor = np.float32(_DARK_FRACTION * float(np.median(sample)))
     count = np.zeros(inside.shape, dtype=np.uint8)
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))
-    good = fill_holes(inside & (count >= least), settings.pinhole_mm2 * px_per_mm**2)
+    good = fill_holes(inside & (count >= least), _PINHOLE_MM2 * px_per_mm**2)
     # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is no surface
     good = largest_component(good & inside)
     require(

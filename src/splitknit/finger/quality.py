@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from splitknit.errors import check_image, check_mask, check_stack, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.regions import blur, bounding_box, depth_inside, reduce_image, reduce_mask, reduction
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 # Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
 #
@@ -36,36 +37,30 @@ _EDGE_MM = 1.5
 """What is nearer to the outline is not looked at: skin is seen at a slant there."""
 
 
+_SPECK_PX_PER_MM = 12.0
+"""Scale of the copy on which specks are sought; coarser images are not measured."""
+_DARK_MM = 0.35
+"""Dark marks that are longer in any direction are valleys, wrinkles or hairs."""
+_DARKER = 0.08
+"""How much darker than what surrounds it a pixel of a dark speck is."""
+_BRIGHT_MM = 0.5
+"""Bright marks that are longer in any direction are ridges."""
+_BRIGHTER = 0.08
+"""How much brighter than what surrounds it a pixel of a bright speck is."""
+
+
 @dataclass(frozen=True, slots=True)
-class SpeckSettings:
+class SpeckSettings(Checked):
     """What counts as a speck, and how much of the finger they may cover."""
 
-    px_per_mm: float = 12.0
-    """Scale of the copy on which specks are sought; coarser images are not measured."""
-    dark_mm: float = 0.35
-    """Dark marks that are longer in any direction are valleys, wrinkles or hairs."""
-    darker: float = 0.08
-    """How much darker than what surrounds it a pixel of a dark speck is."""
-    most_dark: float = 0.002
+    _group = "quality.specks"
+    most_dark: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.002
     """Share of the finger that dark specks may cover."""
-    bright_mm: float = 0.5
-    """Bright marks that are longer in any direction are ridges."""
-    brighter: float = 0.08
-    """How much brighter than what surrounds it a pixel of a bright speck is."""
-    most_bright: float = 0.005
+    most_bright: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.005
     """Share of the finger that bright specks may cover."""
 
-    def __post_init__(self) -> None:
-        for name in ("px_per_mm", "dark_mm", "bright_mm"):
-            require(getattr(self, name) > 0, f"quality.specks.{name} must be positive.")
-        for name in ("darker", "brighter", "most_dark", "most_bright"):
-            value = getattr(self, name)
-            require(0 < value < 1, f"quality.specks.{name} must lie between 0 and 1, but it is {value}.")
 
-
-def speck_shares(
-    stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: SpeckSettings | None = None
-) -> tuple[float | None, float | None]:
+def speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
     """Measure how much of the finger dark and bright specks cover.
 
     Parameters
@@ -75,13 +70,12 @@ def speck_shares(
         The finger.
     px_per_mm : float
         Of the stack.
-    settings : SpeckSettings, optional
 
     Returns
     -------
     dark, bright : float in [0, 1]
-        Shares of the finger but for its edge; None where the images are coarser than `settings.px_per_mm` (by more than
-        a twentieth).
+        Fractions of the finger but for its edge; None where the images are coarser than 12 pixels a millimetre (by
+        more than a twentieth).
 
     Notes
     -----
@@ -94,10 +88,9 @@ def speck_shares(
     ----------
     Soille, P. and Talbot, H., "Directional morphological filtering", IEEE PAMI 23(11), 2001.
     """
-    settings = settings or SpeckSettings()
-    if px_per_mm < 0.95 * settings.px_per_mm:
+    if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
         return None, None
-    scale = min(1.0, settings.px_per_mm / px_per_mm)
+    scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
     px = px_per_mm * scale
     inside = reduce_mask(mask, scale) > 0.99
     depth = depth_inside(inside)
@@ -110,10 +103,10 @@ def speck_shares(
     half = max(1, len(images) // 2)
     lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
     core = np.repeat(np.repeat(core, _FINER, axis=0), _FINER, axis=1)
-    filled = short_marks_filled(lit, settings.dark_mm * px * _FINER)
-    levelled = -short_marks_filled(-dim, settings.bright_mm * px * _FINER)
-    dark = lit[core] < (1.0 - settings.darker) * filled[core]
-    bright = dim[core] > (1.0 + settings.brighter) * levelled[core]
+    filled = short_marks_filled(lit, _DARK_MM * px * _FINER)
+    levelled = -short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
+    dark = lit[core] < (1.0 - _DARKER) * filled[core]
+    bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
     return float(dark.mean()), float(bright.mean())
 
 
@@ -148,36 +141,30 @@ def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray
     return np.asarray(image / np.maximum(wide, least), dtype=np.float32)
 
 
+_SATURATION = 0.98
+"""Values from here on are saturated, unless the caller says otherwise."""
+_MAX_SATURATED = 0.02
+"""Share of the finger that may be saturated in any image."""
+_MIN_RIDGE_CONTRAST = 0.006
+"""Least relative contrast (standard deviation over mean) of the ridge band."""
+_MAX_AMBIENT = 0.3
+"""Ambient light as a share of the median lit brightness."""
+_MIN_BRIGHTNESS = 0.02
+"""Median brightness of the mean image (full scale is one)."""
+_LED_RANGE = (0.5, 2.0)
+"""Brightness of an image relative to what its LED should give; outside, the LED is suspect."""
+_DEAD_LED = 0.1
+"""Relative brightness below which an LED is called dead."""
+_MIN_LENGTH_MM = 12.0
+"""Visible length of the finger."""
+
+
 @dataclass(frozen=True, slots=True)
 class QualitySettings:
     """What is measured and when it is warned of."""
 
-    saturation: float = 0.98
-    """Values from here on are saturated, unless the caller says otherwise."""
-    most_saturated: float = 0.02
-    """Share of the finger that may be saturated in any image."""
-    least_ridge_contrast: float = 0.006
-    """Least relative contrast (standard deviation over mean) of the ridge band."""
-    most_ambient: float = 0.3
-    """Ambient light as a share of the median lit brightness."""
-    least_brightness: float = 0.02
-    """Median brightness of the mean image (full scale is one)."""
-    led_range: tuple[float, float] = (0.5, 2.0)
-    """Brightness of an image relative to what its LED should give; outside, the LED is suspect."""
-    dead_led: float = 0.1
-    """Relative brightness below which an LED is called dead."""
-    least_length_mm: float = 12.0
-    """Visible length of the finger."""
     specks: SpeckSettings = field(default_factory=SpeckSettings)
     """Dust, and the scales of dry skin."""
-
-    def __post_init__(self) -> None:
-        for name in ("saturation", "least_ridge_contrast", "most_ambient", "least_length_mm"):
-            require(getattr(self, name) > 0, f"quality.{name} must be positive.")
-        for name in ("most_saturated", "least_brightness", "dead_led"):
-            require(0 <= getattr(self, name) < 1, f"quality.{name} must lie in [0, 1).")
-        low, high = self.led_range
-        require(0 < low < 1 < high, "quality.led_range must be two numbers around one.")
 
 
 def capture_quality(
@@ -188,7 +175,6 @@ def capture_quality(
     lights: NDArray[np.float64] | None = None,
     ambient: FloatArray | None = None,
     saturation: float | NDArray[np.float64] | None = None,
-    settings: QualitySettings | None = None,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -205,7 +191,6 @@ def capture_quality(
         Linear image with all LEDs off.
     saturation : float or (L,), optional
         Value at which each image saturates.
-    settings : QualitySettings, optional
 
     Returns
     -------
@@ -221,7 +206,6 @@ def capture_quality(
     ----------
     Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
     """
-    settings = settings or QualitySettings()
     stack = check_stack(stack)
     shape = (stack.shape[1], stack.shape[2])
     mask = check_mask(mask, shape)
@@ -231,10 +215,10 @@ def capture_quality(
     some = some if mask[some].any() else np.s_[::1, ::1]
     medians = np.array([float(np.median(image[some][mask[some]])) for image in stack])
     brightness = float(np.median(stack[:, *some].mean(axis=0)[mask[some]]))
-    ceilings = np.broadcast_to(np.asarray(settings.saturation if saturation is None else saturation), (len(stack),))
+    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
     saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
-    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm, settings.specks)
+    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")
@@ -267,33 +251,33 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
     """
     settings = settings or QualitySettings()
     words: list[str] = []
-    if quality["brightness"] < settings.least_brightness:
+    if quality["brightness"] < _MIN_BRIGHTNESS:
         words.append(f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure.")
     worst = int(np.argmax(quality["saturated_per_image"]))
     share = quality["saturated_per_image"][worst]
-    if share > settings.most_saturated:
+    if share > _MAX_SATURATED:
         words.append(
             f"{100 * share:.0f} % of the finger is saturated in image {worst}: shorten the exposure or dry the finger."
         )
-    if quality["ridge_contrast"] < settings.least_ridge_contrast:
+    if quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
         words.append(
             f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
             "clean the lens, dry a wet finger, or moisten a worn one."
         )
     words += _speck_words(quality, settings.specks)
-    if quality["ambient_share"] is not None and quality["ambient_share"] > settings.most_ambient:
+    if quality["ambient_share"] is not None and quality["ambient_share"] > _MAX_AMBIENT:
         words.append(
             f"ambient light is {100 * quality['ambient_share']:.0f} % of the LEDs' light: close the box, dim the room."
         )
     for k, relative in enumerate(quality["led_relative"] or []):
-        if relative < settings.dead_led:
+        if relative < _DEAD_LED:
             words.append(f"image {k} is almost black: its LED seems dead; check its wiring.")
-        elif not settings.led_range[0] <= relative <= settings.led_range[1]:
+        elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
             words.append(
                 f"image {k} is {relative:.2f} times as bright as the rig file promises: check the LED, or calibrate "
                 "the rig again."
             )
-    if quality["length_mm"] < settings.least_length_mm:
+    if quality["length_mm"] < _MIN_LENGTH_MM:
         words.append(
             f"only {quality['length_mm']:.0f} mm of the finger are in view: push it further in, or check px_per_mm."
         )

@@ -10,6 +10,7 @@ least is left: the surface itself is never needed, it is eliminated pixel by pix
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from splitknit.finger.registration_light import (
     shown_by_surfaces,
 )
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 
 SETTLED_MM, SETTLED_PX = 5e-4, 0.02
 """Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
@@ -32,45 +34,40 @@ FOLLOWING = 1e3
 """Weight against elastic shifts that follow the light, over that against others."""
 
 
+COARSE_MM = (0.5, 0.3, 0.15)
+"""Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
+FINE_MM = (0.08,)
+"""Fine ends of the filters in which only the skin counts."""
+BAND_RATIO = 3.2
+"""Coarse end of each filter over its fine end."""
+WORKING_PX_PER_MM = 12.5
+"""Scale of the copies that are compared in the finest band."""
+SURROUND_MM = 0.7
+"""Width of the backdrop around the finger that is used, for the sake of its silhouette."""
+RIM_MM = 0.8
+"""Width of the finger's edge that is left out of the fine bands."""
+BLOCK_MM = 0.6
+"""Pitch at which the light of near LEDs is looked at."""
+
+
 @dataclass(frozen=True, slots=True)
-class RegistrationSettings:
+class RegistrationSettings(Checked):
     """How shots are registered."""
 
-    coarse_mm: tuple[float, ...] = (0.5, 0.3, 0.15)
-    """Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
-    fine_mm: tuple[float, ...] = (0.08,)
-    """The same of the filters in which only the skin counts."""
-    band_ratio: float = 3.2
-    """Coarse end of each filter over its fine end."""
-    working_px_per_mm: float = 12.5
-    """Scale of the copies that are compared in the finest band."""
+    _group = "motion.registration"
     tilts: bool = False
     """Whether the finger may roll and pitch; light is taken for a little of either."""
     elastic_mm: float = 0.0
     """Spacing of the control points of elastic shifts, at least 2; 0: the finger shifts and turns only."""
-    stiffness: float = 1.0
+    stiffness: Annotated[float, Limits(0)] = 1.0
     """Weight against elastic shifts, over that of what the images say of a control point on average."""
-    iterations: int = 20
+    iterations: Annotated[int, Limits(1)] = 20
     """Most refinements in each band."""
-    surround_mm: float = 0.7
-    """Width of the backdrop around the finger that is used, for the sake of its silhouette."""
-    rim_mm: float = 0.8
-    """Width of the finger's edge that is left out of the fine bands."""
-    block_mm: float = 0.6
-    """Pitch at which the light of near LEDs is looked at."""
 
     def __post_init__(self) -> None:
-        bands = (*self.coarse_mm, *self.fine_mm)
-        require(len(self.fine_mm) > 0 and min(bands) > 0, "motion.registration's bands must be positive numbers.")
-        require(self.band_ratio > 1, "motion.registration.band_ratio must be above 1.")
-        for name in ("working_px_per_mm", "block_mm"):
-            require(getattr(self, name) > 0, f"motion.registration.{name} must be positive.")
-        for name in ("stiffness", "surround_mm", "rim_mm"):
-            require(getattr(self, name) >= 0, f"motion.registration.{name} must not be negative.")
-        require(
-            self.elastic_mm == 0 or self.elastic_mm >= 2, "motion.registration.elastic_mm must be 0, or at least 2."
-        )
-        require(self.iterations >= 1, "motion.registration.iterations must be at least 1.")
+        check_fields(self)
+        known = self.elastic_mm == 0 or self.elastic_mm >= 2
+        require(known, "motion.registration.elastic_mm must be 0, or at least 2.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,13 +126,13 @@ def register_shots(
     require(shots.shape == (count,), f"shots must have the shape ({count},), but they have {shots.shape}.")
     number = int(shots.max()) + 1
     require(0 <= reference < number, f"the reference must be one of {number} shots, but it is {reference}.")
-    around, skin = dilate(mask, settings.surround_mm * px_per_mm), erode(mask, settings.rim_mm * px_per_mm)
+    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(number, (mask.shape[0], mask.shape[1]), px_per_mm)
-    for step, sigma in enumerate((*settings.coarse_mm, *settings.fine_mm)):
-        fine = step >= len(settings.coarse_mm)
+    for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
+        fine = step >= len(COARSE_MM)
         region = skin if fine and skin.any() else around
-        band = (sigma, settings.band_ratio * sigma)
-        level = details_of(stack, region, px_per_mm, band, settings.working_px_per_mm)
+        band = (sigma, BAND_RATIO * sigma)
+        level = details_of(stack, region, px_per_mm, band, WORKING_PX_PER_MM)
         here = lights_on(lights, level, mask.shape, px_per_mm)
         problem = Problem(level, here, shown_by_surfaces(here), shots, reference, settings)
         flow = problem.settled(flow, finger_family(mask, px_per_mm, turns=step > 0))

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import dilate, erode
-from splitknit.finger.registration import SETTLED_MM, SETTLED_PX, RegistrationSettings
+from splitknit.finger.registration import (
+    BAND_RATIO,
+    COARSE_MM,
+    FINE_MM,
+    RIM_MM,
+    SETTLED_MM,
+    SETTLED_PX,
+    SURROUND_MM,
+    WORKING_PX_PER_MM,
+    RegistrationSettings,
+)
 from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
 from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
 from splitknit.finger.registration_light import check_light_vectors, lights_on
@@ -76,13 +86,13 @@ def register_band(  # noqa: PLR0917
     lights = np.asarray(lights, dtype=np.float64)
     check_light_vectors(lights, len(stack))
     check_light_vectors(seen.lights, len(seen.stack))
-    around, skin = dilate(mask, settings.surround_mm * px_per_mm), erode(mask, settings.rim_mm * px_per_mm)
+    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
-    for step, sigma in enumerate((*settings.coarse_mm, *settings.fine_mm)):
-        region = skin if step >= len(settings.coarse_mm) and skin.any() else around
-        band = (sigma, settings.band_ratio * sigma)
+    for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
+        region = skin if step >= len(COARSE_MM) and skin.any() else around
+        band = (sigma, BAND_RATIO * sigma)
         level, known = (
-            details_of(images, region, px_per_mm, band, settings.working_px_per_mm) for images in (stack, seen.stack)
+            details_of(images, region, px_per_mm, band, WORKING_PX_PER_MM) for images in (stack, seen.stack)
         )
         expected = _expected(seen, level, known, lights, mask.shape, px_per_mm)
         flow = _followed(level, expected, flow, finger_family(mask, px_per_mm, turns=step > 0), settings.iterations)

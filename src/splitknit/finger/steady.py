@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, find_finger
-from splitknit.finger.registration import register_shots, without_glare
+from splitknit.finger.motion import MIN_RELIABILITY, WARN_MM
+from splitknit.finger.registration import BLOCK_MM, WORKING_PX_PER_MM, register_shots, without_glare
 from splitknit.finger.registration_band import Seen, register_band
 from splitknit.finger.registration_flow import Flow
 from splitknit.imaging import Window, has_colour, linear_channels, linear_stack
@@ -42,7 +43,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     """
     finger = find_finger(capture, settings)
     motion = settings.motion
-    seen_mm = seen_motion_mm(finger, settings)
+    seen_mm = seen_motion_mm(finger)
     suspect = capture.material == "skin" and seen_mm >= motion.correct_mm  # gloss of other things looks like motion
     wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
     enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
@@ -75,11 +76,11 @@ class Registered:
     facts: dict[str, Any]
 
 
-def seen_motion_mm(finger: Finger, settings: FingerSettings) -> float:
+def seen_motion_mm(finger: Finger) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
-        believed = np.asarray(figures.get("motion_reliability", [])) >= settings.motion.least_reliability
+        believed = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
         found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[believed]]
     return max(found)
 
@@ -88,7 +89,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
     """Registration of the white band, of the others to it, and what a report says of them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
-    binning = max(1, int(px_per_mm / method.working_px_per_mm))
+    binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
     px = px_per_mm / binning
     window = around(capture, finger)
     white = capture.bands["white"]
@@ -98,7 +99,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
     else:
         skin = grey = linear_stack(white, capture.encoding, "grey", window, binning)
     mask = _reduced(finger.wider[window], grey.shape[1:])
-    lights = lights_over(capture, white, window, method.block_mm)
+    lights = lights_over(capture, white, window, BLOCK_MM)
     shots = _shots(white)
     reference = len(white.pixels) // 2
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
@@ -111,7 +112,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
         if name == "white" or band.colours:
             continue
         stack = linear_stack(band, capture.encoding, "grey", window, binning)
-        vectors = lights_over(capture, band, window, method.block_mm)
+        vectors = lights_over(capture, band, window, BLOCK_MM)
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
         told = _told(flows[name], mask, px)
@@ -128,7 +129,7 @@ def worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettin
     if registered.most_mm < motion.correct_mm:
         return False
     if registered.after > motion.most_left:  # no skin, or shots that do not fit together
-        return seen_mm >= motion.warn_mm
+        return seen_mm >= WARN_MM
     return registered.after < HELPS * registered.before
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.fft
@@ -12,19 +12,15 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_image, check_mask, require
 from splitknit.model import FloatArray
-
-METHODS = ("addition", "crossover", "none")
+from splitknit.settings import Checked
 
 
 @dataclass(frozen=True, slots=True)
-class KnitSettings:
+class KnitSettings(Checked):
     """How relief and shape are joined."""
 
-    method: str = "crossover"
+    method: Literal["addition", "crossover", "none"] = "crossover"
     """``addition`` as the thesis; ``crossover``; ``none``: the visible surface is kept whole, not split."""
-
-    def __post_init__(self) -> None:
-        require(self.method in METHODS, f"knit.method must be one of {', '.join(METHODS)}, but it is '{self.method}'.")
 
 
 def add(ridge_mm: Any, shape_mm: Any, mask: Any = None) -> FloatArray:

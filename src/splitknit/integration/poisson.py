@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -17,34 +17,22 @@ from splitknit.integration.gradient_field import check_gradients, zero_mean, zer
 from splitknit.integration.multigrid import Grid, build_grids, padded_size
 from splitknit.integration.spectral import WORKERS
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
-QUADRATURES = ("trapezoidal", "cubic")
+_TOLERANCE = 1e-5
+"""Stop when the estimated rms error of the solver falls below this part of the rms height."""
+_WEIGHT_FLOOR = 1e-3
+"""Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
 
 
 @dataclass(frozen=True, slots=True)
-class PoissonSettings:
+class PoissonSettings(Checked):
     """Accuracy and limits of the masked solver."""
 
-    tolerance: float = 1e-5
-    """Stop when the estimated rms error of the solver falls below this part of the rms height."""
-    max_iterations: int = 300
+    max_iterations: Annotated[int, Limits(0, above=True)] = 300
     """Conjugate-gradient iterations at most; a finger needs three to five, a maze a few dozen."""
-    weight_floor: float = 1e-3
-    """Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
-    quadrature: str = "trapezoidal"
+    quadrature: Literal["trapezoidal", "cubic"] = "trapezoidal"
     """Integral between neighbours: ``trapezoidal`` or ``cubic`` (exact for slopes up to a cubic)."""
-
-    def __post_init__(self) -> None:
-        require(0 < self.tolerance < 1, f"poisson.tolerance must lie between 0 and 1, but it is {self.tolerance}.")
-        require(self.max_iterations > 0, f"poisson.max_iterations must be positive, but it is {self.max_iterations}.")
-        require(
-            0 < self.weight_floor <= 1,
-            f"poisson.weight_floor must be positive and at most 1, but it is {self.weight_floor}.",
-        )
-        require(
-            self.quadrature in QUADRATURES,
-            f"poisson.quadrature must be one of {', '.join(QUADRATURES)}, but it is '{self.quadrature}'.",
-        )
 
 
 def poisson(
@@ -99,7 +87,7 @@ def poisson(
     """
     chosen = settings if settings is not None else PoissonSettings()
     slope_x, slope_y, inside = check_gradients(gradient_x, gradient_y, mask)
-    trust = None if weights is None else _check_weights(weights, inside, chosen.weight_floor)
+    trust = None if weights is None else _check_weights(weights, inside)
     if trust is None and bool(inside.all()):
         right, down = predicted_differences(slope_x, slope_y, inside, None, chosen.quadrature)
         return zero_mean(_solve_rectangle(difference_adjoint(right, down)), inside)
@@ -112,7 +100,7 @@ def poisson(
     return result
 
 
-def _check_weights(weights: Any, mask: BoolArray, floor: float) -> FloatArray:
+def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     array = np.asarray(weights)
     require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")
     trust = np.where(mask, array, 0.0).astype(np.float32)
@@ -120,7 +108,7 @@ def _check_weights(weights: Any, mask: BoolArray, floor: float) -> FloatArray:
         bool(np.isfinite(trust).all()) and float(trust.min()) >= 0 and float(trust.max()) <= 1,
         "weights must lie between 0 and 1 inside the mask.",
     )
-    return np.maximum(trust, np.float32(floor))
+    return np.maximum(trust, np.float32(_WEIGHT_FLOOR))
 
 
 def _bounding_box(mask: BoolArray) -> tuple[slice, slice]:
@@ -186,7 +174,7 @@ def _conjugate_gradients(
         if energy <= 0:
             break
         ratios.append(energy / previous)
-        if lengths and _rms(estimate) <= settings.tolerance * scale * _smallest_eigenvalue(lengths, ratios):
+        if lengths and _rms(estimate) <= _TOLERANCE * scale * _smallest_eigenvalue(lengths, ratios):
             correction += estimate
             break
         direction *= ratios[-1]

@@ -19,56 +19,36 @@ number of scales. The others are not linear: their heights have neither true sca
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.integration.gradient_field import check_gradients, zero_mean
-from splitknit.integration.spectral import PADDINGS, WORKERS, Transfer, integrate_spectrum, sample_radially
+from splitknit.integration.spectral import WORKERS, Transfer, integrate_spectrum, sample_radially
 from splitknit.model import FloatArray
-
-VARIANTS = ("slant_tilt", "ambiguous_tilt", "slant_only", "tilt_only")
+from splitknit.settings import Checked, Limits
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives its sizes in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
-class ShapeletSettings:
+class ShapeletSettings(Checked):
     """The bank of shapelets."""
 
-    scales: int = 3
+    _group = "shapelets"
+    scales: Annotated[int, Limits(1, 32)] = 3
     """Number of Gaussians."""
-    sigma_px: float = 1.0
+    sigma_px: Annotated[float, Limits(0, above=True)] = 1.0
     """Standard deviation of the smallest Gaussian, in pixels (at 75.7 px/mm; scale it with the pitch)."""
-    factor: float = 2.0
+    factor: Annotated[float, Limits(1, above=True)] = 2.0
     """Ratio of successive standard deviations."""
-    variant: str = "slant_tilt"
+    variant: Literal["slant_tilt", "ambiguous_tilt", "slant_only", "tilt_only"] = "slant_tilt"
     """What is known: ``slant_tilt``, ``ambiguous_tilt`` (tilt up to pi), ``slant_only`` or ``tilt_only``."""
-    padding: str = "mirror"
+    padding: Literal["mirror", "zero"] = "mirror"
     """Beyond the rectangle the surface is mirrored (``mirror``) or flat (``zero``)."""
-
-    def __post_init__(self) -> None:
-        require(1 <= self.scales <= 32, f"shapelets.scales must be 1 to 32, but it is {self.scales}.")
-        require(
-            bool(np.isfinite(self.sigma_px)) and self.sigma_px > 0,
-            f"shapelets.sigma_px must be a positive number, but it is {self.sigma_px}.",
-        )
-        require(
-            bool(np.isfinite(self.factor)) and self.factor > 1,
-            f"shapelets.factor must be greater than 1, but it is {self.factor}.",
-        )
-        require(
-            self.variant in VARIANTS,
-            f"shapelets.variant must be one of {', '.join(VARIANTS)}, but it is '{self.variant}'.",
-        )
-        require(
-            self.padding in PADDINGS,
-            f"shapelets.padding must be one of {', '.join(PADDINGS)}, but it is '{self.padding}'.",
-        )
 
     @property
     def sigmas_px(self) -> tuple[float, ...]:

@@ -5,7 +5,6 @@ Nothing outside this package and the applications reads or writes a file.
 
 from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.capture import ReadSettings, read_capture, with_rig, write_capture
-from splitknit.io.content import ContentSettings
 from splitknit.io.height import read_height_tiff, write_height_tiff
 from splitknit.io.images import ImageSettings, image_size, read_image, write_image
 from splitknit.io.mesh import surface_mesh
@@ -17,7 +16,6 @@ from splitknit.io.provenance import canonical_json, file_hash, plain_json, prove
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 
 __all__ = [
-    "ContentSettings",
     "ImageSettings",
     "Mesh",
     "PrintFile",

@@ -17,7 +17,7 @@ import numpy as np
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture_file import BANDS, CAPTURE_FORMAT, CAPTURE_VERSION, BandPlan, CapturePlan, read_plan
-from splitknit.io.content import ContentSettings, check_content, mask_from_image
+from splitknit.io.content import check_content, mask_from_image
 from splitknit.io.images import ImageSettings, StackReader, encode_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
@@ -31,8 +31,6 @@ class ReadSettings:
 
     images: ImageSettings = field(default_factory=ImageSettings)
     """Limits on files, and threads."""
-    content: ContentSettings = field(default_factory=ContentSettings)
-    """When an image is refused as black or overexposed."""
 
 
 DEFAULTS = ReadSettings()
@@ -73,7 +71,7 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         key: _seen_by(plan.rig, _band(key, band, stacks[key], ambients.get(key))) for key, band in plan.bands.items()
     }
     for band in bands.values():
-        check_content(band, settings.content)
+        check_content(band)
     hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
     return Capture(
         rig=plan.rig,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,40 +10,26 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, check_lights, require
 from splitknit.model import Band, BoolArray, PixelArray, Rig
 
-
-@dataclass(frozen=True, slots=True)
-class ContentSettings:
-    """When an image is refused as black or as overexposed. Fractions of the full scale (255 or 65535) as stored."""
-
-    dark_fraction: float = 0.01
-    """An image is black if its bright pixels, black level and ambient light taken off, stay below this: two of 255
-    levels, below which 8 bits hold no shading, and the spread of a sensor's noise without light."""
-    relative_dark: float = 0.03
-    """An image is unlit too if its bright pixels stay below this part of the band's median image; LEDs of one rig
-    differ by far less (a factor of two or three), stray light of a dark room is less."""
-    bright_quantile: float = 0.999
-    """Which pixels are "bright": all but the brightest thousandth, so that hot pixels do not count as light."""
-    full_scale: float = 0.995
-    """A stored value from here on counts as clipped (254 of 255; 10- and 12-bit data shifted to 16 bits end above)."""
-    lit_fraction: float = 0.02
-    """Pixels above this (black level taken off) are lit: the finger, not its black background."""
-    saturated_fraction: float = 0.2
-    """An image is overexposed if more than this part of the lit pixels is clipped. Glare on wet skin clips a few
-    per cent, which robust weights and a warning deal with; with a fifth gone, many pixels lose several lights."""
-    saturated_area: float = 0.005
-    """... and more than this part of the whole image: a dark object with a small highlight is no overexposure."""
-    sample_pixels: int = 200_000
-    """Pixels that are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
-
-    def __post_init__(self) -> None:
-        for name in ("dark_fraction", "relative_dark", "bright_quantile", "full_scale", "saturated_fraction"):
-            require(0 < getattr(self, name) < 1, f"ContentSettings: {name} must lie between 0 and 1.")
-        require(0 <= self.lit_fraction < 1, "ContentSettings: lit_fraction must lie between 0 and 1.")
-        require(0 <= self.saturated_area < 1, "ContentSettings: saturated_area must lie between 0 and 1.")
-        require(self.sample_pixels > 0, "ContentSettings: sample_pixels must be positive.")
-
-
-DEFAULTS = ContentSettings()
+# When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as stored.
+_DARK_FRACTION = 0.01
+"""An image is black if its bright pixels, black level and ambient light taken off, stay below this: two of 255
+levels, below which 8 bits hold no shading, and the spread of a sensor's noise without light."""
+_RELATIVE_DARK = 0.03
+"""An image is unlit too if its bright pixels stay below this part of the band's median image; LEDs of one rig
+differ by far less (a factor of two or three), stray light of a dark room is less."""
+_BRIGHT_QUANTILE = 0.999
+"""Which pixels are "bright": all but the brightest thousandth, so that hot pixels do not count as light."""
+_FULL_SCALE = 0.995
+"""A stored value from here on counts as clipped (254 of 255; 10- and 12-bit data shifted to 16 bits end above)."""
+_LIT_FRACTION = 0.02
+"""Pixels above this (black level taken off) are lit: the finger, not its black background."""
+_SATURATED_FRACTION = 0.2
+"""An image is overexposed if more than this part of the lit pixels is clipped. Glare on wet skin clips a few
+per cent, which robust weights and a warning deal with; with a fifth gone, many pixels lose several lights."""
+_SATURATED_AREA = 0.005
+"""It must be more than this part of the whole image too: a dark object with a small highlight is no overexposure."""
+_SAMPLE_PIXELS = 200_000
+"""Pixels that are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
 
 
 def check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
@@ -84,7 +69,7 @@ def check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], whe
         raise BadInput(f"{where}: {error}") from error
 
 
-def check_content(band: Band, settings: ContentSettings = DEFAULTS) -> None:
+def check_content(band: Band) -> None:
     """Refuse a band in which an image is black, unlit, without any structure, or overexposed.
 
     An overexposed pixel is one in which two of the three channels are clipped: with one channel clipped (red, on
@@ -95,24 +80,24 @@ def check_content(band: Band, settings: ContentSettings = DEFAULTS) -> None:
     BadInput
         Naming the file and its LED.
     """
-    peaks = np.array([_check_image(band, k, settings) for k in range(len(band.pixels))])
+    peaks = np.array([_check_image(band, k) for k in range(len(band.pixels))])
     scaled = peaks / band.exposure
     share = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
     for k in range(len(peaks)):
         require(
-            bool(share[k] >= settings.relative_dark),
+            bool(share[k] >= _RELATIVE_DARK),
             f"{_name(band, k)} is almost black beside the other images (its bright pixels reach "
             f"{100 * share[k]:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
         )
 
 
-def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
+def _check_image(band: Band, k: int) -> float:
     """Return the light of the bright pixels of image k as a fraction of the full scale."""
     scale = float(np.iinfo(band.pixels.dtype).max)
-    sample = _sample(band.pixels[k], settings)
+    sample = _sample(band.pixels[k])
     light = sample.astype(np.float32) - np.float32(band.black_level[k])
     require(
-        float(light.max()) > settings.dark_fraction * scale,
+        float(light.max()) > _DARK_FRACTION * scale,
         f"{_name(band, k)} is black: its largest value is {int(sample.max())} of {int(scale)}; check "
         f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
     )
@@ -120,20 +105,20 @@ def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
         int(sample.max()) > int(sample.min()) or sample.size == 1,
         f"{_name(band, k)} shows nothing: every pixel is {int(sample.max())}; capture it again.",
     )
-    clipped = sample >= settings.full_scale * scale
+    clipped = sample >= _FULL_SCALE * scale
     clipped_pixels = clipped.sum(axis=1) >= min(2, sample.shape[1])
-    lit = (light > settings.lit_fraction * scale).any(axis=1)
+    lit = (light > _LIT_FRACTION * scale).any(axis=1)
     share = float(clipped_pixels.sum()) / max(1.0, float(lit.sum()))
     require(
-        share <= settings.saturated_fraction or float(clipped_pixels.mean()) <= settings.saturated_area,
+        share <= _SATURATED_FRACTION or float(clipped_pixels.mean()) <= _SATURATED_AREA,
         f"{_name(band, k)} is overexposed: {100 * share:.0f} % of its lit pixels are at the full scale; capture it "
         f"again with a shorter exposure or a lower gain.",
     )
     if band.ambient is not None:
-        light -= _ambient_light(band, k, scale, settings)
-    peak = float(np.quantile(light.max(axis=1), settings.bright_quantile)) / scale
+        light -= _ambient_light(band, k, scale)
+    peak = float(np.quantile(light.max(axis=1), _BRIGHT_QUANTILE)) / scale
     require(
-        peak > settings.dark_fraction,
+        peak > _DARK_FRACTION,
         f"{_name(band, k)} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
         f"{' above the ambient image' if band.ambient is not None else ''}; check "
         f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
@@ -141,9 +126,9 @@ def _check_image(band: Band, k: int, settings: ContentSettings) -> float:
     return peak
 
 
-def _ambient_light(band: Band, k: int, scale: float, settings: ContentSettings) -> NDArray[np.float32]:
+def _ambient_light(band: Band, k: int, scale: float) -> NDArray[np.float32]:
     assert band.ambient is not None
-    ambient = _sample(band.ambient, settings).astype(np.float32) - np.float32(band.ambient_black_level)
+    ambient = _sample(band.ambient).astype(np.float32) - np.float32(band.ambient_black_level)
     if ambient.shape[1] != band.pixels.shape[3]:  # one is grey, the other RGB
         ambient = ambient.mean(axis=1, keepdims=True)
     factor = scale / float(np.iinfo(band.ambient.dtype).max) * float(band.exposure[k]) / band.ambient_exposure
@@ -166,9 +151,9 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     return mask
 
 
-def _sample(image: PixelArray, settings: ContentSettings) -> NDArray[Any]:
+def _sample(image: PixelArray) -> NDArray[Any]:
     """Pixels (n, C) on a regular grid."""
-    step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / settings.sample_pixels)))
+    step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
     return np.asarray(image[::step, ::step].reshape(-1, image.shape[2]))
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +18,19 @@ from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import jpeg, png, tiff
 from splitknit.io.atomic import atomic_file
 from splitknit.model import PixelArray
+from splitknit.settings import Checked, Limits
 
 
 @dataclass(frozen=True, slots=True)
-class ImageSettings:
+class ImageSettings(Checked):
     """What a file may ask of the machine before it is decoded."""
 
-    max_pixels: int = 200_000_000
+    max_pixels: Annotated[int, Limits(0, above=True)] = 200_000_000
     """A header that claims more is refused: nothing of the rig's kind is that large, and a small file can claim it."""
-    max_bytes: int = 600_000_000
+    max_bytes: Annotated[int, Limits(0, above=True)] = 600_000_000
     """A file that is longer is refused."""
-    threads: int = 0
+    threads: Annotated[int, Limits(0)] = 0
     """Threads that decode a stack; 0 = one for each core."""
-
-    def __post_init__(self) -> None:
-        require(self.max_pixels > 0 and self.max_bytes > 0, "ImageSettings: the limits must be positive.")
-        require(self.threads >= 0, "ImageSettings: threads must be zero or positive.")
 
     @property
     def workers(self) -> int:

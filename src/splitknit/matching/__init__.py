@@ -2,7 +2,7 @@
 
 from splitknit.matching.align import MaskAlignment, align_masks, intersection_over_union
 from splitknit.matching.elastic import PatchSettings
-from splitknit.matching.features import FeatureSettings, gabor_features, hog_features, shape_context_features
+from splitknit.matching.features import gabor_features, hog_features, shape_context_features
 from splitknit.matching.lbp import LbpSettings, cell_histograms, lbp_codes, lbp_features
 from splitknit.matching.phase import PhaseSettings
 from splitknit.matching.ridge import Prepared, RidgeMatch, RidgeMatchSettings, prepared, ridge_match
@@ -36,7 +36,6 @@ from splitknit.matching.thesis import (
 
 __all__ = [
     "VERSION",
-    "FeatureSettings",
     "FingerImages",
     "FmrTable",
     "LbpSettings",

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from splitknit.errors import require
 from splitknit.matching.code_field import ridge_field, sampled
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 
 CODE_VERSION = 1
 """Of the code: codes of different versions cannot be compared. It rises with every change of field or model."""
@@ -28,28 +30,25 @@ SCALE = 360.0
 _FILE = Path(__file__).with_name("code_model.npz")
 
 
+_TURN_STEP_DEG = 5.0
+"""Between two turns."""
+_STEP_MM = 1.0
+"""Between two shifts."""
+
+
 @dataclass(frozen=True, slots=True)
-class ProbeSettings:
+class ProbeSettings(Checked):
     """The variants of a probe."""
 
-    turn_deg: float = 10.0
+    turn_deg: Annotated[float, Limits(0)] = 10.0
     """Largest turn."""
-    turn_step_deg: float = 5.0
-    """Between two turns."""
-    right_mm: float = 1.0
+    right_mm: Annotated[float, Limits(0)] = 1.0
     """Largest shift across."""
-    down_mm: float = 1.0
+    down_mm: Annotated[float, Limits(0)] = 1.0
     """Largest shift along."""
-    step_mm: float = 1.0
-    """Between two shifts."""
 
     def __post_init__(self) -> None:
-        for name in ("turn_deg", "right_mm", "down_mm"):
-            value = getattr(self, name)
-            require(np.isfinite(value) and value >= 0, f"probe.{name} must not be negative, but it is {value}.")
-        for name in ("turn_step_deg", "step_mm"):
-            value = getattr(self, name)
-            require(np.isfinite(value) and value > 0, f"probe.{name} must be positive, but it is {value}.")
+        check_fields(self)
         require(self.count <= 10_000, f"a probe would have {self.count} variants; at most 10000 go.")
 
     @property
@@ -64,9 +63,9 @@ class ProbeSettings:
 
     def _pairs(self) -> tuple[tuple[float, float], ...]:
         return (
-            (self.turn_deg, self.turn_step_deg),
-            (self.right_mm, self.step_mm),
-            (self.down_mm, self.step_mm),
+            (self.turn_deg, _TURN_STEP_DEG),
+            (self.right_mm, _STEP_MM),
+            (self.down_mm, _STEP_MM),
         )
 
 

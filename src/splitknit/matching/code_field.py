@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.matching.ridge_band import blur
 from splitknit.matching.template import Template
-from splitknit.matching.unroll import blur
 from splitknit.model import FloatArray
 
 COLUMNS, ROWS, STEP_MM = 17, 17, 1.0

@@ -7,7 +7,7 @@ with it, because skin stretches smoothly, while ridges of different fingers fit 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -15,30 +15,28 @@ import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 Affine = NDArray[np.float64]
 """(2, 3): place (column, row, 1) in B to place in A."""
 
 
+_MIN_OVERLAP = 0.6
+"""Share of a patch that must be valid on both sides."""
+
+
 @dataclass(frozen=True, slots=True)
-class PatchSettings:
+class PatchSettings(Checked):
     """Patches and their search."""
 
-    patch_mm: float = 2.4
+    _group = "patches"
+    patch_mm: Annotated[float, Limits(0, above=True)] = 2.4
     """Side of a patch."""
-    step_mm: float = 1.6
+    step_mm: Annotated[float, Limits(0, above=True)] = 1.6
     """Between the middles of two patches."""
-    search_mm: float = 0.4
+    search_mm: Annotated[float, Limits(0)] = 0.4
     """Largest shift of a patch, along either axis."""
-    least_share: float = 0.6
-    """Share of a patch that must be valid on both sides."""
-
-    def __post_init__(self) -> None:
-        require(self.patch_mm > 0 and self.step_mm > 0, "patches.patch_mm and patches.step_mm must be positive.")
-        require(self.search_mm >= 0, "patches.search_mm must not be negative.")
-        require(0 < self.least_share <= 1, "patches.least_share must lie in (0, 1].")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +95,7 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
     known = np.zeros_like(padded)
     known[: shape[0], : shape[1]] = valid
     share = sliding_window_view(known, (side, side))[rows, columns].mean(axis=(1, 2))
-    kept = share >= settings.least_share
+    kept = share >= _MIN_OVERLAP
     rows, columns, places, share = rows[kept], columns[kept], places[kept], share[kept]
     patches = sliding_window_view(padded, (side, side))[rows, columns]
     window = side + 2 * reach
@@ -114,9 +112,7 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
     )
 
 
-def compare_patches(
-    patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine, settings: PatchSettings
-) -> Agreement:
+def compare_patches(patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine) -> Agreement:
     """Lay A (H, W) on B's patches by `b_from` and search around each."""
     reach, side = patches.reach, patches.side
     if not len(patches.rows):
@@ -130,7 +126,7 @@ def compare_patches(
     valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
     share = _sums(valid, side) / np.float32(side * side)
     seen = np.minimum(share[patches.rows + reach, patches.columns + reach], patches.share)
-    used = np.flatnonzero(seen >= settings.least_share)
+    used = np.flatnonzero(seen >= _MIN_OVERLAP)
     if not len(used):
         return _nothing()
     rows, columns = patches.rows[used], patches.columns[used]

@@ -7,7 +7,7 @@ as large as the pixel itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 
 Codes = NDArray[np.uint8]
 AnyArray = np.ndarray[Any, Any]
@@ -24,32 +25,22 @@ REFERENCE_PX_PER_MM = 75.7
 _STRIP = 48
 
 
+_CELL_PX = 64.0
+"""Side of a cell; what is left at the right and lower border is not used."""
+
+
 @dataclass(frozen=True, slots=True)
-class LbpSettings:
+class LbpSettings(Checked):
     """Patterns and cells; sizes hold at 75.7 px/mm and scale with the image."""
 
-    radius_px: float = 1.0
+    radius_px: Annotated[float, Limits(0, above=True)] = 1.0
     """Of the circle of neighbours; on coarser images at least one of their pixels."""
-    cell_px: float = 64.0
-    """Side of a cell; what is left at the right and lower border is not used."""
     uniform: bool = True
     """Whether patterns with more than two changes around the circle share one bin (59 bins instead of 256)."""
-    normalisation: str = "l2"
+    normalisation: Literal["l2", "l1", "none"] = "l2"
     """Of each cell's histogram: ``l2`` (unit length), ``l1`` (unit sum) or ``none`` (counts)."""
-    interpolation: str = "linear"
+    interpolation: Literal["linear", "nearest"] = "linear"
     """``linear`` takes diagonal neighbours on the circle, ``nearest`` the nearest pixels."""
-
-    def __post_init__(self) -> None:
-        require(np.isfinite(self.radius_px) and self.radius_px > 0, "lbp.radius_px must be positive.")
-        require(np.isfinite(self.cell_px) and self.cell_px >= 4, "lbp.cell_px must be at least 4.")
-        require(
-            self.normalisation in ("l2", "l1", "none"),
-            f"lbp.normalisation must be 'l2', 'l1' or 'none', but it is '{self.normalisation}'.",
-        )
-        require(
-            self.interpolation in ("linear", "nearest"),
-            f"lbp.interpolation must be 'linear' or 'nearest', but it is '{self.interpolation}'.",
-        )
 
     def radius(self, px_per_mm: float) -> float:
         """Radius in pixels of an image."""
@@ -57,7 +48,7 @@ class LbpSettings:
 
     def cell(self, px_per_mm: float) -> int:
         """Side of a cell in pixels of an image."""
-        return max(4, round(self.cell_px * px_per_mm / REFERENCE_PX_PER_MM))
+        return max(4, round(_CELL_PX * px_per_mm / REFERENCE_PX_PER_MM))
 
 
 def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "linear") -> Codes:

@@ -21,7 +21,6 @@ from splitknit.matching.inputs import Side, read_print, read_side
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae3d import minutiae3d_match
-from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_joined import joined_similarity
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.matching.space_minutiae import space_minutiae
@@ -202,7 +201,7 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
     found, facts = [], []
     for side in (a, b):
         image, ppi, pressed = _print_of(side)
-        minutiae = naming(side.path, lambda: extract(image, ppi, EnhanceSettings() if pressed else None))  # noqa: B023
+        minutiae = naming(side.path, lambda: extract(image, ppi, enhance=pressed))  # noqa: B023
         quality = nfiq2(image, ppi)
         found.append(minutiae)
         facts.append(

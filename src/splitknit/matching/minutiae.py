@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae_edge import EDGE_MM, edge_distance, inside_by
-from splitknit.matching.minutiae_enhance import EnhanceSettings, enhance_print
+from splitknit.matching.minutiae_enhance import enhance_print
 from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -38,7 +38,7 @@ _LOCK = threading.Lock()
 def extract(
     print_image: NDArray[np.uint8],
     ppi: float = PPI,
-    enhance: EnhanceSettings | None = None,
+    enhance: bool = False,
     *,
     edge_mm: float | None = None,
 ) -> Minutiae:
@@ -50,9 +50,9 @@ def extract(
         Ridges dark, as ink on paper.
     ppi : float
         Its resolution; other ones than 500 are resampled first.
-    enhance : EnhanceSettings, optional
-        How the print is enhanced first: for prints that were pressed on glass or paper. Without, it is taken as it is:
-        right for the relief prints of reconstructions, whose contrast is even.
+    enhance : bool
+        Whether the print is enhanced first: for prints that were pressed on glass or paper. Without, it is taken as it
+        is: right for the relief prints of reconstructions, whose contrast is even.
     edge_mm : float, optional
         Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
         :data:`splitknit.matching.minutiae_edge.EDGE_MM` for prints taken as they are, and 0 after `enhance`: pressed
@@ -75,8 +75,8 @@ def extract(
     image = _at_500_ppi(print_image, ppi)
     if min(image.shape) < LEAST_SIDE_PX:
         return no_minutiae((image.shape[0], image.shape[1]))
-    if enhance is not None:
-        image = enhance_print(image, enhance)
+    if enhance:
+        image = enhance_print(image)
     with _LOCK:
         found = _extractor(False).extract_minutiae(_png(image)).get()
     rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in found]
@@ -91,7 +91,7 @@ def extract(
         np.clip(np.round(100 * reliability), 0, 100).astype(np.uint8),
         (image.shape[0], image.shape[1]),
     )
-    least = edge_mm if edge_mm is not None else (EDGE_MM if enhance is None else 0.0)
+    least = edge_mm if edge_mm is not None else (0.0 if enhance else EDGE_MM)
     return inside_by(every, edge_distance(image), least) if least > 0 else every
 
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.errors import require
 from splitknit.matching.minutiae3d_record import SpaceMinutiae
 from splitknit.matching.space_alignment import (
     AgreementSettings,
@@ -27,26 +27,25 @@ from splitknit.matching.space_alignment import (
     share_of_both,
     two_sides,
 )
+from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
 
 
+_LENGTH_MM = 0.25
+"""Largest difference of the lengths of two pairs that are alike."""
+_ANGLE_DEG = 15.0
+"""Largest difference of their angles."""
+
+
 @dataclass(frozen=True, slots=True)
-class Minutiae3DSettings:
+class Minutiae3DSettings(Checked):
     """How minutiae in space are compared."""
 
-    neighbours: int = 6
+    _group = "minutiae3d"
+    neighbours: Annotated[int, Limits(1, 50)] = 6
     """Nearest minutiae with which each forms pairs."""
-    length_mm: float = 0.25
-    """Largest difference of the lengths of two pairs that are alike."""
-    angle_deg: float = 15.0
-    """Largest difference of their angles."""
     agreement: AgreementSettings = field(default_factory=AgreementSettings)
-
-    def __post_init__(self) -> None:
-        require(1 <= self.neighbours <= 50, "minutiae3d.neighbours must lie between 1 and 50.")
-        require(0 < self.length_mm <= 5, "minutiae3d.length_mm must lie between 0 and 5.")
-        require(0 < self.angle_deg <= 90, "minutiae3d.angle_deg must lie between 0 and 90.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +86,8 @@ class PreparedMinutiae3D(Framed):
     @cached_property
     def tree(self) -> cKDTree:
         """The looks in units of the tolerances; azimuths go round."""
-        angle = np.deg2rad(self.settings.angle_deg)
-        scaled = self.looks / np.array([self.settings.length_mm, angle, angle])
+        angle = np.deg2rad(_ANGLE_DEG)
+        scaled = self.looks / np.array([_LENGTH_MM, angle, angle])
         round_ = 2 * np.pi / angle
         scaled[:, 1:] %= round_
         scaled[:, 1:][scaled[:, 1:] >= round_] = 0.0

@@ -11,7 +11,6 @@ S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using S
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -19,7 +18,6 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.model import FloatArray
 
 _DIRECTIONS, _PERIODS = 64, 24
@@ -29,71 +27,53 @@ _LEVEL = 8.0
 """Grey levels; contrast below that is not raised further."""
 
 
-@dataclass(frozen=True, slots=True)
-class EnhanceSettings:
-    """How a print is enhanced; lengths in pixels at 500 ppi."""
-
-    window_px: int = 32
-    """Side of a window: some four ridges."""
-    step_px: int = 8
-    """Between windows."""
-    direction_px: float = 7.0
-    """Sigma over which ridge directions are averaged."""
-    spread_deg: float = 28.0
-    """Sigma of the filter across directions."""
-    spread_per_px: float = 0.08
-    """Sigma of the filter across frequencies, cycles a pixel."""
-    contrast_px: float = 11.0
-    """Sigma over which mean and contrast are made even."""
-    steepness: float = 1.6
-    """Of the grey curve of the result."""
-    least_contrast: float = 18.0
-    """Standard deviation in grey levels below which there is no print."""
-
-    def __post_init__(self) -> None:
-        require(
-            self.window_px >= 16 and self.window_px % 2 == 0,
-            f"enhance.window_px must be even and at least 16, but it is {self.window_px}.",
-        )
-        require(
-            1 <= self.step_px <= self.window_px // 2,
-            f"enhance.step_px must be 1 to half a window, but it is {self.step_px}.",
-        )
-        for name in ("direction_px", "spread_deg", "spread_per_px", "contrast_px", "steepness", "least_contrast"):
-            value = getattr(self, name)
-            require(bool(np.isfinite(value)) and value > 0, f"enhance.{name} must be positive, but it is {value}.")
+# lengths in pixels at 500 ppi
+_WINDOW_PX = 32
+"""Side of a window: some four ridges."""
+_STEP_PX = 8
+"""Between windows."""
+_DIRECTION_PX = 7.0
+"""Sigma over which ridge directions are averaged."""
+_SPREAD_DEG = 28.0
+"""Sigma of the filter across directions."""
+_SPREAD_PER_PX = 0.08
+"""Sigma of the filter across frequencies, cycles a pixel."""
+_CONTRAST_PX = 11.0
+"""Sigma over which mean and contrast are made even."""
+_STEEPNESS = 1.6
+"""Of the grey curve of the result."""
+_MIN_CONTRAST = 18.0
+"""Standard deviation in grey levels below which there is no print."""
 
 
-def enhance_print(image: NDArray[np.uint8], settings: EnhanceSettings | None = None) -> NDArray[np.uint8]:
+def enhance_print(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Enhance a print.
 
     Parameters
     ----------
     image : (H, W) uint8
         At 500 ppi, ridges dark.
-    settings : EnhanceSettings, optional
 
     Returns
     -------
     (H, W) uint8
         Even ridges, dark; white where there are none.
     """
-    settings = settings or EnhanceSettings()
     grey = image.astype(np.float32)
     grey = np.minimum(grey, np.float32(np.percentile(grey, 99)))  # paper is flat
-    centred = grey - _blur(grey, settings.contrast_px)
-    contrast = np.sqrt(_blur(centred * centred, settings.contrast_px))
+    centred = grey - _blur(grey, _CONTRAST_PX)
+    contrast = np.sqrt(_blur(centred * centred, _CONTRAST_PX))
     even = np.clip(centred / np.maximum(contrast, np.float32(_LEVEL)), -3.0, 3.0).astype(np.float32)
-    kept = _filtered(even, settings)
-    kept /= np.sqrt(_blur(kept * kept, settings.contrast_px)) + np.float32(0.02)
-    ridges = 0.5 + 0.5 * np.tanh(np.float32(settings.steepness) * kept)
-    there = 1.0 / (1.0 + np.exp((np.float32(settings.least_contrast) - contrast) / 3.0))
+    kept = _filtered(even)
+    kept /= np.sqrt(_blur(kept * kept, _CONTRAST_PX)) + np.float32(0.02)
+    ridges = 0.5 + 0.5 * np.tanh(np.float32(_STEEPNESS) * kept)
+    there = 1.0 / (1.0 + np.exp((np.float32(_MIN_CONTRAST) - contrast) / 3.0))
     return np.asarray(np.round(255.0 * (1.0 - there * (1.0 - ridges))), dtype=np.uint8)
 
 
-def _filtered(even: FloatArray, settings: EnhanceSettings) -> FloatArray:
+def _filtered(even: FloatArray) -> FloatArray:
     """(H, W) what runs along the ridges, from windows added up."""
-    side, step = settings.window_px, settings.step_px
+    side, step = _WINDOW_PX, _STEP_PX
     rows, columns = (int(np.ceil((size + side) / step)) for size in even.shape)
     padded = np.zeros(((rows - 1) * step + side, (columns - 1) * step + side), dtype=np.float32)
     first = side - step
@@ -108,9 +88,9 @@ def _filtered(even: FloatArray, settings: EnhanceSettings) -> FloatArray:
         np.clip(np.arange(count) * step + side // 2 - first, 0, size - 1)
         for count, size in zip((rows, columns), even.shape, strict=True)
     ]
-    direction = _directions(even, settings.direction_px)[np.ix_(*middles)]
+    direction = _directions(even, _DIRECTION_PX)[np.ix_(*middles)]
     turn = np.round(direction * (_DIRECTIONS / np.pi)).astype(np.int64) % _DIRECTIONS
-    along, across, frequency, marks = _bank(side, settings.spread_deg, settings.spread_per_px)
+    along, across, frequency, marks = _bank(side)
     power = (spectra.real**2 + spectra.imag**2) * along[turn]
     total = _blur(power.sum(axis=(2, 3)), 1.5)
     mean = _blur((power * frequency).sum(axis=(2, 3)), 1.5) / np.maximum(total, np.float32(1e-9))
@@ -131,17 +111,17 @@ def _directions(even: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(0.5 * np.arctan2(*twice), dtype=np.float32)
 
 
-@lru_cache(maxsize=4)
-def _bank(side: int, spread_deg: float, spread_per_px: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+@lru_cache(maxsize=1)
+def _bank(side: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Filters on the half spectrum: by direction, by frequency, the frequencies, and between which each holds."""
     down, right = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]
     frequency = np.hypot(down, right)
     band = (frequency > 1 / _MOST_PX) & (frequency < 1 / _LEAST_PX)
     angle = np.arctan2(down, right) - (np.pi / _DIRECTIONS * np.arange(_DIRECTIONS))[:, None, None]
     apart = np.angle(np.exp(2j * angle)) / 2
-    along = np.exp(-0.5 * (apart / np.deg2rad(spread_deg)) ** 2) * band
+    along = np.exp(-0.5 * (apart / np.deg2rad(_SPREAD_DEG)) ** 2) * band
     centres = np.linspace(1 / _MOST_PX, 1 / _LEAST_PX, _PERIODS)
-    across = np.exp(-0.5 * ((frequency - centres[:, None, None]) / spread_per_px) ** 2)
+    across = np.exp(-0.5 * ((frequency - centres[:, None, None]) / _SPREAD_PER_PX) ** 2)
     marks = 0.5 * (centres[1:] + centres[:-1])
     single = [np.asarray(table, dtype=np.float32) for table in (along, across, frequency, marks)]
     return single[0], single[1], single[2], single[3]

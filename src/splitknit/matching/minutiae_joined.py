@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 
 
 @dataclass(frozen=True, slots=True)
-class JoinedSettings:
+class JoinedSettings(Checked):
     """Means and deviations of both scores over genuine and impostor pairs of simulated presses.
 
     Fitted by validation/match/real_prints.py (``fitted`` in its ``real_prints.json``): 12 fingers, 4 presses of each,
@@ -19,15 +20,12 @@ class JoinedSettings:
 
     minutiae_mean: float = 12.7902
     """Mean of bozorth3's score."""
-    minutiae_deviation: float = 23.7006
+    minutiae_deviation: Annotated[float, Limits(0, above=True)] = 23.7006
     """Standard deviation of bozorth3's score, positive."""
     ridge_mean: float = 0.2081
     """Mean of the ridges' similarity."""
-    ridge_deviation: float = 0.0874
+    ridge_deviation: Annotated[float, Limits(0, above=True)] = 0.0874
     """Standard deviation of the ridges' similarity, positive."""
-
-    def __post_init__(self) -> None:
-        require(self.minutiae_deviation > 0 and self.ridge_deviation > 0, "joined deviations must be positive.")
 
 
 def joined_similarity(minutiae: float, ridge: float, settings: JoinedSettings | None = None) -> float:

@@ -8,52 +8,47 @@ ridges, not borders or contrast, agree. The rotated views of one side are made o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.errors import require
-from splitknit.matching.unroll import blur
+from splitknit.matching.ridge_band import blur
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 Spectra = NDArray[np.complex64]
 
 
+_STEP_DEG = 2.5
+"""Between two rotations."""
+_ROTATIONS = 6
+"""How many are tried on the ridges, after a ranking by their directions."""
+_PITCH_MM = 0.15
+"""Side of a pixel of the coarse grid."""
+_PLANE_PX = (270, 243)
+"""Rows and columns of the coarse grid; of a finger that is larger the middle is used."""
+_BLOCK_PX = 7
+"""Pixels of the coarse grid, each way, that share one direction."""
+_CANDIDATES = 2
+"""Peaks that are looked at closely."""
+
+
 @dataclass(frozen=True, slots=True)
-class PhaseSettings:
+class PhaseSettings(Checked):
     """The coarse search."""
 
-    limit_deg: float = 30.0
+    limit_deg: Annotated[float, Limits(0, 45)] = 30.0
     """Largest rotation tried."""
-    step_deg: float = 2.5
-    """Between two rotations."""
-    rotations: int = 6
-    """How many are tried on the ridges, after a ranking by their directions."""
-    pitch_mm: float = 0.15
-    """Side of a pixel of the coarse grid."""
-    plane_px: tuple[int, int] = (270, 243)
-    """Rows and columns of the coarse grid; of a finger that is larger the middle is used."""
-    block_px: int = 7
-    """Pixels of the coarse grid, each way, that share one direction."""
-    whitening: float = 0.5
+    whitening: Annotated[float, Limits(0, 1)] = 0.5
     """Power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone."""
-    candidates: int = 2
-    """Peaks that are looked at closely."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.limit_deg <= 45, "phase.limit_deg must lie in [0, 45].")
-        require(self.step_deg > 0 and self.pitch_mm > 0, "phase.step_deg and phase.pitch_mm must be positive.")
-        require(min(self.plane_px) >= 64, "phase.plane_px must be at least 64.")
-        require(2 <= self.block_px <= 32, "phase.block_px must lie in [2, 32].")
-        require(0 <= self.whitening <= 1, "phase.whitening must lie in [0, 1].")
-        require(min(self.candidates, self.rotations) >= 1, "phase.candidates and phase.rotations must be at least 1.")
 
     def angles_deg(self) -> NDArray[np.float64]:
         """Rotations tried, zero among them."""
-        count = int(np.floor(self.limit_deg / self.step_deg + 1e-9))
-        return self.step_deg * np.arange(-count, count + 1, dtype=np.float64)
+        count = int(np.floor(self.limit_deg / _STEP_DEG + 1e-9))
+        return _STEP_DEG * np.arange(-count, count + 1, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +76,8 @@ class Views:
 
 def views(value: FloatArray, pitch_mm: float, angles_deg: NDArray[np.float64], settings: PhaseSettings) -> Views:
     """Spectra of a ridge band (H, W) for some rotations (A,); its middle is brought to the grid's middle."""
-    plane = settings.plane_px
-    factor = settings.pitch_mm / pitch_mm
+    plane = _PLANE_PX
+    factor = _PITCH_MM / pitch_mm
     soft = blur(value, 0.4 * factor)  # less of what the coarse grid cannot hold
     centre = (value.shape[1] - 1) / 2, (value.shape[0] - 1) / 2
     middle = (plane[1] - 1) / 2, (plane[0] - 1) / 2
@@ -97,7 +92,7 @@ def views(value: FloatArray, pitch_mm: float, angles_deg: NDArray[np.float64], s
             ]
         )
         turned[k] = cv2.warpAffine(soft, source, plane[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    directions = np.stack([_directions(picture, settings.block_px) for picture in turned])
+    directions = np.stack([_directions(picture, _BLOCK_PX) for picture in turned])
     return Views(_whitened(scipy.fft.rfft2(turned), settings), np.asarray(scipy.fft.fft2(directions)))
 
 
@@ -111,9 +106,9 @@ def peaks(rotated: Views, fixed: Views, settings: PhaseSettings) -> list[Peak]:
     """
     angles = settings.angles_deg()
     agreement = scipy.fft.ifft2(rotated.directions.conj() * fixed.directions).real
-    ranked = np.argsort(-agreement.reshape(len(angles), -1).max(axis=1), kind="stable")[: settings.rotations]
-    rows, columns = settings.plane_px
-    correlation = scipy.fft.irfft2(rotated.ridges[ranked].conj() * fixed.ridges, s=settings.plane_px)
+    ranked = np.argsort(-agreement.reshape(len(angles), -1).max(axis=1), kind="stable")[:_ROTATIONS]
+    rows, columns = _PLANE_PX
+    correlation = scipy.fft.irfft2(rotated.ridges[ranked].conj() * fixed.ridges, s=_PLANE_PX)
     places = correlation.reshape(len(ranked), -1).argmax(axis=1)
     found = []
     for picture, place, angle in zip(correlation, places.tolist(), angles[ranked].tolist(), strict=True):
@@ -121,13 +116,13 @@ def peaks(rotated: Views, fixed: Views, settings: PhaseSettings) -> list[Peak]:
         down = row if row <= rows // 2 else row - rows
         right = column if column <= columns // 2 else column - columns
         height = float(picture[row, column])
-        found.append(Peak(angle, right * settings.pitch_mm, down * settings.pitch_mm, height))
+        found.append(Peak(angle, right * _PITCH_MM, down * _PITCH_MM, height))
     found.sort(key=lambda peak: -peak.height)
-    return found[: settings.candidates]
+    return found[:_CANDIDATES]
 
 
 def _whitened(spectrum: Spectra, settings: PhaseSettings) -> Spectra:
-    plane, pitch = settings.plane_px, settings.pitch_mm
+    plane, pitch = _PLANE_PX, _PITCH_MM
     cycles = np.hypot(np.fft.fftfreq(plane[0], pitch)[:, None], np.fft.rfftfreq(plane[1], pitch)[None, :])
     ridges = ((cycles > 1.2) & (cycles < min(3.8, 0.5 / pitch))).astype(np.float32)  # periods of 0.26 to 0.83 mm
     size = np.abs(spectrum)

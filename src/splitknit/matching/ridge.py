@@ -26,24 +26,23 @@ from splitknit.matching.phase import PhaseSettings, Views, band_of, peaks, views
 from splitknit.matching.template import Template, pack
 from splitknit.model import FloatArray
 
+_REFINEMENTS = 2
+"""Affine fits to the patches' shifts."""
+_MIN_OVERLAP_MM2 = 60.0
+"""Where less skin overlaps, and it is not all that the smaller template has, the similarity is lowered."""
+
+
+FIRST_PATCHES = PatchSettings(patch_mm=2.4, step_mm=2.4, search_mm=0.8)
+"""Patches that refine the coarse alignment."""
+
 
 @dataclass(frozen=True, slots=True)
 class RidgeMatchSettings:
     """How two templates are compared."""
 
     phase: PhaseSettings = field(default_factory=PhaseSettings)
-    first: PatchSettings = field(default_factory=lambda: PatchSettings(patch_mm=2.4, step_mm=2.4, search_mm=0.8))
-    """Patches that refine the coarse alignment."""
     patches: PatchSettings = field(default_factory=PatchSettings)
     """Patches that give the score."""
-    refinements: int = 2
-    """Affine fits to the patches' shifts."""
-    least_overlap_mm2: float = 60.0
-    """Where less skin overlaps, and it is not all that the smaller template has, the similarity is lowered."""
-
-    def __post_init__(self) -> None:
-        require(self.refinements >= 1, "match.refinements must be at least 1.")
-        require(self.least_overlap_mm2 >= 0, "match.least_overlap_mm2 must not be negative.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +95,7 @@ class Prepared:
     @cached_property
     def first(self) -> PatchGrid:
         """Patches for the refinement."""
-        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, self.settings.first)
+        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, FIRST_PATCHES)
 
     @cached_property
     def patches(self) -> PatchGrid:
@@ -176,19 +175,19 @@ def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
             float(np.deg2rad(peak.angle_deg)),
             (peak.right_mm / pitch, peak.down_mm / pitch),
         )
-        found = compare_patches(b.first, a.value, a.template.valid, start, settings.first)
+        found = compare_patches(b.first, a.value, a.template.valid, start)
         worth = found.mean * np.sqrt(len(found.used))
         if best is None or worth > best[0]:
             best = (float(worth), start, found)
     assert best is not None
     affine = better_affine(b.first, best[2], best[1])
-    for _ in range(settings.refinements - 1):
-        again = compare_patches(b.first, a.value, a.template.valid, affine, settings.first)
+    for _ in range(_REFINEMENTS - 1):
+        again = compare_patches(b.first, a.value, a.template.valid, affine)
         affine = better_affine(b.first, again, affine)
-    final = compare_patches(b.patches, a.value, a.template.valid, affine, settings.patches)
+    final = compare_patches(b.patches, a.value, a.template.valid, affine)
     overlap = float(final.weight.sum()) * settings.patches.step_mm**2
     smaller = min(a.template.area_mm2, b.template.area_mm2)
-    least = max(min(settings.least_overlap_mm2, 0.5 * smaller), 1e-9)
+    least = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller), 1e-9)
     correlation = final.mean
     similarity = correlation * float(np.sqrt(min(1.0, overlap / least)))
     return RidgeMatch(similarity, correlation, overlap, 0.0, 0.0, 0.0, compared=True), affine

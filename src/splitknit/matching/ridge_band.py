@@ -7,48 +7,43 @@ freed from everything wider than a ridge, and made even in contrast. Roll then s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.matching.unroll import AnyArray, GridSettings, band_places, blur, sample
+from splitknit.imaging.geometry import height_gradients
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
+AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
 """Pixels and surfaces beyond these are no finger's, and ask for grids and windows that fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
-class RidgeBandSettings:
+class RidgeBandSettings(Checked):
     """How the ridge band is made."""
 
-    pitch_mm: float = 0.1
+    pitch_mm: Annotated[float, Limits(0, above=True)] = 0.1
     """Side of a pixel of the band."""
-    ridge_mm: float = 0.32
+    ridge_mm: Annotated[float, Limits(0, above=True)] = 0.32
     """Sigma of the Gaussian mean that is taken away: what is wider than a ridge."""
-    noise_mm: float = 0.05
+    noise_mm: Annotated[float, Limits(0, above=True)] = 0.05
     """Sigma of the low-pass before sampling."""
-    window_mm: float = 0.6
+    window_mm: Annotated[float, Limits(0, above=True)] = 0.6
     """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
-    floor: float = 0.3
+    floor: Annotated[float, Limits(0, 1)] = 0.3
     """Contrast below this share of the finger's median is not raised further; half of it is no ridge at all."""
-    coherence: float = 0.2
+    coherence: Annotated[float, Limits(0, 1, below=True)] = 0.2
     """Skin whose ridges agree less on a direction (0 none, 1 parallel) is left out."""
-    slant_deg: float = 60.0
+    slant_deg: Annotated[float, Limits(0, 85, above=True, below=True)] = 60.0
     """Skin seen at a steeper slant is left out."""
     unroll: bool = True
     """Whether distances across the finger are measured along the skin, where the shape is known."""
-
-    def __post_init__(self) -> None:
-        for name in ("pitch_mm", "ridge_mm", "noise_mm", "window_mm"):
-            value = getattr(self, name)
-            require(np.isfinite(value) and value > 0, f"ridge_band.{name} must be positive, but it is {value}.")
-        require(0 <= self.floor <= 1, "ridge_band.floor must lie in [0, 1].")
-        require(0 <= self.coherence < 1, "ridge_band.coherence must lie in [0, 1).")
-        require(0 < self.slant_deg < 85, "ridge_band.slant_deg must lie in (0, 85).")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +130,7 @@ def ridge_band(  # noqa: PLR0917
         max(size) * pitch_mm <= _LONGEST_MM,
         f"the surface is {max(size) * pitch_mm:.0f} mm long, more than any finger; check its pitch ({pitch_mm:g} mm).",
     )
-    grid = GridSettings(settings.pitch_mm, settings.slant_deg, settings.unroll)
-    columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, grid)
+    columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, settings)
 
     sigma = settings.noise_mm / pitch_mm
     weight = blur(mask.astype(np.float32), sigma)
@@ -219,3 +213,85 @@ def ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatAr
     strength = np.hypot(difference, 2 * xy)
     coherence = strength / np.maximum(total, np.float32(1e-6) * max(float(total.max()), 1e-30))
     return (0.5 * np.arctan2(2 * xy, difference)).astype(np.float32), coherence.astype(np.float32)
+
+
+def band_places(  # noqa: PLR0917
+    mask: BoolArray,
+    shape_mm: FloatArray | None,
+    transform: NDArray[np.float64],
+    size: tuple[int, int],
+    pitch_mm: float,
+    settings: RidgeBandSettings,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
+    step = settings.pitch_mm / pitch_mm
+    grid_rows, grid_columns = (max(1, int(np.ceil(length / step))) for length in size)
+    column = np.arange(grid_columns, dtype=np.float64) * step
+    row = np.arange(grid_rows, dtype=np.float64) * step
+    if shape_mm is None:
+        flat = np.broadcast_to(column, (grid_rows, grid_columns))
+        return (*_to_input(flat, row, transform), np.ones(flat.shape, dtype=np.float32))
+    # slopes of the shape, on a grid of 0.25 mm and smooth: ridges must not stretch the skin
+    reduced = max(1, int(0.25 / pitch_mm))
+    small = (max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced))
+    weight: AnyArray = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    height: AnyArray = cv2.resize(np.where(mask, shape_mm, np.float32(0.0)), small, interpolation=cv2.INTER_AREA)
+    factor = mask.shape[1] / small[0]
+    inside = weight > 0.5
+    height = np.where(inside, height / np.maximum(weight, np.float32(0.5)), np.float32(np.nan)).astype(np.float32)
+    slopes = height_gradients(height, pitch_mm * factor)
+    sigma = 0.6 / (pitch_mm * factor)
+    total = np.maximum(blur(inside.astype(np.float32), sigma), np.float32(1e-3))
+    limit = np.float32(np.tan(np.deg2rad(settings.slant_deg)))
+    x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
+    there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
+    known = sample(inside.astype(np.float32), *there) > 0.5
+    right, up = (sample(blur(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there) for s in slopes)
+    across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
+    along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
+    slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
+    if not settings.unroll:
+        return x, y, slant_cos
+    length = np.sqrt(1.0 + np.clip(across, -limit, limit) ** 2)
+    arc = np.cumsum(length, axis=1) - 0.5 * length
+    anywhere = np.flatnonzero(known.any(axis=0))
+    middle = int(anywhere.mean()) if anywhere.size else grid_columns // 2
+    arc -= arc[:, middle : middle + 1]
+    first, last = float(arc[:, 0].min()), float(arc[:, -1].max())
+    wanted = np.arange(np.floor(first), np.ceil(last) + 1.0)
+    source = np.stack([np.interp(wanted, line, column, left=-1e6, right=-1e6) for line in arc])
+    slant_cos = sample(
+        slant_cos,
+        (source / step).astype(np.float32),
+        np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape),
+    )
+    return (*_to_input(source, row, transform), slant_cos)
+
+
+def sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
+    """Bilinear values of `image` at places; zero beyond its border."""
+    result = cv2.remap(
+        np.ascontiguousarray(image, dtype=np.float32),
+        np.ascontiguousarray(columns, dtype=np.float32),
+        np.ascontiguousarray(rows, dtype=np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0.0,
+    )
+    return np.asarray(result, dtype=np.float32)
+
+
+def blur(image: AnyArray, sigma: float) -> FloatArray:
+    """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels."""
+    if sigma < 0.2:
+        return np.asarray(image, dtype=np.float32)
+    result = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(result, dtype=np.float32)
+
+
+def _to_input(
+    columns: NDArray[np.float64], rows: NDArray[np.float64], transform: NDArray[np.float64]
+) -> tuple[FloatArray, FloatArray]:
+    x = transform[0, 0] * columns + transform[0, 1] * rows[:, None] + transform[0, 2]
+    y = transform[1, 0] * columns + transform[1, 1] * rows[:, None] + transform[1, 2]
+    return x.astype(np.float32), y.astype(np.float32)

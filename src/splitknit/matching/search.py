@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from splitknit.matching.elastic import compare_patches
 from splitknit.matching.ridge import Prepared, RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 
 EXHAUSTIVE = 2000
 """In a gallery of no more fingers all are compared by their ridges (if it is asked for a sure answer)."""
@@ -27,18 +29,14 @@ Gallery = Mapping[str, Template | Prepared] | Callable[[str], Template | Prepare
 
 
 @dataclass(frozen=True, slots=True)
-class SearchSettings:
+class SearchSettings(Checked):
     """How a gallery is searched."""
 
-    candidates: int = 50
+    candidates: Annotated[int, Limits(1)] = 50
     """Fingers that the codes let through to a glance at their ridges, which are laid as the codes fit best."""
-    finalists: int = 3
+    finalists: Annotated[int, Limits(1)] = 3
     """Of those the fingers whose ridges are compared in full."""
     probe: ProbeSettings = field(default_factory=ProbeSettings)
-
-    def __post_init__(self) -> None:
-        require(self.candidates >= 1, "search.candidates must be at least 1.")
-        require(self.finalists >= 1, "search.finalists must be at least 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,5 +237,5 @@ def _glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: 
     )
     turn, right, down = (float(values[variant]) for values in settings.variants())
     start = laid_on(probe.template, other.template, turn, right, down)
-    seen = compare_patches(probe.first, other.value, other.template.valid, start, probe.settings.first)
+    seen = compare_patches(probe.first, other.value, other.template.valid, start)
     return float(seen.mean * np.sqrt(len(seen.used)))

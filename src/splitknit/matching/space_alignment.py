@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,44 +16,37 @@ from scipy.spatial import cKDTree
 
 from splitknit.errors import require
 from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae
+from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Side = TypeVar("Side", bound="Framed")
 
 
+_HEIGHT_MM = 1.2
+"""Largest distance across it (z)."""
+_THETA_DEG = 20.0
+"""Largest difference of the azimuths."""
+_PHI_DEG = 20.0
+"""Largest difference of the elevations."""
+_MOTIONS = 4
+"""Motions with the most votes that are tried on all minutiae."""
+_TURN_DEG = 10.0
+"""Votes fall into cells of this size, and count in their neighbours too."""
+_SHIFT_MM = 1.2
+"""Size of the cells along the plane."""
+_ROUNDS = 3
+"""Refinements: a new motion from all that agree."""
+_ARM_MM = 1.5
+"""Directions count in a motion as a second point at this distance."""
+
+
 @dataclass(frozen=True, slots=True)
-class AgreementSettings:
+class AgreementSettings(Checked):
     """When two minutiae of laid-on fingers agree, and how motions are found."""
 
-    plane_mm: float = 1.2
+    plane_mm: Annotated[float, Limits(0, 20, above=True)] = 1.2
     """Largest distance along the finger's plane (x and y)."""
-    height_mm: float = 1.2
-    """Largest distance across it (z)."""
-    theta_deg: float = 20.0
-    """Largest difference of the azimuths."""
-    phi_deg: float = 20.0
-    """Largest difference of the elevations."""
-    motions: int = 4
-    """Motions with the most votes that are tried on all minutiae."""
-    turn_deg: float = 10.0
-    """Votes fall into cells of this size, and count in their neighbours too."""
-    shift_mm: float = 1.2
-    """Size of the cells along the plane."""
-    rounds: int = 3
-    """Refinements: a new motion from all that agree."""
-    arm_mm: float = 1.5
-    """Directions count in a motion as a second point at this distance."""
-
-    def __post_init__(self) -> None:
-        for name in ("plane_mm", "height_mm", "arm_mm"):
-            require(0 < getattr(self, name) <= 20, f"agreement.{name} must lie between 0 and 20.")
-        for name in ("theta_deg", "phi_deg"):
-            require(0 < getattr(self, name) <= 90, f"agreement.{name} must lie between 0 and 90.")
-        require(1 <= self.motions <= 1000, "agreement.motions must lie between 1 and 1000.")
-        require(3 <= self.turn_deg <= 60, "agreement.turn_deg must lie between 3 and 60.")
-        require(0.2 <= self.shift_mm <= 10, "agreement.shift_mm must lie between 0.2 and 10.")
-        require(1 <= self.rounds <= 20, "agreement.rounds must lie between 1 and 20.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,9 +117,9 @@ def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: A
     """
     none = np.zeros(0, dtype=np.intp)
     best = Agreement(none, none, np.eye(3), np.zeros(3))
-    for chosen in voted(a, b, pairs, settings):
+    for chosen in voted(a, b, pairs):
         found = _moved(a, b, pairs[0][chosen].ravel(), pairs[1][chosen].ravel(), settings)
-        for _ in range(settings.rounds):
+        for _ in range(_ROUNDS):
             if len(found.a) < 3:
                 break
             again = _moved(a, b, found.a, found.b, settings)
@@ -138,7 +131,7 @@ def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: A
     return best
 
 
-def voted(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: AgreementSettings) -> list[Index]:
+def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
     """Correspondences that propose like motions, the largest such groups first.
 
     Each proposes a turn in the finger's plane, and a shift; they are counted in overlapping cells.
@@ -147,8 +140,8 @@ def voted(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: AgreementS
     if not len(left):
         return []
     turn, shift = _plane_motions(a, b, left, right)
-    steps = round(2 * np.pi / np.deg2rad(settings.turn_deg))
-    cell = np.floor(shift / settings.shift_mm).astype(np.intp)
+    steps = round(2 * np.pi / np.deg2rad(_TURN_DEG))
+    cell = np.floor(shift / _SHIFT_MM).astype(np.intp)
     cell -= cell.min(axis=0) - 1
     wide, high = (cell.max(axis=0) + 2).tolist()
     angle = np.floor(turn / (2 * np.pi) * steps).astype(np.intp) % steps
@@ -158,7 +151,7 @@ def voted(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: AgreementS
     for axis in (1, 2):  # the border cells are empty, so that nothing is rolled round
         votes = votes + np.roll(votes, 1, axis=axis) + np.roll(votes, -1, axis=axis)
     groups = []
-    for _ in range(settings.motions):
+    for _ in range(_MOTIONS):
         top = np.unravel_index(int(np.argmax(votes)), votes.shape)
         if votes[top] <= 0:
             break
@@ -179,15 +172,15 @@ def agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: A
     there, ahead = a.places[0] @ rotation.T + shift_mm, a.places[1] @ rotation.T
     apart = there[:, None] - b.places[0][None]
     plane2 = apart[..., 0] ** 2 + apart[..., 1] ** 2
-    near = (plane2 <= settings.plane_mm**2) & (np.abs(apart[..., 2]) <= settings.height_mm)
+    near = (plane2 <= settings.plane_mm**2) & (np.abs(apart[..., 2]) <= _HEIGHT_MM)
     i, j = np.nonzero(near)
     turned = np.arctan2(ahead[i, 1], ahead[i, 0]) - np.arctan2(b.places[1][j, 1], b.places[1][j, 0])
     turned = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
     risen = np.abs(np.arcsin(np.clip(ahead[i, 2], -1, 1)) - np.arcsin(np.clip(b.places[1][j, 2], -1, 1)))
-    alike = (turned <= np.deg2rad(settings.theta_deg)) & (risen <= np.deg2rad(settings.phi_deg))
+    alike = (turned <= np.deg2rad(_THETA_DEG)) & (risen <= np.deg2rad(_PHI_DEG))
     i, j, turned, risen = i[alike], j[alike], turned[alike], risen[alike]
-    cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / settings.height_mm) ** 2
-    cost += (turned / np.deg2rad(settings.theta_deg)) ** 2 + (risen / np.deg2rad(settings.phi_deg)) ** 2
+    cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / _HEIGHT_MM) ** 2
+    cost += (turned / np.deg2rad(_THETA_DEG)) ** 2 + (risen / np.deg2rad(_PHI_DEG)) ** 2
     chosen = one_to_one(i, j, cost)
     return Agreement(i[chosen], j[chosen], rotation, shift_mm)
 
@@ -253,7 +246,7 @@ def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
 
 def _moved(a: Framed, b: Framed, left: Index, right: Index, settings: AgreementSettings) -> Agreement:
     """What agrees after the motion that takes minutiae `left` best to `right`."""
-    rotation, shift = rigid_motion(_armed(a, left, settings), _armed(b, right, settings))
+    rotation, shift = rigid_motion(_armed(a, left), _armed(b, right))
     return agreeing(a, b, rotation, shift, settings)
 
 
@@ -274,7 +267,7 @@ def _beside(k: np.intp, size: int) -> list[int]:
     return list(range(max(int(k) - 1, 0), min(int(k) + 2, size)))
 
 
-def _armed(side: Framed, index: Index, settings: AgreementSettings) -> Array:
+def _armed(side: Framed, index: Index) -> Array:
     """Places and the ends of their directions, (2 n, 3)."""
     places = side.places[0][index]
-    return np.concatenate([places, places + settings.arm_mm * side.places[1][index]])
+    return np.concatenate([places, places + _ARM_MM * side.places[1][index]])

@@ -10,6 +10,7 @@ all that follows (uint32); the mask and the four planes in bits. A finger withou
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.matching.packed import Packing
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 SURFACE_CODE_VERSION = 1
 """Of the packed bytes; a reader refuses others."""
@@ -30,27 +32,22 @@ _PACKING = Packing(
 )
 
 
+CODE_PITCH_MM = 0.1
+"""Of the grid of places; a ridge's period has four to five of them."""
+CODE_SMOOTH_MM = 0.03
+"""Sigma of the Gaussian over the surface before its curvature is taken."""
+CODE_WINDOW_MM = 0.25
+"""Side of the window to which quadratics are fitted."""
+
+
 @dataclass(frozen=True, slots=True)
-class SurfaceCodeSettings:
+class SurfaceCodeSettings(Checked):
     """How surfaces become codes."""
 
-    pitch_mm: float = 0.1
-    """Of the grid of places; a ridge's period has four to five of them."""
-    smooth_mm: float = 0.03
-    """Sigma of the Gaussian over the surface before its curvature is taken."""
-    window_mm: float = 0.25
-    """Side of the window to which quadratics are fitted."""
-    coding: str = "gray"
+    coding: Literal["gray", "binary"] = "gray"
     """``gray``: neighbouring zones differ in one bit; ``binary``: the zone's number."""
-    least_area_mm2: float = 30.0
+    least_area_mm2: Annotated[float, Limits(0)] = 30.0
     """A smaller code is a failure to acquire."""
-
-    def __post_init__(self) -> None:
-        require(0.03 <= self.pitch_mm <= 0.5, "surface_code.pitch_mm must lie between 0.03 and 0.5.")
-        require(0 <= self.smooth_mm <= 1, "surface_code.smooth_mm must lie between 0 and 1.")
-        require(0.1 <= self.window_mm <= 2, "surface_code.window_mm must lie between 0.1 and 2.")
-        require(self.coding in CODINGS, f"surface_code.coding must be gray or binary, not '{self.coding}'.")
-        require(self.least_area_mm2 >= 0, "surface_code.least_area_mm2 must not be negative.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,10 +110,10 @@ def make_surface_code(
     known = check_mask(mask, (index.shape[0], index.shape[1])) & np.isfinite(index)
     safe = np.clip(np.where(known, index, 0.0), 0.0, 1.0)
     zone = np.clip(np.floor(safe * (ZONES - 1) + 0.5), 0, ZONES - 1).astype(np.intp)
-    if np.count_nonzero(known) * settings.pitch_mm**2 < settings.least_area_mm2:
+    if np.count_nonzero(known) * CODE_PITCH_MM**2 < settings.least_area_mm2:
         known = np.zeros_like(known)
     code = np.where(known, CODINGS[settings.coding][zone], 0).astype(np.uint8)
-    return SurfaceCode(code, known, settings.pitch_mm)
+    return SurfaceCode(code, known, CODE_PITCH_MM)
 
 
 def packed_planes(code: NDArray[np.uint8], mask: BoolArray) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
@@ -158,7 +155,7 @@ def unpack_surface_code(data: bytes) -> SurfaceCode:
     True
     """
     if not data:
-        return SurfaceCode(np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.bool_), SurfaceCodeSettings().pitch_mm)
+        return SurfaceCode(np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.bool_), CODE_PITCH_MM)
     (rows, columns, pitch_um), body = _PACKING.unpack(data, _body_size)
     size = len(body) // (1 + PLANES)
     words = np.frombuffer(body, np.uint8).reshape(1 + PLANES, size)

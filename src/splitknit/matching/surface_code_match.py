@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -19,37 +19,31 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.matching.surface_code import PLANES, SurfaceCode, pack_surface_code, packed_planes
 from splitknit.model import BoolArray
+from splitknit.settings import Checked, Limits
 
 Words = NDArray[np.uint64]
 
 
+_CANDIDATES = 2
+"""Turns and shifts of the first level that are counted exactly."""
+_MIN_OVERLAP = 0.4
+"""Share of the smaller finger that must overlap."""
+
+
 @dataclass(frozen=True, slots=True)
-class SurfaceMatchSettings:
+class SurfaceMatchSettings(Checked):
     """How two surface codes are compared."""
 
-    turn_deg: float = 18.0
+    turn_deg: Annotated[float, Limits(0, 90)] = 18.0
     """Largest turn to either side that is tried."""
-    turn_step_deg: float = 3.0
+    turn_step_deg: Annotated[float, Limits(0.5, 30)] = 3.0
     """Between the turns of the first level."""
-    shift_mm: float = 5.0
+    shift_mm: Annotated[float, Limits(0, 30, above=True)] = 5.0
     """Largest shift along the finger."""
-    side_shift_mm: float = 3.0
+    side_shift_mm: Annotated[float, Limits(0, 30, above=True)] = 3.0
     """Largest shift across it."""
-    coarse_mm: float = 0.15
+    coarse_mm: Annotated[float, Limits(0.05, 1)] = 0.15
     """Pitch of the first level."""
-    candidates: int = 2
-    """Turns and shifts of the first level that are counted exactly."""
-    least_share: float = 0.4
-    """Share of the smaller finger that must overlap."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.turn_deg <= 90, "surface_match.turn_deg must lie between 0 and 90.")
-        require(0.5 <= self.turn_step_deg <= 30, "surface_match.turn_step_deg must lie between 0.5 and 30.")
-        for name in ("shift_mm", "side_shift_mm"):
-            require(0 < getattr(self, name) <= 30, f"surface_match.{name} must lie between 0 and 30.")
-        require(0.05 <= self.coarse_mm <= 1, "surface_match.coarse_mm must lie between 0.05 and 1.")
-        require(1 <= self.candidates <= 100, "surface_match.candidates must lie between 1 and 100.")
-        require(0.05 <= self.least_share <= 1, "surface_match.least_share must lie between 0.05 and 1.")
 
     def turns_deg(self) -> list[float]:
         """Turns of the first level, zero among them."""
@@ -169,7 +163,7 @@ def surface_code_match(
     swapped = left.key > right.key
     if swapped:
         left, right = right, left
-    least = left.settings.least_share * min(left.surface_code.area_mm2, right.surface_code.area_mm2)
+    least = _MIN_OVERLAP * min(left.surface_code.area_mm2, right.surface_code.area_mm2)
     best = NOT_COMPARED
     for turn, row, column in _candidates(left, right, least):
         best = min(best, _counted(left, right, (turn, row, column), least), key=lambda found: found.distance)
@@ -209,7 +203,7 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
         row, column = np.unravel_index(int(np.argmax(worth)), worth.shape)
         found.append((-float(worth[row, column]), turn, int(shifts[0][row]), int(shifts[1][column])))
     found.sort()
-    return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[: settings.candidates]]
+    return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[:_CANDIDATES]]
 
 
 def _counted(

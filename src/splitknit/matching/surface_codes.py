@@ -6,7 +6,14 @@ import cv2
 import numpy as np
 
 from splitknit.imaging.geometry import smoothed
-from splitknit.matching.surface_code import SurfaceCode, SurfaceCodeSettings, make_surface_code
+from splitknit.matching.surface_code import (
+    CODE_PITCH_MM,
+    CODE_SMOOTH_MM,
+    CODE_WINDOW_MM,
+    SurfaceCode,
+    SurfaceCodeSettings,
+    make_surface_code,
+)
 from splitknit.model import Surface
 from splitknit.prints.curvature import REFERENCE_PX_PER_MM, CurvatureSettings, curvature
 
@@ -15,12 +22,10 @@ def surface_code(surface: Surface, settings: SurfaceCodeSettings | None = None) 
     """Code of a reconstruction: the shape index of its smoothed surface, on an upright grid about its middle."""
     settings = settings or SurfaceCodeSettings()
     pitch = surface.pitch_mm
-    height = surface.shape_mm + surface.ridge_mm
-    if settings.smooth_mm > 0:
-        height = smoothed(height, surface.mask, settings.smooth_mm / pitch)
-    fits = CurvatureSettings(window_px=settings.window_mm * REFERENCE_PX_PER_MM)
+    height = smoothed(surface.shape_mm + surface.ridge_mm, surface.mask, CODE_SMOOTH_MM / pitch)
+    fits = CurvatureSettings(window_px=CODE_WINDOW_MM * REFERENCE_PX_PER_MM)
     index = curvature(height, surface.mask, pitch, fits).shape_index
-    step = settings.pitch_mm / pitch
+    step = CODE_PITCH_MM / pitch
     rows, columns = (max(1, round(side / step)) for side in surface.upright_size)
     input_from_grid = surface.input_from_upright @ np.array(
         [

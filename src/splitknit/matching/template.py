@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.matching.ridge_band import RidgeBand
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 VERSION = 1
 """Of the payload; a reader refuses others."""
@@ -27,14 +29,11 @@ _LARGEST_SIDE = 2048
 
 
 @dataclass(frozen=True, slots=True)
-class TemplateSettings:
+class TemplateSettings(Checked):
     """What a template keeps."""
 
-    least_area_mm2: float = 30.0
+    least_area_mm2: Annotated[float, Limits(0)] = 30.0
     """A smaller ridge band is a failure to acquire."""
-
-    def __post_init__(self) -> None:
-        require(self.least_area_mm2 >= 0, "template.least_area_mm2 must not be negative.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,12 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations, permutations
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.errors import require
 from splitknit.matching.minutiae3d_record import SpaceMinutiae
 from splitknit.matching.space_alignment import (
     AgreementSettings,
@@ -29,6 +29,7 @@ from splitknit.matching.space_alignment import (
     share_of_both,
     two_sides,
 )
+from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
@@ -37,21 +38,16 @@ _ORDERS = np.array([(0, *rest) for rest in permutations((1, 2, 3))])
 
 
 @dataclass(frozen=True, slots=True)
-class TetrahedraSettings:
+class TetrahedraSettings(Checked):
     """How minutiae in space are compared by tetrahedra."""
 
-    neighbours: int = 5
+    neighbours: Annotated[int, Limits(3, 12)] = 5
     """Nearest minutiae; any three of them make a tetrahedron with the minutia."""
-    edge_mm: float = 0.35
+    edge_mm: Annotated[float, Limits(0, 5, above=True)] = 0.35
     """Largest difference of two edges that are alike."""
-    angle_deg: float = 25.0
+    angle_deg: Annotated[float, Limits(0, 90, above=True)] = 25.0
     """Largest difference of the angles between directions and edges."""
     agreement: AgreementSettings = field(default_factory=AgreementSettings)
-
-    def __post_init__(self) -> None:
-        require(3 <= self.neighbours <= 12, "tetrahedra.neighbours must lie between 3 and 12.")
-        require(0 < self.edge_mm <= 5, "tetrahedra.edge_mm must lie between 0 and 5.")
-        require(0 < self.angle_deg <= 90, "tetrahedra.angle_deg must lie between 0 and 90.")
 
 
 @dataclass(frozen=True, slots=True)

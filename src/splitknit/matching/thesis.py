@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import warp
 from splitknit.matching.align import align_masks, to_box
-from splitknit.matching.features import FeatureSettings, gabor_features, hog_features, shape_context_features
+from splitknit.matching.features import gabor_features, hog_features, shape_context_features
 from splitknit.matching.lbp import LbpSettings, lbp_features
 from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 
 NORMALS = ("normal_x", "normal_y", "normal_z")
 ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -25,24 +27,19 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class ThesisSettings:
+class ThesisSettings(Checked):
     """How two fingers are compared."""
 
-    gate: float = 0.9
+    gate: Annotated[float, Limits(0, 1)] = 0.9
     """Pairs whose masks overlap less (5.1) are not compared; 0 compares all."""
-    feature: str = "lbp"
+    feature: Literal["lbp", "hog", "gabor", "shape_context"] = "lbp"
     """``lbp``, ``hog``, ``gabor`` or ``shape_context``."""
     attributes: tuple[str, ...] = ("normals", "relief")
     """Names in :data:`ATTRIBUTES`; the similarity is the mean of theirs."""
     lbp: LbpSettings = field(default_factory=LbpSettings)
-    features: FeatureSettings = field(default_factory=FeatureSettings)
 
     def __post_init__(self) -> None:
-        require(0 <= self.gate <= 1, f"thesis.gate must lie in [0, 1], but it is {self.gate}.")
-        require(
-            self.feature in ("lbp", "hog", "gabor", "shape_context"),
-            f"thesis.feature must be 'lbp', 'hog', 'gabor' or 'shape_context', but it is '{self.feature}'.",
-        )
+        check_fields(self)
         unknown = [name for name in self.attributes if name not in ATTRIBUTES]
         require(not unknown and len(self.attributes) > 0, f"thesis.attributes must be of {', '.join(ATTRIBUTES)}.")
 
@@ -239,4 +236,4 @@ def _extractor(settings: ThesisSettings, px_per_mm: float) -> Callable[[FloatArr
     if settings.feature == "lbp":
         return lambda image: lbp_features(image, px_per_mm, settings.lbp)
     others = {"hog": hog_features, "gabor": gabor_features, "shape_context": shape_context_features}
-    return lambda image: others[settings.feature](image, px_per_mm, settings.features)
+    return lambda image: others[settings.feature](image, px_per_mm)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,25 +13,24 @@ from scipy.spatial import cKDTree
 
 from splitknit.errors import require
 from splitknit.matching.minutiae_record import PPI, Minutiae
+from splitknit.settings import Checked, Limits
 
 MM_PER_INCH = 25.4
 
 
+_REACH_MM = 0.3
+"""Minutiae of two pictures are the same if they lie no further apart: a third to two thirds of a ridge period."""
+_TURN_DEG = 40.0
+"""... and their directions differ by no more."""
+
+
 @dataclass(frozen=True, slots=True)
-class VoteSettings:
+class VoteSettings(Checked):
     """When minutiae of two pictures are the same, and how many pictures must agree."""
 
-    reach_mm: float = 0.3
-    """Minutiae of two pictures are the same if they lie no further apart: a third to two thirds of a ridge period."""
-    turn_deg: float = 40.0
-    """... and their directions differ by no more."""
-    least_share: float = 0.5
+    _group = "voted"
+    least_share: Annotated[float, Limits(0, 1, above=True)] = 0.5
     """Share of the pictures in which a minutia must be found to be kept."""
-
-    def __post_init__(self) -> None:
-        require(0 < self.reach_mm <= 2, f"voted.reach_mm must lie in (0, 2], but it is {self.reach_mm}.")
-        require(0 < self.turn_deg <= 180, f"voted.turn_deg must lie in (0, 180], but it is {self.turn_deg}.")
-        require(0 < self.least_share <= 1, f"voted.least_share must lie in (0, 1], but it is {self.least_share}.")
 
 
 def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> Minutiae:
@@ -81,7 +81,7 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
             f"{one.size[1]}.",
         )
     pool = _pool(pictures)
-    near = _same(pool, settings)
+    near = _same(pool)
     free = np.ones(len(pool), dtype=np.bool_)
     least = max(1, int(np.ceil(settings.least_share * len(pictures) - 1e-9)))
     waiting = [(*_standing(pool, near[k]), k) for k in range(len(pool))]
@@ -120,17 +120,17 @@ def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
     return pool[np.lexsort([pool[key] for key in keys])]
 
 
-def _same(pool: NDArray[np.void], settings: VoteSettings) -> list[NDArray[np.intp]]:
+def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     """For each minutia those that are near enough to be the same, itself among them."""
     if not len(pool):
         return []
     places = np.stack([pool["x"], pool["y"]], axis=1)
-    reach = settings.reach_mm * PPI / MM_PER_INCH
+    reach = _REACH_MM * PPI / MM_PER_INCH
     found = []
     for k, around in enumerate(cKDTree(places).query_ball_point(places, reach, return_sorted=True)):
         index = np.array(around, dtype=np.intp)
         turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
-        found.append(index[turn <= np.deg2rad(settings.turn_deg)])
+        found.append(index[turn <= np.deg2rad(_TURN_DEG)])
     return found
 
 

@@ -2,7 +2,7 @@
 
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
-from splitknit.mirrors.settings import MirrorShapeSettings, ViewSettings
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.state import Slopes
 from splitknit.mirrors.views import Views, find_views, view_binning
 
@@ -10,7 +10,6 @@ __all__ = [
     "MirrorShape",
     "MirrorShapeSettings",
     "Slopes",
-    "ViewSettings",
     "Views",
     "find_views",
     "medial_line",

@@ -170,7 +170,7 @@ def _views_and_images(capture: Capture, mask: MaskSettings, settings: MirrorShap
     """Views, and the white images (L, h, w) on their grid."""
     rig = capture.rig
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
-    binning = view_binning(rig.camera.px_per_mm, settings.views)
+    binning = view_binning(rig.camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     return views_in(mean, rig.camera, mirrors, binning, mask, settings), grey
 
@@ -195,7 +195,6 @@ def views_in(  # noqa: PLR0917
         mirrors,
         lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
         binning,
-        settings.views,
         lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
     )
 

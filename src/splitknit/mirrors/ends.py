@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.mirrors.priors import SHEAR_SD, tukey
-from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, MirrorShapeSettings
 from splitknit.mirrors.state import LIMITS, SeenIn, State, convex, misfit_of
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def fitted_ends(
     settings: MirrorShapeSettings,
 ) -> State:
     """With those parameters fitted to the views from beyond the tip."""
-    spread = {"squareness": settings.squareness_spread, "shear": 0.5 * SHEAR_SD, "shift_mm": settings.offset_mm}
+    spread = {"squareness": settings.squareness_spread, "shear": 0.5 * SHEAR_SD, "shift_mm": OFFSET_MM}
     expected = {"squareness": state.body.squareness, "shear": state.body.shear}
 
     def misfit(state: State) -> Array:
@@ -40,14 +40,14 @@ def fitted_ends(
     for turn in range(8):
         residual = misfit(state)
         jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
-        scale = max(settings.outline_mm, 1.4826 * float(np.median(np.abs(residual))))
+        scale = max(OUTLINE_MM, 1.4826 * float(np.median(np.abs(residual))))
         weight = tukey(residual, 4.685 * scale) if turn > SURE_FROM else (np.abs(residual) < 5.0).astype(np.float64)
-        weight = weight * (TIP_TRUST * 2.0 * settings.row_mm / COMMON_MM / settings.outline_mm**2)
+        weight = weight * (TIP_TRUST * 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
         for k, (name, _) in enumerate(names):
             kind, _, mirror = name.partition(" ")
-            size = spread.get(kind, float(np.deg2rad(settings.angle_deg)))
+            size = spread.get(kind, float(np.deg2rad(ANGLE_DEG)))
             value = getattr(state.poses[mirror], kind) if mirror else getattr(state.body, kind)
             normal[k, k] += 1.0 / size**2
             right[k] += (expected.get(kind, 0.0) - value) / size**2

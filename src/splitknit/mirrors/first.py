@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.outline import Rows, rows_of
 from splitknit.mirrors.planes import MirrorPlane
-from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
 from splitknit.mirrors.state import Pose, SeenIn
 from splitknit.model import BoolArray, Camera
+
+_KNOTS = 11
+"""Spans of the splines along the finger."""
 
 Array = NDArray[np.float64]
 
@@ -21,9 +24,9 @@ MOST_TURN_RAD = 0.12
 """Mirrors are not turned by more."""
 
 
-def cap(mask: BoolArray, camera: Camera, binning: int, axis: Array, settings: MirrorShapeSettings) -> Array:
+def cap(mask: BoolArray, camera: Camera, binning: int, axis: Array) -> Array:
     """(n, 2) points of the outline's tip, on the finger plane."""
-    sideways = rows_of(mask, camera, binning, np.array([axis[1], -axis[0]]), settings.row_mm, trust_ends=True)
+    sideways = rows_of(mask, camera, binning, np.array([axis[1], -axis[0]]), ROW_MM, trust_ends=True)
     places, _, _ = sideways.places("left")
     return places
 
@@ -77,7 +80,7 @@ def first_body(
     seen_mm = max(rows.tip_mm - float(rows.along_mm[np.isfinite(rows.width_mm)][0]) for rows in lateral.values())
     length = min(front.tip_mm - float(along[0]), seen_mm) + 0.3
     origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known]))
-    body = Body(origin * front.across, front.axis, front.tip_mm, length, np.zeros((4, settings.knots + 3)))
+    body = Body(origin * front.across, front.axis, front.tip_mm, length, np.zeros((4, _KNOTS + 3)))
     name = next(iter(lateral))
     rays = poses[name].of(seen[name]).reflect(seen[name].touching)
     point, direction = body.to_frame(rays.point, place=True), body.to_frame(rays.direction, place=False)
@@ -86,7 +89,7 @@ def first_body(
     low, high = (float(v) for v in np.quantile(heights, (0.15, 0.85)))
     z, rise = 0.5 * (low + high), 0.5 * (high - low)
     width = 0.5 * float(np.nanquantile(front.width_mm, 0.8))
-    coefficients = np.zeros((4, settings.knots + 3))
+    coefficients = np.zeros((4, _KNOTS + 3))
     coefficients[1], coefficients[2], coefficients[3] = z, width, rise
     squareness = 0.0 if settings.section == "ellipse" else settings.squareness
     return replace(body, coefficients=coefficients, squareness=squareness)

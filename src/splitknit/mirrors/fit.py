@@ -17,7 +17,7 @@ from splitknit.mirrors.body import Body, basis
 from splitknit.mirrors.ends import COMMON_MM, fitted_ends, misfit_of_end
 from splitknit.mirrors.planes import Touching
 from splitknit.mirrors.priors import add_priors, add_slopes, robust_weights
-from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.settings import OUTLINE_MM, ROW_MM, MirrorShapeSettings
 from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes, State, all_misfits, all_planes, misfit_of
 
 Array = NDArray[np.float64]
@@ -67,20 +67,20 @@ def fit_body(  # noqa: PLR0917
         by_global = np.column_stack(
             [_change(state, name, size, front, mirrors, names, residual) for name, size in globals_]
         )
-        weight = robust_weights(residual, ends, settings.outline_mm, sure=turn >= sure_from)
-        weight *= min(1.0, 2.0 * settings.row_mm / COMMON_MM) / settings.outline_mm**2
+        weight = robust_weights(residual, ends, OUTLINE_MM, sure=turn >= sure_from)
+        weight *= min(1.0, 2.0 * ROW_MM / COMMON_MM) / OUTLINE_MM**2
         jacobian = np.column_stack([spline, by_global])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
         add_priors(normal, right, state, globals_, mirrors, body.tip_mm, settings, count)
         if slopes is not None:
-            add_slopes(normal, right, state, globals_, slopes, settings, count)
+            add_slopes(normal, right, state, globals_, slopes, count)
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
         state = state.stepped(np.asarray(step, dtype=np.float64), globals_, count)
         if turn > sure_from and float(np.abs(step[: 4 * count]).max()) < SETTLED:
             break
     residual = all_misfits(state, front, mirrors, names)
-    weight = robust_weights(residual, ends, settings.outline_mm, sure=True)
+    weight = robust_weights(residual, ends, OUTLINE_MM, sure=True)
     split = dict(zip(("front", *names), np.split(residual, ends), strict=True))
     weights = dict(zip(("front", *names), np.split(weight, ends), strict=True))
     return Fit(state.body, state.poses, split, weights)
@@ -113,7 +113,7 @@ def _with_ends(  # noqa: PLR0917
     misfit, weights = dict(last.misfit_mm), dict(last.weights)
     for name in ends:
         misfit[name] = misfit_of_end(state, mirrors, name)
-        weights[name] = robust_weights(misfit[name], np.zeros(0, dtype=np.intp), settings.outline_mm, sure=True)
+        weights[name] = robust_weights(misfit[name], np.zeros(0, dtype=np.intp), OUTLINE_MM, sure=True)
     return Fit(state.body, state.poses, misfit, weights)
 
 

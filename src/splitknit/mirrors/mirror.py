@@ -17,7 +17,7 @@ from splitknit.mirrors.first import cap, first_body, turn_of_tips
 from splitknit.mirrors.fit import fit_body
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, medial_line, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
-from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
 from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes, touched
 from splitknit.mirrors.verdict import facts_of, refuse_misfit
 from splitknit.mirrors.views import Views
@@ -199,11 +199,11 @@ def mirror_shape(
     used = {name: mirrors[name] for name in sorted(views.mirrors)}
     require(bool(used), "no mirror shows the finger; the shape needs one beside it at least.")
     hint = np.array([-np.sin(np.deg2rad(tip_direction_deg)), np.cos(np.deg2rad(tip_direction_deg))])
-    axis, front = finger_axis(views.front, camera, views.binning, hint, settings.row_mm)
+    axis, front = finger_axis(views.front, camera, views.binning, hint, ROW_MM)
     sides = {name: mirror for name, mirror in used.items() if not _from_tip(mirror, axis)}
     require(bool(sides), "only the mirror beyond the tip shows the finger; the shape needs one beside it.")
     if settings.method == "thesis":
-        return _by_thesis(views, camera, sides, settings, axis, front)
+        return _by_thesis(views, camera, sides, axis, front)
     return _by_outlines(views, camera, used, settings, axis, front, slopes)
 
 
@@ -213,17 +213,16 @@ def _from_tip(mirror: Mirror, axis: Array) -> bool:
     return bool(abs(float(level @ axis)) > np.sqrt(0.5))
 
 
-def _by_thesis(  # noqa: PLR0917
+def _by_thesis(
     views: Views,
     camera: Camera,
     sides: Mapping[str, Mirror],
-    settings: MirrorShapeSettings,
     axis: Array,
     front: Rows,
 ) -> MirrorShape:
     """The thesis's method on the first lateral view."""
     name, mirror = next(iter(sides.items()))
-    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, settings.row_mm)
+    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, ROW_MM)
     side = pad_side(mirror, lateral)
     require(
         not is_cut(lateral, side),
@@ -255,10 +254,10 @@ def _by_outlines(  # noqa: PLR0917
         tip = _from_tip(mirror, axis)
         mask = views.mirrors[name]
         if tip:
-            rows = rows_of(mask, camera, views.binning, np.array([axis[1], -axis[0]]), settings.row_mm, trust_ends=True)
+            rows = rows_of(mask, camera, views.binning, np.array([axis[1], -axis[0]]), ROW_MM, trust_ends=True)
             parts = _touching(camera, rows, ("left",))
         else:
-            rows = rows_of(mask, camera, views.binning, plane.image_axis(axis), settings.row_mm)
+            rows = rows_of(mask, camera, views.binning, plane.image_axis(axis), ROW_MM)
             lateral[name] = rows
             parts = _touching(camera, rows, ("left", "right"))
         if is_cut(rows, pad_side(mirror, rows), from_tip=tip):
@@ -274,7 +273,7 @@ def _by_outlines(  # noqa: PLR0917
     )
     poses = {name: Pose() for name in seen}
     for name in lateral:
-        caps = [cap(mask, camera, views.binning, axis, settings) for mask in (views.front, views.mirrors[name])]
+        caps = [cap(mask, camera, views.binning, axis) for mask in (views.front, views.mirrors[name])]
         turn = turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
         if turn is None:
             raise BadInput(
@@ -287,7 +286,7 @@ def _by_outlines(  # noqa: PLR0917
     front = front.beyond(body.tip_mm - body.length_mm)
     front_planes = _touching(camera, front, ("left", "right"))
     fit = fit_body(body, front_planes, seen, poses, settings, slopes)
-    refuse_misfit(fit, seen, settings)
+    refuse_misfit(fit, seen)
     beside = {"front": front_planes, **{name: seen[name].touching for name in lateral}}
     return MirrorShape(
         camera, fit.body, {**facts_of(fit, settings, slopes), "views_cut_off": cut}, outlines, fit, beside

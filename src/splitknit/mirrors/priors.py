@@ -7,8 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, MirrorShapeSettings
 from splitknit.mirrors.state import SeenIn, Slopes, State
+
+_SLOPE_ERROR = 0.1
+"""Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
 
 Array = NDArray[np.float64]
 
@@ -54,7 +57,7 @@ def add_priors(  # noqa: PLR0917
         kind, _, mirror = name.partition(" ")
         if mirror:
             pose = state.poses[mirror]
-            spread = settings.offset_mm if kind == "shift_mm" else np.deg2rad(settings.angle_deg)
+            spread = OFFSET_MM if kind == "shift_mm" else np.deg2rad(ANGLE_DEG)
             away = -getattr(pose, kind)
             told = mirrors[mirror].turn_sd_rad
             if kind == "turn_rad" and told is not None:
@@ -71,7 +74,6 @@ def add_slopes(  # noqa: PLR0917
     state: State,
     names: list[tuple[str, float]],
     slopes: Slopes,
-    settings: MirrorShapeSettings,
     count: int,
 ) -> None:
     """The skin's slopes across the finger, as far as squareness and shear answer to them."""
@@ -90,7 +92,7 @@ def add_slopes(  # noqa: PLR0917
     good &= np.isfinite(jacobian).all(axis=1)
     if int(good.sum()) < 20:
         return
-    weight = tukey(residual[good], 4.0 * settings.slope_error) / settings.slope_error**2
+    weight = tukey(residual[good], 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
     weight *= INDEPENDENT_SLOPES / max(int(good.sum()), 1)
     part = jacobian[good]
     where = 4 * count + np.asarray(chosen)

@@ -11,20 +11,23 @@ from splitknit.errors import require
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.state import Fit, SeenIn, Slopes
 
+_MISFIT_MM = 0.6
+"""Views that agree no better than this (rms) are not of one finger."""
+
 THICKNESS = (0.4, 1.4)
 """Of fingers, over their breadth."""
 MOST_DEG = 7.0
 """A mirror that would be further off than this is not believed."""
 
 
-def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn], settings: MirrorShapeSettings) -> None:
+def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn]) -> None:
     """Refuse views that no finger explains."""
     for name, misfit in fit.misfit_mm.items():
         if name in seen and seen[name].from_tip:
             continue
         size = float(np.median(np.abs(misfit)))
         require(
-            size < settings.misfit_mm,
+            size < _MISFIT_MM,
             f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
             "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
         )

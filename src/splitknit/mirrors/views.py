@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.imaging.areas import around, bin_image, blanked, enlarged_box, filled, grown, mirror_outline
-from splitknit.mirrors.settings import ViewSettings
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+
+_PX_PER_MM = 22.0
+"""Scale of the copy on which the outlines are found."""
+_REACH_MM = 3.0
+"""A mirror's picture is looked for this far beyond its nominal outline."""
 
 Array = NDArray[np.float64]
 SEARCH_PX_PER_MM = 4.0
@@ -35,9 +39,9 @@ class Views:
     binning: int
 
 
-def view_binning(px_per_mm: float, settings: ViewSettings | None = None) -> int:
+def view_binning(px_per_mm: float) -> int:
     """How many pixels a side are averaged before views are looked for."""
-    return max(1, round(px_per_mm / (settings or ViewSettings()).px_per_mm))
+    return max(1, round(px_per_mm / _PX_PER_MM))
 
 
 def find_views(  # noqa: PLR0917
@@ -46,7 +50,6 @@ def find_views(  # noqa: PLR0917
     mirrors: Mapping[str, Mirror],
     find_finger: FindFinger,
     binning: int,
-    settings: ViewSettings | None = None,
     find_outline: FindOutline | None = None,
 ) -> Views:
     """Find the finger itself and its mirror images.
@@ -64,7 +67,6 @@ def find_views(  # noqa: PLR0917
     mirrors : by name, where they nominally are
     find_finger : mask of the finger in an image, :func:`splitknit.finger.finger_mask` say
     binning : int
-    settings : ViewSettings, optional
     find_outline : outline of a finger roughly known, :func:`splitknit.finger.finger_outline` say, optional
 
     Raises
@@ -72,27 +74,25 @@ def find_views(  # noqa: PLR0917
     BadInput
         If there are no mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
     """
-    settings = ViewSettings() if settings is None else settings
     require(bool(mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = 1
     if find_outline is not None:
         factor = max(1, int(camera.px_per_mm / binning / SEARCH_PX_PER_MM))
-    rough = _rough_views(bin_image(image, factor), camera, mirrors, find_finger, binning * factor, settings)
+    rough = _rough_views(bin_image(image, factor), camera, mirrors, find_finger, binning * factor)
     views = rough
     if find_outline is not None:
-        views = _outlined(image, camera, mirrors, rough, find_outline, factor, settings)
+        views = _outlined(image, camera, mirrors, rough, find_outline, factor)
     for name, view in views.mirrors.items():
         _refuse_contact(name, view, views.front, camera.px_per_mm / views.binning)
     return views
 
 
-def _rough_views(  # noqa: PLR0917
+def _rough_views(
     image: FloatArray,
     camera: Camera,
     mirrors: Mapping[str, Mirror],
     find_finger: FindFinger,
     binning: int,
-    settings: ViewSettings,
 ) -> Views:
     """Views as `find_finger` sees them."""
     px_per_mm = camera.px_per_mm / binning
@@ -104,7 +104,7 @@ def _rough_views(  # noqa: PLR0917
     _refuse_second(image, front, in_any, px_per_mm)
 
     def look(name: str) -> BoolArray | None:
-        return _largest_in(image, _allowed(name, outlines, front, px_per_mm, settings), px_per_mm, find_finger)
+        return _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm, find_finger)
 
     with ThreadPoolExecutor(2) as pool:
         seen = dict(zip(sorted(mirrors), pool.map(look, sorted(mirrors)), strict=True))
@@ -118,7 +118,6 @@ def _outlined(  # noqa: PLR0917
     rough: Views,
     find_outline: FindOutline,
     factor: int,
-    settings: ViewSettings,
 ) -> Views:
     """Views whose outlines are found in `image`, around the rough ones."""
     binning = rough.binning // factor
@@ -126,12 +125,12 @@ def _outlined(  # noqa: PLR0917
     outlines = {name: mirror_outline(mirror, camera, binning) for name, mirror in mirrors.items()}
 
     def found(mask: BoolArray, name: str, front: BoolArray | None) -> BoolArray | None:
-        cells = around(mask, max(3.0, settings.reach_mm) * px_per_mm / factor)
+        cells = around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
         box = enlarged_box(cells, factor, mask.shape, image.shape)
         corner = np.array([box[1].start, box[0].start])
         inside = {other: outline - corner for other, outline in outlines.items()}
         shape = (box[0].stop - box[0].start, box[1].stop - box[1].start)
-        allowed = ~_in_any(inside, shape) if front is None else _allowed(name, inside, front[box], px_per_mm, settings)
+        allowed = ~_in_any(inside, shape) if front is None else _allowed(name, inside, front[box], px_per_mm)
         try:
             part = find_outline(blanked(image[box], allowed, px_per_mm), mask[cells], px_per_mm) & allowed
         except BadInput:
@@ -163,12 +162,10 @@ def _in_any(outlines: Mapping[str, Array], shape: tuple[int, int]) -> BoolArray:
     return np.asarray(np.logical_or.reduce([filled(outline, shape) for outline in outlines.values()]))
 
 
-def _allowed(
-    name: str, outlines: Mapping[str, Array], front: BoolArray, px_per_mm: float, settings: ViewSettings
-) -> BoolArray:
+def _allowed(name: str, outlines: Mapping[str, Array], front: BoolArray, px_per_mm: float) -> BoolArray:
     """Where a mirror's picture may be: around its nominal outline, beside the front view and the other mirrors."""
     shape = (front.shape[0], front.shape[1])
-    allowed = grown(filled(outlines[name], shape), settings.reach_mm * px_per_mm) & ~grown(front, 0.4 * px_per_mm)
+    allowed = grown(filled(outlines[name], shape), _REACH_MM * px_per_mm) & ~grown(front, 0.4 * px_per_mm)
     for other, outline in outlines.items():
         if other != name:
             allowed &= ~filled(outline, shape)

@@ -16,7 +16,7 @@ from splitknit.photometric.equations import solve, unit_normals
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, fitted
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light, near_scene
-from splitknit.photometric.weights import robust_fit, strengths
+from splitknit.photometric.weights import RobustSettings, robust_fit, strengths
 
 _LIGHTS_A_CHUNK = 64
 """Chunks are as small as for this many images: some forty arrays of a chunk are at work at once."""
@@ -180,7 +180,7 @@ def _run(
             return
         here, lights, part = cut(chunk)
         if settings.weights == "robust":
-            g, weights = robust_fit(part, lights, settings.robust)
+            g, weights = robust_fit(part, lights, RobustSettings())
         else:
             g, weights = solve(part, lights, None), np.ones_like(part)
         start = np.maximum(unit_normals(g)[1], np.float32(_FAINT * typical))

@@ -8,14 +8,14 @@ its optical depth. The last two are held to what all skin has: seven images see 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 import numpy as np
 
-from splitknit.errors import require
 from splitknit.photometric.equations import unit_normals
 from splitknit.photometric.levenberg import Array, LevenbergSettings, Minimum, NormalEquations, levenberg_marquardt
 from splitknit.photometric.skin_layers import SkinLayers, reflected
-from splitknit.photometric.weights import RobustSettings
+from splitknit.settings import Checked, Limits
 
 _STEEPEST = 0.97
 """Largest f^2 + g^2: 89 deg of slant."""
@@ -26,43 +26,25 @@ _HIGH = np.array([np.inf, np.inf, 4.0, 9.0, 5.0])
 
 
 @dataclass(frozen=True, slots=True)
-class HanrahanKruegerSettings:
+class HanrahanKruegerSettings(Checked):
     """Photometric stereo of two-layer skin."""
 
     layers: SkinLayers = field(default_factory=SkinLayers)
     """What all pixels have in common."""
-    base_reflectance: float = 0.45
+    base_reflectance: Annotated[float, Limits(0.01, 1)] = 0.45
     """Share of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
     against the layers' single scattering, which the exposure leaves unknown."""
-    noise: float = 0.02
+    noise: Annotated[float, Limits(1e-4, 100)] = 0.02
     """Standard deviation of an image, relative to the albedo: how much a residual counts against the two spreads."""
-    spread_share: float = 1.0
+    spread_share: Annotated[float, Limits(1e-4, 100)] = 1.0
     """Standard deviation of the logit of the epidermis's W over the pixels; small: the same everywhere."""
-    spread_depth: float = 0.7
+    spread_depth: Annotated[float, Limits(1e-4, 100)] = 0.7
     """Standard deviation of the logarithm of its optical depth; small: the same everywhere."""
-    weights: str = "robust"
+    weights: Literal["robust", "equal"] = "robust"
     """``robust``: shadowed and glossy lights lose weight as in the method of that name; ``equal``: none does, as the
     source has it."""
-    robust: RobustSettings = field(default_factory=RobustSettings)
-    """The weights of ``robust``."""
     fit: LevenbergSettings = field(default_factory=LevenbergSettings)
     """When a pixel's fit ends."""
-
-    def __post_init__(self) -> None:
-        require(
-            0.01 <= self.base_reflectance <= 1,
-            f"hanrahan_krueger.base_reflectance must lie between 0.01 and 1, but it is {self.base_reflectance}.",
-        )
-        for name in ("noise", "spread_share", "spread_depth"):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and 1e-4 <= value <= 100,
-                f"hanrahan_krueger.{name} must lie between 0.0001 and 100, but it is {value}.",
-            )
-        require(
-            self.weights in ("robust", "equal"),
-            f"hanrahan_krueger.weights must be robust or equal, not '{self.weights}'.",
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,37 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 
 Array = NDArray[Any]
 
 
+_DAMPING = 1e-3
+"""At the start, relative to the diagonal of the normal equations."""
+
+
 @dataclass(frozen=True, slots=True)
-class LevenbergSettings:
+class LevenbergSettings(Checked):
     """When a pixel's fit ends, and how it is damped."""
 
-    iterations: int = 30
+    _group = "fit"
+    iterations: Annotated[int, Limits(1, 1000)] = 30
     """At most, of which rejected steps are some."""
-    step: float = 1e-3
+    step: Annotated[float, Limits(0, 1, above=True, below=True)] = 1e-3
     """A pixel has converged when all its parameters move by less than this; directions then turn by 0.1 deg at most."""
-    gain: float = 1e-5
+    gain: Annotated[float, Limits(0, 1, above=True, below=True)] = 1e-5
     """It has also when its cost falls by less than this part of it."""
-    damping: float = 1e-3
-    """At the start, relative to the diagonal of the normal equations."""
-
-    def __post_init__(self) -> None:
-        require(1 <= self.iterations <= 1000, f"fit.iterations must be 1 to 1000, but it is {self.iterations}.")
-        for name in ("step", "gain", "damping"):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and 0 < value < 1,
-                f"fit.{name} must lie between 0 and 1, but it is {value}.",
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +82,7 @@ def levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSetti
     here = start.copy()
     known = problem.equations(here)
     cost = known.cost.copy()
-    damping = np.full(pixels.size, settings.damping, dtype=start.dtype)
+    damping = np.full(pixels.size, _DAMPING, dtype=start.dtype)
     for turn in range(1, settings.iterations + 1):
         trial = problem.moved(here, -solved(known.moments, known.gradient, damping))
         new = problem.equations(trial)

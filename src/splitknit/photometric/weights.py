@@ -9,13 +9,14 @@ the fit is mostly the fit's own tilt towards a highlight and is forgiven more.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.photometric.equations import conditioning, linear_map, moment_matrix, shading, solve
+from splitknit.settings import Checked, Limits
 
 _CLEAN = 0.5
 """A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
@@ -28,30 +29,20 @@ _FLAT = 5e-4
 _FAINT = 1e-2
 
 
+_SHADOW = 0.03
+"""A light is in shadow where its image, divided by its strength, is below this part of the brightest one's."""
+_TOLERANCE = 0.03
+"""Residual, relative to the albedo, at which a light's weight has fallen to one half."""
+_ITERATIONS = 20
+"""Rounds of reweighting at most; 0 leaves out shadows only."""
+
+
 @dataclass(frozen=True, slots=True)
-class RobustSettings:
+class RobustSettings(Checked):
     """How shadowed and glossy lights are found."""
 
-    shadow: float = 0.03
-    """A light is in shadow where its image, divided by its strength, is below this part of the brightest one's."""
-    tolerance: float = 0.03
-    """Residual, relative to the albedo, at which a light's weight has fallen to one half."""
-    forgiveness: float = 2.0
+    forgiveness: Annotated[float, Limits(1)] = 2.0
     """Residuals below the fit get this many times the tolerance: light adds, it does not subtract."""
-    iterations: int = 20
-    """Rounds of reweighting at most; 0 leaves out shadows only."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.shadow < 1, f"robust.shadow must be at least 0 and below 1, but it is {self.shadow}.")
-        require(
-            bool(np.isfinite(self.tolerance)) and self.tolerance > 0,
-            f"robust.tolerance must be a positive number, but it is {self.tolerance}.",
-        )
-        require(
-            bool(np.isfinite(self.forgiveness)) and self.forgiveness >= 1,
-            f"robust.forgiveness must be at least 1, but it is {self.forgiveness}.",
-        )
-        require(self.iterations >= 0, f"robust.iterations must not be negative, but it is {self.iterations}.")
 
 
 def strengths(lights: FloatArray) -> FloatArray:
@@ -87,14 +78,14 @@ def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings)
 
     `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel.
     """
-    weights, shadowed, weak = lit_weights(images, lights, settings.shadow)
+    weights, shadowed, weak = lit_weights(images, lights, _SHADOW)
     if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
         g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
         if shadowed.size:
             g[:, shadowed] = solve(images[:, shadowed], lights, weights[:, shadowed])
     else:
         g = solve(images, lights, weights if shadowed.size else None)
-    if settings.iterations > 0:
+    if _ITERATIONS > 0:
         worst = _misfit(images, lights, weights, g, settings).max(axis=0)
         worst[weak] = 0.0  # no light can be spared there
         doubtful = np.flatnonzero(worst > _CLEAN)
@@ -114,7 +105,7 @@ def _reweight(  # noqa: PLR0917
     """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `_SETTLED` of its length."""
     part, usable, here = images[:, active], weights[:, active], g[:, active]
     nearby = lights if lights.ndim == 2 else lights[:, :, active]
-    for _ in range(settings.iterations):
+    for _ in range(_ITERATIONS):
         misfit = _misfit(part, nearby, usable, here, settings)
         current = usable / (1 + misfit * misfit)
         fresh = solve(part, nearby, current)
@@ -139,7 +130,7 @@ def _misfit(
     """Size of every residual in units of its tolerance, (L, n); zero where a light is not used."""
     residual = images - shading(g, lights)
     albedo = np.maximum(np.sqrt(_square(g)), np.float32(1e-20))
-    residual /= strengths(lights) * (albedo * np.float32(settings.tolerance))
+    residual /= strengths(lights) * (albedo * np.float32(_TOLERANCE))
     residual *= usable > 0
     misfit = np.maximum(residual, residual * np.float32(-1 / settings.forgiveness))
     return np.asarray(np.minimum(misfit, np.float32(_HOPELESS)), dtype=np.float32)

@@ -1,15 +1,14 @@
 """From a finger in space to a flat print: sampling, unrolling, curvature, ink, enhancement."""
 
 from splitknit.prints.curvature import Curvature, CurvatureSettings, curvature
-from splitknit.prints.enhance import Enhanced, GaborSettings, gabor_enhance
-from splitknit.prints.enhance_stft import StftSettings, stft_enhance
+from splitknit.prints.enhance import Enhanced, gabor_enhance, stft_enhance
 from splitknit.prints.ink import ink
 from splitknit.prints.phase_minutiae import PhaseMinutiae, PhaseMinutiaeSettings, phase_minutiae
 from splitknit.prints.print_map import PrintMap, plane_map, unrolled_map
 from splitknit.prints.print_quality import Part, PrintQuality, PrintQualitySettings, print_quality, score_of
 from splitknit.prints.print_quality_figures import QualityFigures, quality_figures
 from splitknit.prints.resample import resample
-from splitknit.prints.ridge_field import RidgeField, RidgeFieldSettings, ridge_field
+from splitknit.prints.ridge_field import RidgeField, ridge_field
 from splitknit.prints.ridges import PrintSettings, relief_print
 from splitknit.prints.thin import as_print, ridge_mask, thin
 from splitknit.prints.unroll import Unrolled, UnrollSettings, unroll
@@ -21,7 +20,6 @@ __all__ = [
     "CurvatureSettings",
     "Distortion",
     "Enhanced",
-    "GaborSettings",
     "GridSettings",
     "Part",
     "PhaseMinutiae",
@@ -32,8 +30,6 @@ __all__ = [
     "PrintSettings",
     "QualityFigures",
     "RidgeField",
-    "RidgeFieldSettings",
-    "StftSettings",
     "SurfaceGrid",
     "UnrollSettings",
     "Unrolled",

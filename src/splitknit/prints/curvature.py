@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.resample import mask_box
+from splitknit.settings import Checked, Limits
 
 AnyArray = np.ndarray[Any, Any]
 REFERENCE_PX_PER_MM = 75.7
@@ -29,20 +30,15 @@ _CHUNK = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class CurvatureSettings:
+class CurvatureSettings(Checked):
     """How surfaces are fitted."""
 
-    window_px: float = 15.0
+    window_px: Annotated[float, Limits(0, above=True)] = 15.0
     """Side of the window in pixels at 75.7 px/mm; scales with px_per_mm and is rounded to an odd number, at least 5."""
-    degree: int = 2
+    degree: Literal[2, 3] = 2
     """2 (quadratic) or 3 (cubic)."""
-    least_share: float = 0.75
+    least_share: Annotated[float, Limits(0.3, 1)] = 0.75
     """Share of the window that must lie on the finger; elsewhere nothing is known."""
-
-    def __post_init__(self) -> None:
-        require(np.isfinite(self.window_px) and self.window_px > 0, "curvature.window_px must be a positive number.")
-        require(self.degree in (2, 3), f"curvature.degree must be 2 or 3, but it is {self.degree}.")
-        require(0.3 <= self.least_share <= 1, "curvature.least_share must lie between 0.3 and 1.")
 
     def side(self, px_per_mm: float) -> int:
         """Odd number of pixels of the window at this scale."""

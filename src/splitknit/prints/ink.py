@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
-from splitknit.prints.ridges import MM_PER_INCH, PrintSettings
+from splitknit.prints.ridges import CONTRAST_FLOOR, MM_PER_INCH, PrintSettings
 
 _EMPTY, _FULL = 0.1, 0.3
 """Local contrast, as a share of the finger's median, below which skin is paper and above which it is all ink."""
@@ -60,7 +60,7 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     require(
         typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
     )
-    score = centred / np.maximum(deviation, np.float32(settings.floor * typical))
+    score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
     around = np.maximum(_blur(weight, _NARROW * sigma), np.float32(1e-3))
     near = np.sqrt(_blur(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight

@@ -15,12 +15,10 @@ from splitknit.model import FloatArray
 from splitknit.prints import (
     CurvatureSettings,
     Enhanced,
-    GaborSettings,
     PrintMap,
     PrintQuality,
     PrintQualitySettings,
     PrintSettings,
-    StftSettings,
     Unrolled,
     UnrollSettings,
     curvature,
@@ -55,8 +53,6 @@ class PrintingSettings:
     """How ``enhanced.png`` is made."""
     minutiae: Literal["phase", "print", "enhanced"] = "phase"
     """``phase``: minutiae are read off the phase of the enhanced ridges; else the picture in which mindtct seeks."""
-    gabor: GaborSettings = field(default_factory=GaborSettings)
-    stft: StftSettings = field(default_factory=StftSettings)
     quality: PrintQualitySettings = field(default_factory=PrintQualitySettings)
     rolled: RolledSettings = field(default_factory=RolledSettings)
     """Of ``rolled``: how the views of a capture with mirrors become one finger."""
@@ -171,8 +167,8 @@ def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -
     settings = settings or PrintingSettings()
     require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
     if settings.enhance == "stft":
-        return stft_enhance(made.image, ppi, settings.stft, made.weight > 0.5)
-    return gabor_enhance(made.image, ppi, settings.gabor, made.weight > 0.5)
+        return stft_enhance(made.image, ppi, made.weight > 0.5)
+    return gabor_enhance(made.image, ppi, made.weight > 0.5)
 
 
 def measured(made: Print, enhanced: Enhanced, ppi: float, settings: PrintingSettings | None = None) -> PrintQuality:

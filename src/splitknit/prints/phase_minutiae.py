@@ -7,6 +7,7 @@ the ridges' wave grows or falls by 2 pi. No thinning, no tracing; needs no packa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.prints.enhance import Enhanced
+from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
 ENDING, BIFURCATION = 1, 2
@@ -23,17 +25,13 @@ _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseMinutiaeSettings:
+class PhaseMinutiaeSettings(Checked):
     """How minutiae are read off the phase."""
 
-    edge_mm: float = 0.6
+    edge_mm: Annotated[float, Limits(0, 5)] = 0.6
     """Nearer to the print's outline none is taken: every ridge ends there."""
-    least_quality: int = 70
+    least_quality: Annotated[int, Limits(0, 100)] = 70
     """Minutiae of less quality are left out."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.edge_mm <= 5, "phase_minutiae.edge_mm must lie between 0 and 5.")
-        require(0 <= self.least_quality <= 100, "phase_minutiae.least_quality must lie between 0 and 100.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

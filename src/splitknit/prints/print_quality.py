@@ -36,16 +36,18 @@ class Part:
         return float(np.clip((figure - self.useless) / (self.good - self.useless), _LEAST_PART, 1.0))
 
 
+_MIN_PURITY = 0.3
+"""Share of what varies around a place that one wave must explain, or there are no ridges."""
+_MIN_HEIGHT_UM = 10.0
+"""Ridges that rise less above their valleys count as none (prints of the relief)."""
+_PERIOD_TOLERANCE = 0.35
+"""A ridge period further from the finger's median than this, relative, is not plausible."""
+
+
 @dataclass(frozen=True, slots=True)
 class PrintQualitySettings:
     """What counts as ridges, and how the figures make the score."""
 
-    least_purity: float = 0.3
-    """Share of what varies around a place that one wave must explain, or there are no ridges."""
-    least_height_um: float = 10.0
-    """Ridges that rise less above their valleys count as none (prints of the relief)."""
-    period_tolerance: float = 0.35
-    """A ridge period further from the finger's median than this, relative, is not plausible."""
     ridge_share: Part = field(default_factory=lambda: Part(0.2, 1.0, 0.3))
     """Share of the finger's area on the print that has ridges."""
     ridge_height_um: Part = field(default_factory=lambda: Part(5.0, 50.0, 0.3))
@@ -66,10 +68,6 @@ class PrintQualitySettings:
     """How far the ridges' centre lies beside the finger's middle, in mm."""
 
     def __post_init__(self) -> None:
-        require(0 < self.least_purity < 1, "quality.least_purity must lie between 0 and 1.")
-        require(0 < self.period_tolerance < 1, "quality.period_tolerance must lie between 0 and 1.")
-        good = bool(np.isfinite(self.least_height_um)) and self.least_height_um >= 0
-        require(good, "quality.least_height_um must be 0 or more.")
         require(sum(part.weight for part in self.parts().values()) > 0, "a quality's weight must be above 0.")
 
     def parts(self) -> dict[str, Part]:
@@ -128,9 +126,9 @@ def print_quality(
         weight,
         found,
         ppi,
-        least_purity=settings.least_purity,
-        least_height_um=settings.least_height_um if in_um else None,
-        period_tolerance=settings.period_tolerance,
+        least_purity=_MIN_PURITY,
+        least_height_um=_MIN_HEIGHT_UM if in_um else None,
+        period_tolerance=_PERIOD_TOLERANCE,
     )
     score, worth = score_of(figures, settings)
     return PrintQuality(score, figures, worth)

@@ -18,32 +18,21 @@ from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.ridges import MM_PER_INCH
 
-
-@dataclass(frozen=True, slots=True)
-class RidgeFieldSettings:
-    """How ridges are looked for; lengths in mm on the print."""
-
-    step_mm: float = 0.2
-    """Between two nodes (rounded to whole pixels)."""
-    narrow_mm: float = 0.3
-    """Standard deviation over which the narrow structure tensor is averaged."""
-    wide_mm: float = 0.8
-    """Standard deviation over which the wide one is averaged."""
-    window_mm: float = 1.63
-    """Side of the windows whose spectra give the frequency."""
-    shortest_mm: float = 0.25
-    """Shortest ridge period that is believed."""
-    longest_mm: float = 0.9
-    """Longest ridge period that is believed."""
-    least_strength: float = 0.2
-    """Contrast below this share of the print's strong parts is background."""
-
-    def __post_init__(self) -> None:
-        for name in ("step_mm", "narrow_mm", "wide_mm", "window_mm", "shortest_mm", "longest_mm"):
-            value = getattr(self, name)
-            require(np.isfinite(value) and value > 0, f"ridges.{name} must be a positive number, but it is {value}.")
-        require(self.shortest_mm < self.longest_mm, "ridges.shortest_mm must be less than ridges.longest_mm.")
-        require(0 < self.least_strength < 1, "ridges.least_strength must lie between 0 and 1.")
+# lengths in mm on the print
+_STEP_MM = 0.2
+"""Between two nodes (rounded to whole pixels)."""
+_NARROW_MM = 0.3
+"""Standard deviation over which the narrow structure tensor is averaged."""
+_WIDE_MM = 0.8
+"""Standard deviation over which the wide one is averaged."""
+_WINDOW_MM = 1.63
+"""Side of the windows whose spectra give the frequency."""
+_SHORTEST_MM = 0.25
+"""Shortest ridge period that is believed."""
+_LONGEST_MM = 0.9
+"""Longest ridge period that is believed."""
+_MIN_STRENGTH = 0.2
+"""Contrast below this share of the print's strong parts is background."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +57,6 @@ class RidgeField:
 def ridge_field(
     image: NDArray[np.uint8],
     ppi: float = 500.0,
-    settings: RidgeFieldSettings | None = None,
     inside: BoolArray | None = None,
 ) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print.
@@ -79,7 +67,6 @@ def ridge_field(
         Ridges dark.
     ppi : float
         Pixels per inch.
-    settings : RidgeFieldSettings, optional
     inside : (h, w) bool, optional
         Where the finger is, if it is known.
 
@@ -94,13 +81,12 @@ def ridge_field(
     fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
     Fingerprint enhancement using STFT analysis, section 3 (frequencies).
     """
-    settings = settings or RidgeFieldSettings()
     if image.ndim != 2 or image.dtype != np.uint8:
         raise BadInput(f"a print must be (h, w) uint8, but it is {image.shape} {image.dtype}.")
     require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / MM_PER_INCH
-    step = max(2, round(settings.step_mm * px))
+    step = max(2, round(_STEP_MM * px))
     n, m = (-(-size // step) for size in image.shape)
     grey = cv2.copyMakeBorder(
         image, 0, n * step - image.shape[0], 0, m * step - image.shape[1], cv2.BORDER_REPLICATE
@@ -112,10 +98,10 @@ def ridge_field(
         for product in (right * right, right * down, down * down)
     )
     energy, double_cos, double_sin = xx + yy, xx - yy, 2.0 * xy
-    sigmas = [length * px / step for length in (settings.narrow_mm, settings.wide_mm)]
+    sigmas = [length * px / step for length in (_NARROW_MM, _WIDE_MM)]
     narrow, wide = ([_blur(part, sigma) for part in (energy, double_cos, double_sin)] for sigma in sigmas)
     strength = np.sqrt(np.maximum(wide[0], 0.0))
-    mask = _extent(strength, settings.least_strength, px / step)
+    mask = _extent(strength, px / step)
     if inside is not None:
         require(inside.shape == image.shape, f"inside must have the print's shape {image.shape}, not {inside.shape}.")
         padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
@@ -130,7 +116,7 @@ def ridge_field(
     ]
     # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
     orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
-    frequency, peaked = _frequencies(grey, orientation, step, px, mask, settings)
+    frequency, peaked = _frequencies(grey, orientation, step, px, mask)
     mask = np.logical_and(mask, peaked)
     require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
     return RidgeField(step, orientation.astype(np.float32), np.clip(sure[0], 0, 1).astype(np.float32), frequency, mask)
@@ -140,12 +126,12 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
 
 
-def _extent(strength: FloatArray, least: float, nodes_per_mm: float) -> BoolArray:
+def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
     high = float(np.percentile(strength, 90))
     if high < 1.0:  # less than a grey level
         return np.zeros(strength.shape, dtype=np.bool_)
-    raw = (strength > least * high).astype(np.uint8)
+    raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
     size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
@@ -160,8 +146,8 @@ def _extent(strength: FloatArray, least: float, nodes_per_mm: float) -> BoolArra
     return np.asarray(mask | np.isin(labels, small))
 
 
-def _frequencies(  # noqa: PLR0917
-    grey: FloatArray, orientation: FloatArray, step: int, px: float, mask: BoolArray, settings: RidgeFieldSettings
+def _frequencies(
+    grey: FloatArray, orientation: FloatArray, step: int, px: float, mask: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
     """Frequency at the nodes (n, m), ridges per pixel, and where a frequency was found nearby.
 
@@ -169,7 +155,7 @@ def _frequencies(  # noqa: PLR0917
     within two bins of it: under a Hann window that has no bias, wherever between the bins a wave lies.
     """
     nodes = mask.shape
-    side = scipy.fft.next_fast_len(max(16, round(settings.window_mm * px)), real=True)
+    side = scipy.fft.next_fast_len(max(16, round(_WINDOW_MM * px)), real=True)
     pad = side // 2
     wide = cv2.copyMakeBorder(grey, pad, pad + 2 * step, pad, pad + 2 * step, cv2.BORDER_REFLECT)
     windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
@@ -187,9 +173,9 @@ def _frequencies(  # noqa: PLR0917
     ky, kx = np.meshgrid(scipy.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
     radius = np.hypot(kx, ky).ravel()
     reach = 2.5 / side
-    band = (radius > 1.0 / (settings.longest_mm * px) - reach) & (radius < 1.0 / (settings.shortest_mm * px) + reach)
+    band = (radius > 1.0 / (_LONGEST_MM * px) - reach) & (radius < 1.0 / (_SHORTEST_MM * px) + reach)
     x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
-    low, high = 1.0 / (settings.longest_mm * px), 1.0 / (settings.shortest_mm * px)
+    low, high = 1.0 / (_LONGEST_MM * px), 1.0 / (_SHORTEST_MM * px)
     believed = (radius[band] > low) & (radius[band] < high) & (x >= 0)
     power = power[:, band]
     angle = 2.0 * (orientation[::2, ::2][wanted] + np.float32(0.5 * np.pi))

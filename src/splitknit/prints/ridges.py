@@ -7,6 +7,7 @@ and evened out so that ridges are equally dark from the middle to the edge. Noth
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,29 +16,26 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import warp
 from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
+from splitknit.settings import Checked, Limits
 
 MM_PER_INCH = 25.4
 _PAPER = 255.0
 
 
+CONTRAST_FLOOR = 0.3
+"""Contrast below this share of the finger's median is not raised further, so flat skin stays flat."""
+
+
 @dataclass(frozen=True, slots=True)
-class PrintSettings:
+class PrintSettings(Checked):
     """How the relief becomes grey values."""
 
-    ppi: float = 500.0
+    ppi: Annotated[float, Limits(0, above=True)] = 500.0
     """Resolution of the print in pixels per inch."""
-    window_mm: float = 0.6
+    window_mm: Annotated[float, Limits(0, above=True)] = 0.6
     """Standard deviation of the Gaussian window over which mean and contrast are made even."""
-    contrast: float = 1.1
+    contrast: Annotated[float, Limits(0, above=True)] = 1.1
     """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
-    floor: float = 0.3
-    """Contrast below this share of the finger's median is not raised further, so flat skin stays flat."""
-
-    def __post_init__(self) -> None:
-        require(np.isfinite(self.ppi) and self.ppi > 0, "print.ppi must be a positive number.")
-        require(np.isfinite(self.window_mm) and self.window_mm > 0, "print.window_mm must be a positive number.")
-        require(np.isfinite(self.contrast) and self.contrast > 0, "print.contrast must be a positive number.")
-        require(0 <= self.floor <= 1, "print.floor must lie between 0 and 1.")
 
 
 def relief_print(  # noqa: PLR0917
@@ -131,7 +129,7 @@ def _ink(relief: FloatArray, weight: FloatArray, settings: PrintSettings) -> NDA
     typical = float(np.median(deviation[inside])) if bool(inside.any()) else 0.0
     if typical <= 0.0:
         return np.full(relief.shape, int(_PAPER), dtype=np.uint8)
-    score = centred / np.maximum(deviation, np.float32(settings.floor * typical))
+    score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
     ink = 0.5 + 0.5 * np.tanh(np.float32(settings.contrast) * score)
     return np.asarray(np.round(_PAPER * (1.0 - weight * ink)).astype(np.uint8))
 

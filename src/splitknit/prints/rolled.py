@@ -17,7 +17,7 @@ from splitknit.mirrors.rolled import coverage_deg, seam_lines, seam_steps
 from splitknit.model import FloatArray, Progress
 from splitknit.prints import PrintMap, SurfaceGrid, Unrolled, UnrollSettings, unroll, unrolled_map
 from splitknit.prints.sources import Source
-from splitknit.prints.unroll_grid import extrapolated
+from splitknit.prints.unroll_grid import RINGS, extrapolated
 
 if TYPE_CHECKING:
     from splitknit.mirrors.rolled.finger import Rolled
@@ -95,12 +95,12 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float, settings: UnrollSettings) -
     """
     require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
     step = max(1, round(settings.grid.pitch_mm / rolled.chart.pitch_mm))
-    room = settings.grid.rings + 1  # nodes beyond the chart's ends
+    room = RINGS + 1  # nodes beyond the chart's ends
     around = ((room, room), (room, room))
     points = skin_points(rolled, ridges=False)[::step, ::step].astype(np.float64)
     points = np.pad(points, (*around, (0, 0)), constant_values=np.nan)
     inside = np.pad(rolled.blended.known[::step, ::step], around)
-    nodes = extrapolated(points, settings.grid.rings)
+    nodes = extrapolated(points, RINGS)
     chart_from_node = np.array([[step, 0.0, -room * step], [0.0, step, -room * step], [0.0, 0.0, 1.0]])
     grid = SurfaceGrid(nodes, inside, chart_from_node, settings.grid.pitch_mm)
     chosen: UnrollSettings = replace(settings, kind=kind, centre_weight=0.0)  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ skin, row by row), ``tube`` (one circle a cross-section) and ``cylinder`` (one f
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import scipy.sparse
@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from splitknit.errors import require
 from splitknit.prints.unroll_distortion import Distortion, distortion
 from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid, slant_cos
+from splitknit.settings import Checked, Limits
 
 # Nonparametric unrolling: distances along the skin, laid flat.
 #
@@ -291,30 +292,25 @@ Array = NDArray[np.float64]
 KINDS = ("free", "arc", "tube", "cylinder")
 
 
+_SMOOTH_MM = 2.0
+"""Standard deviation along the finger over which the tube's circles are smoothed."""
+
+
 @dataclass(frozen=True, slots=True)
-class UnrollSettings:
+class UnrollSettings(Checked):
     """How the skin is laid flat."""
 
     kind: Literal["free", "arc", "tube", "cylinder"] = "free"
     """``free``, ``arc``, ``tube`` or ``cylinder`` (``--surface`` goes before it)."""
-    iterations: int = 10
+    iterations: Annotated[int, Limits(0)] = 10
     """Rounds of relaxation at most (``free``)."""
-    centre_weight: float = 4.0
+    centre_weight: Annotated[float, Limits(0, 20)] = 4.0
     """Skin weighs with this power of the cosine of its slant (``free``): 0 spreads the distortion evenly, large keeps
     the middle true and lets the sides give."""
-    smooth_mm: float = 2.0
-    """Standard deviation along the finger over which the tube's circles are smoothed."""
-    slant_deg: float = 70.0
+    slant_deg: Annotated[float, Limits(10, 85)] = 70.0
     """Skin steeper than this is left out of the print: the camera hardly sees it."""
     grid: GridSettings = field(default_factory=lambda: GridSettings(pitch_mm=0.5))
     """How coarse and smooth the shape is taken."""
-
-    def __post_init__(self) -> None:
-        require(self.kind in KINDS, f"unroll.kind must be one of {', '.join(KINDS)}, but it is '{self.kind}'.")
-        require(self.iterations >= 0, f"unroll.iterations must not be negative, but it is {self.iterations}.")
-        require(0 <= self.centre_weight <= 20, "unroll.centre_weight must lie between 0 and 20.")
-        require(10 <= self.slant_deg <= 85, f"unroll.slant_deg must lie in [10, 85], but it is {self.slant_deg}.")
-        require(np.isfinite(self.smooth_mm) and self.smooth_mm > 0, "unroll.smooth_mm must be a positive number.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,7 +341,7 @@ def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolle
     if settings.kind == "cylinder":
         flat = on_cylinder(grid)
     elif settings.kind == "tube":
-        flat = on_tube(grid, settings.smooth_mm)
+        flat = on_tube(grid, _SMOOTH_MM)
     else:
         flat = arc_lengths(grid)
         if settings.kind == "free":

@@ -9,7 +9,7 @@ inverted up to the outline.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 AnyArray = np.ndarray[Any, Any]
 Array = NDArray[np.float64]
@@ -24,21 +25,18 @@ _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 """Exponents of x and y of the local quadratic."""
 
 
+_WINDOW_MM = 0.3
+"""Standard deviation of the Gaussian window of the local fits."""
+RINGS = 3
+"""Nodes outside the mask that are extrapolated."""
+
+
 @dataclass(frozen=True, slots=True)
-class GridSettings:
+class GridSettings(Checked):
     """How coarse and how smooth the shape is taken."""
 
-    pitch_mm: float = 0.4
+    pitch_mm: Annotated[float, Limits(0.05, 2)] = 0.4
     """Distance of the nodes on the finger plane."""
-    window_mm: float = 0.3
-    """Standard deviation of the Gaussian window of the local fits."""
-    rings: int = 3
-    """Nodes outside the mask that are extrapolated."""
-
-    def __post_init__(self) -> None:
-        require(0.05 <= self.pitch_mm <= 2.0, f"grid.pitch_mm must lie in [0.05, 2], but it is {self.pitch_mm}.")
-        require(0.05 <= self.window_mm <= 2.0, f"grid.window_mm must lie in [0.05, 2], but it is {self.window_mm}.")
-        require(2 <= self.rings <= 20, f"grid.rings must lie in [2, 20], but it is {self.rings}.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,12 +96,12 @@ def surface_grid(  # noqa: PLR0917
     step = settings.pitch_mm / pitch_mm
     upright_from_input = np.asarray(np.linalg.inv(input_from_upright), dtype=np.float64)
     left, top, right, bottom = _bounds(mask, upright_from_input, upright_size)
-    margin = (settings.rings + 1) * step
+    margin = (RINGS + 1) * step
     size = (int(np.ceil((bottom - top + 2 * margin) / step)) + 1, int(np.ceil((right - left + 2 * margin) / step)) + 1)
     upright_from_grid = np.array([[step, 0.0, left - margin], [0.0, step, top - margin], [0.0, 0.0, 1.0]])
     input_from_grid = input_from_upright @ upright_from_grid
     fields = [shape_mm] if x_mm is None or y_mm is None else [shape_mm, x_mm, y_mm]
-    values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size, settings.window_mm)
+    values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size, _WINDOW_MM)
     require(int(inside.sum()) >= 16, "the mask is too small to be unrolled: it must be some millimetres wide.")
     if len(values) == 1:
         node = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2)
@@ -117,7 +115,7 @@ def surface_grid(  # noqa: PLR0917
     y = -turn[1, 0] * rig_x + turn[1, 1] * rig_y
     points = np.stack([x, y, values[0]], axis=2)
     points[~inside] = np.nan
-    return SurfaceGrid(extrapolated(points, settings.rings), inside, input_from_grid, settings.pitch_mm)
+    return SurfaceGrid(extrapolated(points, RINGS), inside, input_from_grid, settings.pitch_mm)
 
 
 def slant_cos(points: Array) -> Array:

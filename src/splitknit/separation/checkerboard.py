@@ -23,6 +23,7 @@ from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.stack_checks import check_contrast, check_repeats
 from splitknit.separation.stacks import (
     DEFAULTS,
+    EDGE,
     Separation,
     StackSettings,
     by_rows,
@@ -111,16 +112,14 @@ def checkerboard(
         check_contrast(low, high, images.mask, settings, words)
         check_repeats(images.light, images.mask, settings)
         return Separation(*map(images.shaped, from_extremes(low, high, alpha, dark)))
-    states = check_patterns(patterns, images, settings)
+    states = check_patterns(patterns, images)
     if check_px is None:
-        return Separation(*map(images.shaped, _by_states(images.light, states, alpha, dark, settings)))
-    low, high = _in_the_middle(images.light, states, check_px, settings)
+        return Separation(*map(images.shaped, _by_states(images.light, states, alpha, dark)))
+    low, high = _in_the_middle(images.light, states, check_px)
     return Separation(*map(images.shaped, from_extremes(low, high, alpha, dark)))
 
 
-def _by_states(
-    light: FloatArray, states: FloatArray, alpha: float, dark: float, settings: StackSettings
-) -> tuple[FloatArray, FloatArray]:
+def _by_states(light: FloatArray, states: FloatArray, alpha: float, dark: float) -> tuple[FloatArray, FloatArray]:
     """Direct and global light (H, W, C) by least squares over the images in which a pixel is lit or dark."""
     k = mean_brightness(alpha, dark)
     direct = np.empty(light.shape[1:], dtype=np.float32)
@@ -128,7 +127,7 @@ def _by_states(
 
     def work(rows: slice) -> None:
         state = states[:, rows].astype(np.float64)
-        used: BoolArray = (state <= settings.edge) | (state >= 1 - settings.edge)
+        used: BoolArray = (state <= EDGE) | (state >= 1 - EDGE)
         number = np.maximum(used.sum(axis=0), 1)[..., None]
         s = np.where(used, dark + (1 - dark) * state, 0.0)
         mean_s = s.sum(axis=0)[..., None] / number
@@ -144,9 +143,7 @@ def _by_states(
     return direct, global_
 
 
-def _in_the_middle(
-    light: FloatArray, states: FloatArray, check_px: float, settings: StackSettings
-) -> tuple[FloatArray, FloatArray]:
+def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tuple[FloatArray, FloatArray]:
     """Light (H, W, C) of each pixel where it is nearest to the middle of a dark and of a lit check.
 
     The pattern's mean over a square somewhat smaller than a check is 1 or 0 near the middle of one and passes 1/2 at
@@ -154,7 +151,7 @@ def _in_the_middle(
     the nearer the pixel is to it.
     """
     around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
-    used = (states <= settings.edge) | (states >= 1 - settings.edge)
+    used = (states <= EDGE) | (states >= 1 - EDGE)
     low = np.empty(light.shape[1:], dtype=np.float32)
     high = np.empty_like(low)
 

@@ -11,6 +11,7 @@ from splitknit.model import FloatArray
 from splitknit.separation.stack_checks import check_contrast
 from splitknit.separation.stacks import (
     DEFAULTS,
+    EDGE,
     Separation,
     StackSettings,
     check_share,
@@ -75,8 +76,8 @@ def occluder(
     images = light_stack(sequence, least=2, mask=mask, settings=settings)
     light = images.light
     if patterns is not None:
-        states = check_patterns(patterns, images, settings, distinct=False)
-        low, high = _mean_where(light, states <= settings.edge), _mean_where(light, states >= 1 - settings.edge)
+        states = check_patterns(patterns, images, distinct=False)
+        low, high = _mean_where(light, states <= EDGE), _mean_where(light, states >= 1 - EDGE)
     elif shadow_percent == 0:
         low, high = light.min(axis=0), light.max(axis=0)
     else:

@@ -13,6 +13,7 @@ from splitknit.model import FloatArray
 from splitknit.separation.stack_checks import check_contrast
 from splitknit.separation.stacks import (
     DEFAULTS,
+    EDGE,
     LightStack,
     Separation,
     StackSettings,
@@ -80,7 +81,7 @@ def single_image(
         )
         low, high = (_block_mean(part, block) for part in _envelopes(light, float(check_px or 0.0)))
     else:
-        low, high = _by_state(light, check_image(pattern, name="pattern"), block, dark, settings)
+        low, high = _by_state(light, check_image(pattern, name="pattern"), block, dark)
     mask = np.ones(low.shape[:2], dtype=np.bool_)
     words = ("never lit or never dark", "light them with the pattern, or choose larger blocks")
     check_contrast(low.astype(np.float32), high.astype(np.float32), mask, settings, words)
@@ -113,7 +114,7 @@ def _envelopes(light: FloatArray, check_px: float) -> tuple[FloatArray, FloatArr
 
 
 def _by_state(
-    light: FloatArray, pattern: FloatArray, block: int, dark: float, settings: StackSettings
+    light: FloatArray, pattern: FloatArray, block: int, dark: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Light of the dark and of the lit state in each block (h, w, C), by least squares over its pixels."""
     require(
@@ -123,7 +124,7 @@ def _by_state(
     require(
         float(pattern.min()) >= 0 and float(pattern.max()) <= 1, "pattern must hold states from 0 (dark) to 1 (lit)."
     )
-    used = ((pattern <= settings.edge) | (pattern >= 1 - settings.edge)).astype(np.float64)
+    used = ((pattern <= EDGE) | (pattern >= 1 - EDGE)).astype(np.float64)
     number = _block_mean(used[..., None], block)
     s = (dark + (1 - dark) * pattern.astype(np.float64))[..., None]
     safe = np.maximum(number, 1e-12)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.separation.stacks import DEFAULTS, StackSettings, percent, thinned
+from splitknit.separation.stacks import DEFAULTS, LIT_LEVEL, MIN_CONTRAST, StackSettings, percent, thinned
 
 
 def check_contrast(
@@ -27,15 +27,15 @@ def check_contrast(
         Naming their share and where the first of them is.
     """
     dark, bright = low.max(axis=-1), high.max(axis=-1)
-    looked_at = mask & (bright > settings.lit_level * float(np.quantile(thinned(bright, mask), 0.999)))
-    constant = looked_at & (bright - dark <= settings.least_contrast * bright)
+    looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(thinned(bright, mask), 0.999)))
+    constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
     share = float(constant.sum()) / max(1.0, float(looked_at.sum()))
     if share <= settings.constant_share:
         return
     row, column = np.argwhere(constant)[0]
     raise BadInput(
         f"{percent(share)} of the bright pixels were {words[0]} (first at row {row}, column {column}): they change "
-        f"by less than {100 * settings.least_contrast:g} % from image to image; {words[1]}."
+        f"by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}."
     )
 
 

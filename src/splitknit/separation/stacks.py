@@ -15,43 +15,39 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+_MAX_CLIPPED = 0.02
+"""More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
+LIT_LEVEL = 0.1
+"""Pixels brighter than this part of the brightest ones are looked at; the black background is not, nor what 8 bits
+cannot resolve."""
+MIN_CONTRAST = 0.005
+"""A pixel that changes by less than this part of its maximum was never lit, or never dark."""
+_BLACK_IMAGE = 0.03
+"""An image whose bright pixels stay below this part of the other images' is black."""
+EDGE = 0.1
+"""Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
 
 
 @dataclass(frozen=True, slots=True)
-class StackSettings:
+class StackSettings(Checked):
     """When a stack is refused. Shares are of the pixels inside the mask."""
 
-    clip_level: float | None = 0.99
+    clip_level: Annotated[float | None, Limits(0, above=True)] = 0.99
     """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
     that the stack is no file's [0, 1] scale, and nothing is looked for."""
-    clipped_share: float = 0.02
-    """More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
-    lit_level: float = 0.1
-    """Pixels brighter than this part of the brightest ones are looked at; the black background is not, nor what 8 bits
-    cannot resolve."""
-    least_contrast: float = 0.005
-    """A pixel that changes by less than this part of its maximum was never lit, or never dark."""
-    constant_share: float = 0.05
+    constant_share: Annotated[float, Limits(0, 1, below=True)] = 0.05
     """More such pixels than this, among the bright ones, and the stack is refused."""
-    black_image: float = 0.03
-    """An image whose bright pixels stay below this part of the other images' is black."""
-    repeat: float = 0.02
+    repeat: Annotated[float, Limits(0, 1, below=True)] = 0.02
     """Two images that differ by less than this part of the usual power of differences show one pattern twice."""
-    edge: float = 0.1
-    """Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
-
-    def __post_init__(self) -> None:
-        require(self.clip_level is None or self.clip_level > 0, "StackSettings: clip_level must be positive or None.")
-        for name in ("clipped_share", "lit_level", "least_contrast", "constant_share", "black_image", "repeat"):
-            require(0 <= getattr(self, name) < 1, f"StackSettings: {name} must lie in [0, 1).")
-        require(0 <= self.edge < 0.5, "StackSettings: edge must lie in [0, 0.5).")
 
 
 DEFAULTS = StackSettings()
@@ -139,7 +135,7 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings,
     require(float(peaks.max()) > 0, f"every {name} is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
     require(
-        bool(peaks[k] > settings.black_image * usual),
+        bool(peaks[k] > _BLACK_IMAGE * usual),
         f"{name} {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
         f"lights nothing, capture it again or leave it out.",
     )
@@ -148,7 +144,7 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings,
         return
     share = float((brightest[mask] >= settings.clip_level).mean())
     require(
-        share <= settings.clipped_share,
+        share <= _MAX_CLIPPED,
         f"{percent(share)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
         f"brightest image; capture again with a shorter exposure.",
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
 from splitknit.separation.stack_checks import odd_twins
-from splitknit.separation.stacks import DEFAULTS, LightStack, StackSettings, light_stack, percent
+from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSettings, light_stack, percent
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
@@ -135,7 +135,7 @@ def _words(row: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{value:g}" for value in row) + ")"
 
 
-def check_patterns(patterns: Any, images: LightStack, settings: StackSettings, *, distinct: bool = True) -> FloatArray:
+def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) -> FloatArray:
     """Return known states (N, H, W), checked against the stack they belong to; `distinct` if no pattern may come twice.
 
     Raises
@@ -149,7 +149,7 @@ def check_patterns(patterns: Any, images: LightStack, settings: StackSettings, *
     require(states.shape == shape, f"patterns must have the shape {shape} of the images, but it has {states.shape}.")
     good = bool(np.isfinite(states).all()) and float(states.min()) >= 0 and float(states.max()) <= 1
     require(good, "patterns must hold states from 0 (dark) to 1 (lit), without NaN.")
-    lit, dark = (states >= 1 - settings.edge), (states <= settings.edge)
+    lit, dark = (states >= 1 - EDGE), (states <= EDGE)
     for found, word in ((lit, "lit"), (dark, "dark")):
         never = images.mask & ~found.any(axis=0)
         if bool(never.any()):
@@ -160,16 +160,16 @@ def check_patterns(patterns: Any, images: LightStack, settings: StackSettings, *
                 f"{column}): a shift is missing; capture it, or leave these pixels out with a mask."
             )
     if distinct:
-        _check_order(images, states, settings)
+        _check_order(images, states)
     return states
 
 
-def _check_order(images: LightStack, states: FloatArray, settings: StackSettings, pixels: int = 40_000) -> None:
+def _check_order(images: LightStack, states: FloatArray, pixels: int = 40_000) -> None:
     """Each image must resemble its own pattern most."""
     step = max(1, int(np.count_nonzero(images.mask)) // pixels)
     seen = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
     known = states[:, images.mask][:, ::step].astype(np.float64)
-    decided = np.abs(known - 0.5) > 0.5 - settings.edge  # the rest does not count in the result either
+    decided = np.abs(known - 0.5) > 0.5 - EDGE  # the rest does not count in the result either
     number = np.maximum(decided.sum(axis=0), 1)
     known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
     seen -= seen.mean(axis=0)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.integration import poisson
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric import pseudo_normals
+from splitknit.settings import Checked, Limits
 from splitknit.skin.bands import BandImages
 from splitknit.skin.colour import unmixing_weights
 from splitknit.skin.diffusion import Diffusion
@@ -40,23 +40,18 @@ AnyFloat = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class CoarsePrior:
+class CoarsePrior(Checked):
     """What is expected of the slopes on the coarse grid."""
 
-    knee_per_mm: float = 5.0
+    _group = "metric.coarse"
+    knee_per_mm: Annotated[float, Limits(0, above=True)] = 5.0
     """Angular frequency (rad/mm) from which the shape's slopes fall off."""
-    glare_ratio: float = 0.16
+    glare_ratio: Annotated[float, Limits(0)] = 0.16
     """Apparent slope of the glare (in red) over the shape's slopes at low frequencies."""
-    noise_ratio: float = 0.1
+    noise_ratio: Annotated[float, Limits(0, above=True)] = 0.1
     """Noise of the slopes over the shape's slopes at low frequencies."""
-    cutoff_per_mm: float = 8.0
+    cutoff_per_mm: Annotated[float, Limits(0, above=True)] = 8.0
     """Angular frequency beyond which slopes are left to the fine grid."""
-
-    def __post_init__(self) -> None:
-        require(
-            min(self.knee_per_mm, self.cutoff_per_mm, self.noise_ratio) > 0 and self.glare_ratio >= 0,
-            "metric.coarse must hold positive numbers.",
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,48 +11,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 
 CHANNELS = ("red", "green", "blue", "nir")
 
 
 @dataclass(frozen=True, slots=True)
-class SkinSettings:
+class SkinSettings(Checked):
     """Optics of the skin that are assumed where its blur is undone."""
 
     invert_blur: bool | None = None
     """Undo the blur: None does so where the capture's material is skin."""
-    scattering_per_mm: tuple[float, float, float, float] = (3.39, 4.12, 5.18, 2.16)
+    scattering_per_mm: Annotated[tuple[float, float, float, float], Limits(0, above=True)] = (3.39, 4.12, 5.18, 2.16)
     """Reduced scattering of red, green, blue and near-infrared light: 4.6 (wavelength / 500 nm)^-1.42 per mm."""
-    scattering_factor: float = 1.0
+    scattering_factor: Annotated[float, Limits(0, above=True)] = 1.0
     """Multiplies all four."""
-    scattering_uncertainty: float = 0.3
+    scattering_uncertainty: Annotated[float, Limits(0, 1, below=True)] = 0.3
     """Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
-    absorption_per_mm: tuple[float, float, float, float] = (0.030, 0.20, 0.40, 0.020)
+    absorption_per_mm: Annotated[tuple[float, float, float, float], Limits(0)] = (0.030, 0.20, 0.40, 0.020)
     """Absorption of the same channels in light skin."""
 
-    colour_trust: float = 0.6
+    colour_trust: Annotated[float, Limits(0, 1)] = 0.6
     """How far green's and blue's absorption follow the colour of this finger: 0 not at all, 1 wholly."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.colour_trust <= 1, "skin.colour_trust must lie between 0 and 1.")
-        require(
-            all(np.isfinite(v) and v > 0 for v in (*self.scattering_per_mm, self.scattering_factor)),
-            "skin.scattering_per_mm and skin.scattering_factor must be positive numbers.",
-        )
-        require(
-            all(np.isfinite(v) and v >= 0 for v in self.absorption_per_mm),
-            "skin.absorption_per_mm must hold numbers that are not negative.",
-        )
-        require(
-            0 <= self.scattering_uncertainty < 1,
-            "skin.scattering_uncertainty must be at least 0 and below 1.",
-        )
 
     def scattering(self, channel: str) -> float:
         """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""

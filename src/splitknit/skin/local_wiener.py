@@ -8,6 +8,7 @@ exceeds one, so that nothing is drawn that was not measured.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy.fft
@@ -16,27 +17,25 @@ from scipy import ndimage
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
+
+_OVERLAP = 4
+"""Windows advance by their side over this number."""
 
 
 @dataclass(frozen=True, slots=True)
-class LocalWienerSettings:
+class LocalWienerSettings(Checked):
     """The windows."""
 
-    window_mm: float = 1.7
+    _group = "denoise"
+    window_mm: Annotated[float, Limits(0, above=True)] = 1.7
     """Side of a window: about four ridges."""
-    overlap: int = 4
-    """Windows advance by their side over this number."""
-    caution: float = 1.5
+    caution: Annotated[float, Limits(0)] = 1.5
     """Factor on the noise's power where a window's own power is estimated."""
-
-    def __post_init__(self) -> None:
-        require(self.window_mm > 0, "denoise.window_mm must be positive.")
-        require(self.overlap >= 2, "denoise.overlap must be at least 2.")
-        require(self.caution >= 0, "denoise.caution must not be negative.")
 
     def window_px(self, pitch_mm: float) -> int:
         """Side of a window in pixels: a multiple of `overlap`, at least 16."""
-        return max(16, self.overlap * round(self.window_mm / pitch_mm / self.overlap))
+        return max(16, _OVERLAP * round(self.window_mm / pitch_mm / _OVERLAP))
 
 
 def window_power(image: FloatArray, side: int) -> FloatArray:
@@ -81,7 +80,7 @@ def local_wiener(
         noise_power.shape == (side, side // 2 + 1),
         f"noise_power must have the shape {(side, side // 2 + 1)}, but it has {noise_power.shape}.",
     )
-    hop = side // settings.overlap
+    hop = side // _OVERLAP
     rows, columns = relief.shape
     extra = [(-(n + 2 * side)) % hop for n in (rows, columns)]
     margins = ((side, side + extra[0]), (side, side + extra[1]))

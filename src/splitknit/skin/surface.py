@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin import relief as fine
 from splitknit.skin.bands import BandImages
 from splitknit.skin.coarse import CoarsePrior
@@ -26,23 +27,22 @@ from splitknit.skin.shape import CoarseShape
 # The relief by the colours of the white band alone: a linear estimate, refined by prediction and comparison.
 
 
+_SEED = 0
+"""Seed of the noise that is sent through the filters to learn its spectrum."""
+
+
 @dataclass(frozen=True, slots=True)
-class ColourSettings:
+class ColourSettings(Checked):
     """Relief and glare told apart by their colours."""
 
-    steps: int = 2
+    _group = "metric.by_colour"
+    steps: Annotated[int, Limits(1)] = 2
     """Corrections of the relief in each round."""
-    model_error: float = 0.5
+    model_error: Annotated[float, Limits(0)] = 0.5
     """Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved), as a part of the
     relief's local rms height; measured on simulated fingers, see docs/accuracy.md."""
-    seed: int = 0
-    """Seed of the noise that is sent through the filters to learn its spectrum."""
     denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
     """Removal of the noise from the relief."""
-
-    def __post_init__(self) -> None:
-        require(self.steps >= 1, "metric.by_colour.steps must be positive.")
-        require(self.model_error >= 0, "metric.by_colour.model_error must not be negative.")
 
 
 def relief_by_colour(  # noqa: PLR0917
@@ -76,7 +76,7 @@ def relief_by_colour(  # noqa: PLR0917
         lacking = fine.lacking_slopes(measured, grid, smooth_mm + relief)
         mix = fine.unmixing(measured, grid, with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
         raw = fine.update(measured, grid, lacking.slopes, mix, relief)
-        relief, noise = fine.denoise(raw, grid, mix, settings.denoise, settings.seed)
+        relief, noise = fine.denoise(raw, grid, mix, settings.denoise, _SEED)
     sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), np.float32(0.0)))
     model = np.float32(np.hypot(sensitivity, settings.model_error)) * height
@@ -105,22 +105,22 @@ def with_relief(
 
 
 @dataclass(frozen=True, slots=True)
-class MetricSettings:
+class MetricSettings(Checked):
     """Grids and iterations of the `metric` preset on skin."""
 
-    working_pitch_mm: float = 0.0264
+    working_pitch_mm: Annotated[float, Limits(0, above=True)] = 0.0264
     """Pitch of the fine grid: skin passes less than 2 % of anything that a finer one could show."""
     coarse_pitch_mm: float = 0.106
     """Pitch of the coarse grid."""
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
-    rounds: int = 2
+    rounds: Annotated[int, Limits(1)] = 2
     """Turns of shape and relief."""
-    coarse_steps: tuple[int, ...] = (5, 3)
+    coarse_steps: Annotated[tuple[int, ...], Limits(1)] = (5, 3)
     """Corrections of the shape in each round; the last entry holds for all further rounds."""
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
-    relief: str = "network"
+    relief: Literal["network", "colour"] = "network"
     """``network``, or ``colour``: relief and glare told apart by their colours alone. Grey images, and rigs with too
     few lights for the network, take the second way whatever is said here."""
     network: str = "relief"
@@ -133,16 +133,10 @@ class MetricSettings:
     """The second way."""
 
     def __post_init__(self) -> None:
-        require(
-            0 < self.working_pitch_mm <= self.coarse_pitch_mm,
-            "metric.working_pitch_mm must be positive and at most metric.coarse_pitch_mm.",
-        )
-        require(self.rounds >= 1, "metric.rounds must be positive.")
-        require(self.relief in ("network", "colour"), f"metric.relief must be network or colour, not '{self.relief}'.")
-        require(
-            len(self.coarse_steps) > 0 and min(self.coarse_steps) >= 1,
-            "metric.coarse_steps must hold positive numbers.",
-        )
+        check_fields(self)
+        ordered = self.working_pitch_mm <= self.coarse_pitch_mm
+        require(ordered, "metric.working_pitch_mm must be at most metric.coarse_pitch_mm.")
+        require(len(self.coarse_steps) > 0, "metric.coarse_steps must hold numbers.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.matching import RidgeBandSettings, make_template, ridge_band, ridge_match
-from splitknit.matching.unroll import GridSettings, band_places
+from splitknit.matching.ridge_band import band_places
 from splitknit.viewer.catalogue import Entry
 from splitknit.viewer.marks import Marks
 from splitknit.viewer.measure import locate, sample
@@ -127,8 +127,7 @@ class _Band:
         self.template = make_template(band)
         self.pitch_mm = band.pitch_mm
         known = mask & np.isfinite(ridge) & np.isfinite(shape)
-        grid = GridSettings(settings.pitch_mm, settings.slant_deg, settings.unroll)
-        self._columns, self._rows, _ = band_places(known, shape, matrix, (rows, columns), pitch, grid)
+        self._columns, self._rows, _ = band_places(known, shape, matrix, (rows, columns), pitch, settings)
         valid = [np.flatnonzero(band.valid.any(axis=axis)) for axis in (0, 1)]
         self._middle = [float(lines[0] + lines[-1]) / 2 if lines.size else 0.0 for lines in valid]
 

@@ -3,41 +3,38 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import require
 from splitknit.mirrors.rolled.chart import Chart
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
 
 
+STEEPEST_DEG = 72.0
+"""Slant, as a view sees it, from which it counts for nothing."""
+_POWER = 8.0
+"""Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
+_DEVIATION_FLOOR_UM = 4.0
+"""Added to the relief's standard deviation, so that no view is trusted without limit."""
+
+
 @dataclass(frozen=True, slots=True)
-class BlendSettings:
+class BlendSettings(Checked):
     """How views are weighed."""
 
-    steepest_deg: float = 72.0
-    """Slant, as a view sees it, from which it counts for nothing."""
-    power: float = 8.0
-    """Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
-    fade_mm: float = 0.8
+    _group = "rolled.blend"
+    fade_mm: Annotated[float, Limits(0, 5, above=True)] = 0.8
     """Width over which a view fades in from the outline of what it shows."""
-    deviation_floor_um: float = 4.0
-    """Added to the relief's standard deviation, so that no view is trusted without limit."""
-    most_deviation_um: float = 35.0
+    most_deviation_um: Annotated[float, Limits(0, above=True)] = 35.0
     """Where the relief's standard deviation is as large as this, ridges are not known; from three quarters of it on, a
     view counts less."""
-
-    def __post_init__(self) -> None:
-        require(30.0 <= self.steepest_deg <= 89.0, "fuse.steepest_deg must lie in [30, 89].")
-        require(0.5 <= self.power <= 10.0, "fuse.power must lie in [0.5, 10].")
-        require(0.0 < self.fade_mm <= 5.0, "fuse.fade_mm must lie in (0, 5].")
-        for name in ("deviation_floor_um", "most_deviation_um"):
-            require(getattr(self, name) > 0.0, f"fuse.{name} must be positive.")
 
 
 def view_weight(
@@ -51,13 +48,13 @@ def view_weight(
     known : (n, m) where it shows the finger
     deviation_mm : (n, m) of its relief, along the skin's normal
     """
-    least = np.cos(np.deg2rad(settings.steepest_deg))
-    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** settings.power
+    least = np.cos(np.deg2rad(STEEPEST_DEG))
+    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER
     inside = np.asarray(known & (facing > 0), dtype=np.uint8)
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
     fade = np.clip(depth / settings.fade_mm, 0.0, 1.0)
     fade = fade * fade * (3.0 - 2.0 * fade)
-    floor = 1e-3 * settings.deviation_floor_um
+    floor = 1e-3 * _DEVIATION_FLOOR_UM
     smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
     share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
     deviation = smooth / np.maximum(share, np.float32(1e-3))

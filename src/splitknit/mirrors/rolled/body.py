@@ -24,6 +24,7 @@ from splitknit.mirrors.mirror import TURN_DEG
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
 from splitknit.mirrors.rolled import Chart
+from splitknit.mirrors.settings import ROW_MM
 from splitknit.mirrors.state import Fit, Pose, SeenIn
 from splitknit.mirrors.verdict import refuse_misfit
 from splitknit.model import BoolArray, Camera, Mirror
@@ -85,7 +86,7 @@ def body_between_mirrors(  # noqa: PLR0917
     chosen = settings or MirrorShapeSettings()
     turn = np.deg2rad(tip_direction_deg)
     hint = np.array([-np.sin(turn), np.cos(turn)])
-    axis, front = finger_axis(views.front, camera, views.binning, hint, chosen.row_mm)
+    axis, front = finger_axis(views.front, camera, views.binning, hint, ROW_MM)
     seen: dict[str, SeenIn] = {}
     rows: dict[str, Rows] = {}
     poses: dict[str, Pose] = {}
@@ -93,7 +94,7 @@ def body_between_mirrors(  # noqa: PLR0917
     for name in sorted(views.mirrors):
         mirror, mask = mirrors[name], views.mirrors[name]
         plane = MirrorPlane.nominal(mirror)
-        outline = rows_of(mask, camera, views.binning, plane.image_axis(axis), chosen.row_mm)
+        outline = rows_of(mask, camera, views.binning, plane.image_axis(axis), ROW_MM)
         side = pad_side(mirror, outline)
         if is_cut(outline, side):
             left = _still_shown(outline, side, mirror, camera)
@@ -104,7 +105,7 @@ def body_between_mirrors(  # noqa: PLR0917
         if len(parts.offset_mm) < FEW:
             useless.append(name)
             continue
-        caps = [cap(part, camera, views.binning, axis, chosen) for part in (views.front, mask)]
+        caps = [cap(part, camera, views.binning, axis) for part in (views.front, mask)]
         tips = turn_of_tips(camera, plane, caps[0], caps[1], axis)
         if tips is None and name not in cut:
             raise BadInput(
@@ -130,7 +131,7 @@ def body_between_mirrors(  # noqa: PLR0917
         slopes = slopes_on(MirrorShape(camera, fit.body, {}, {"front": (front,)}, fit))
         if slopes is not None:
             fit = fit_body(body, planes, seen, poses, chosen, slopes)
-    refuse_misfit(fit, seen, chosen)
+    refuse_misfit(fit, seen)
     found = {name: fit.poses[name].of(seen[name]) for name in seen}
     return BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in seen), tuple(useless))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from splitknit.mirrors.rolled.chart import Chart
 from splitknit.mirrors.rolled.register import shifts_by
 from splitknit.mirrors.rolled.sight import Sight
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 
 Array = NDArray[np.float64]
 
@@ -33,32 +34,32 @@ LIKE_PLACES, MOVE_MM = 20.0, 0.05
 """A move counts as so many measured ones, each with this standard deviation."""
 
 
+_DOUBT = 0.01
+"""Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
+MIN_CORRELATION = 0.2
+"""Correlation below which nothing is changed."""
+
+
 @dataclass(frozen=True, slots=True)
-class SearchSettings:
+class SearchSettings(Checked):
     """Ranges in which the views are brought together: (reach, step)."""
 
+    _group = "rolled.search"
     across_mm: tuple[float, float] = (1.6, 0.05)
     """By which the mirror's ridges may lie beside the front's around the finger: reach and step."""
     along_mm: tuple[float, float] = (0.3, 0.05)
     """The same along the finger."""
-    deviations: tuple[float, float, float] = (0.2, 0.06, 0.2)
+    deviations: Annotated[tuple[float, float, float], Limits(0, above=True)] = (0.2, 0.06, 0.2)
     """Standard deviations of what the outlines tell: the surface's bulge half-way between front and side (mm), the
     mirror's place along its normal (mm), and its turns (deg)."""
-    doubt: float = 0.01
-    """Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
-    candidates: int = 6
+    candidates: Annotated[int, Limits(1, 50)] = 6
     """So many of the best guesses are followed up."""
-    least: float = 0.2
-    """Correlation below which nothing is changed."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("across_mm", "along_mm"):
             reach, step = getattr(self, name)
             require(0.0 <= reach <= 5.0 and step > 0.0, f"rolled.search.{name} must be (reach, step), both small.")
-        require(0.0 <= self.least < 1.0, "rolled.search.least must lie in [0, 1).")
-        require(self.doubt >= 0.0, "rolled.search.doubt must not be negative.")
-        require(min(self.deviations) > 0.0, "rolled.search.deviations must be positive.")
-        require(1 <= self.candidates <= 50, "rolled.search.candidates must lie between 1 and 50.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,9 +125,7 @@ def search(  # noqa: PLR0917
     spread = np.array([turn, turn, shift, bulge, bulge, OUTER * bulge])
 
     def worth(values: Array, some: slice = slice(None)) -> float:
-        return score(modes[some] @ values.astype(np.float32), some) - chosen.doubt * float(
-            ((values / spread) ** 2).sum()
-        )
+        return score(modes[some] @ values.astype(np.float32), some) - _DOUBT * float(((values / spread) ** 2).sum())
 
     few = slice(None, None, max(1, rows.size // FEW))
     # what the outlines may be wrong by, as one move of all ridges
@@ -134,7 +133,7 @@ def search(  # noqa: PLR0917
     guesses = []
     for move in itertools.product(*(_range(*pair) / chart.pitch_mm for pair in (chosen.across_mm, chosen.along_mm))):
         far = float(((np.array(move) / typical) ** 2).sum())
-        guesses.append((score(np.array([move], dtype=np.float32), few) - chosen.doubt * far, np.array(move)))
+        guesses.append((score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move)))
     scale = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
     simplex = np.vstack([np.zeros(6), np.eye(6)])
     options: Any = {"initial_simplex": simplex, "maxfev": 200, "xatol": 0.02, "fatol": 1e-4}
@@ -151,7 +150,7 @@ def search(  # noqa: PLR0917
     _, at = max((refined(start, few) for start in starts), key=lambda item: item[0])
     _, at = refined(at, slice(None))
     best = score(modes @ at.astype(np.float32), slice(None))
-    if best < chosen.least:
+    if best < MIN_CORRELATION:
         return Found(nothing.radius_mm, nothing.pose, best)
     there = (
         (np.sign(chart.angle_rad) == side) * np.sin(2 * chart.angle_rad) ** 2 * (np.abs(chart.angle_rad) < np.pi / 2)

@@ -117,9 +117,9 @@ def _above_crease(  # noqa: PLR0917
     """The front's mask without what lies beyond the finger's first crease."""
     if not settings.cut_at_crease:
         return mask
-    upright = find_upright(small, capture.tip_direction_deg, settings.orientation)
+    upright = find_upright(small, capture.tip_direction_deg)
     px_per_mm = capture.rig.camera.px_per_mm / binning
-    crease = find_crease(pick_channel(mean, "grey"), small, upright, px_per_mm, settings.crease)
+    crease = find_crease(pick_channel(mean, "grey"), small, upright, px_per_mm)
     if not crease.found:
         return mask
     across, along, offset = upright.upright_from_input[1]

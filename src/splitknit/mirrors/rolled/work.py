@@ -13,6 +13,7 @@ from splitknit.mirrors.body import Body
 from splitknit.mirrors.rolled import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
 from splitknit.mirrors.rolled.body import radius_of, rolled_pad
 from splitknit.mirrors.rolled.relief import ViewRelief, view_relief
+from splitknit.mirrors.rolled.search import MIN_CORRELATION
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.model import BoolArray, Capture, FloatArray
@@ -179,7 +180,7 @@ class Work:
                     wider = self.rolled.search_cut
                     again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, wider)
                     found = max(found, again, key=lambda one: one.correlation)
-                self.met[name] = found.correlation >= self.rolled.search.least
+                self.met[name] = found.correlation >= MIN_CORRELATION
                 added += found.radius_mm
                 poses.append(found.pose)
                 alike.append(found.correlation)
