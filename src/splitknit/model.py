@@ -6,6 +6,8 @@ rows, z towards the camera, in millimetres; its origin is where the camera's axi
 
 from __future__ import annotations
 
+import importlib
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -219,7 +221,7 @@ class Camera:
         return 1.0 / self.px_per_mm
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rig:
     """Camera, lights and mirrors."""
 
@@ -232,6 +234,16 @@ class Rig:
     def __post_init__(self) -> None:
         names = [mirror.name for mirror in self.mirrors]
         require(len(set(names)) == len(names), "the rig's mirrors must have different names: left, right, tip.")
+
+    def __repr__(self) -> str:
+        bands: dict[str, int] = {}
+        for led in self.leds:
+            bands[led.band] = bands.get(led.band, 0) + 1
+        leds = ", ".join(f"{count} {name}" for name, count in bands.items())
+        mirrors = f", mirrors {', '.join(mirror.name for mirror in self.mirrors)}" if self.mirrors else ""
+        rows, columns = self.camera.image_size
+        camera = f"{self.camera.model} camera of {rows} x {columns} px, {self.camera.px_per_mm:.2f} px/mm"
+        return f"Rig({camera}, LEDs: {leds}{mirrors})"
 
     def colours_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[str, ...], ...]:
         """Colours of the LEDs of every exposure, for :class:`Band`; nothing where all LEDs are white."""
@@ -280,7 +292,7 @@ def _lights(groups: Sequence[Sequence[int]], colours: Sequence[Sequence[str]]) -
     return tuple(result)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Band:
     """The images of one spectral band, as stored: integers, not yet linear.
 
@@ -308,6 +320,11 @@ class Band:
     crosstalk: NDArray[np.float64] | None = None
     """Of the camera that took the images, see :class:`Camera`; used where LEDs are coloured."""
 
+    def __repr__(self) -> str:
+        count, rows, columns, channels = self.pixels.shape
+        kind = "colour" if channels == 3 else "grey"
+        return f"Band('{self.name}', {count} images of {rows} x {columns} px, {kind}, {self.pixels.dtype})"
+
     @property
     def lights(self) -> tuple[tuple[int, ...], ...]:
         """LEDs of every image of :func:`splitknit.imaging.linear_stack`: `leds` but for coloured ones, each of whose
@@ -315,7 +332,7 @@ class Band:
         return _lights(self.leds, self.colours)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Capture:
     """One finger, photographed once under every LED."""
 
@@ -337,13 +354,22 @@ class Capture:
     hashes: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of every file that was read, by its name in the folder."""
 
+    def __repr__(self) -> str:
+        bands = ", ".join(repr(band) for band in self.bands.values())
+        return f"Capture({bands}, {self.rig.camera.px_per_mm:.2f} px/mm, {self.material}, {self.encoding})"
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows, columns of every image."""
         return self.rig.camera.image_size
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _above(module: str) -> Any:
+    """A module of a layer above this one: results hand over to it what people want of them."""
+    return importlib.import_module(f"splitknit.{module}")
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Reconstruction:
     """A metric fingerprint on the input's pixel grid."""
 
@@ -379,6 +405,64 @@ class Reconstruction:
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, float] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"Reconstruction({', '.join(f'{name} {value}' for name, value in self._summary().items())})"
+
+    def _repr_html_(self) -> str:
+        """Preview and table of a notebook."""
+        from html import escape  # noqa: PLC0415
+
+        rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in self._summary().items())
+        warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
+        picture = "" if not bool(self.mask.any()) else _above("report.result").preview_html(self)
+        return f"{picture}<table>{rows}</table><ul>{warnings}</ul>"
+
+    def _summary(self) -> dict[str, str]:
+        known = self.mask & np.isfinite(self.height_mm)
+        found = {
+            "preset": f"'{self.preset}'",
+            "size": f"{self.mask.shape[0]} x {self.mask.shape[1]} px at {1000 * self.pitch_mm:.1f} um",
+            "area": f"{float(known.sum()) * self.pitch_mm**2:.0f} mm2",
+        }
+        if bool(known.any()):
+            low, high = np.percentile(self.height_mm[known], (1, 99))
+            found["height range"] = f"{high - low:.2f} mm"
+            found["relief"] = f"{1000 * float(np.std(self.ridge_mm[known])):.1f} um rms"
+        return found | {"warnings": str(len(self.warnings))}
+
+    def save(self, folder: str | os.PathLike[str], capture: Capture | None = None) -> None:
+        """Write all files of a result: surface, mesh, print, pictures and report.
+
+        Parameters
+        ----------
+        folder : path
+            Appears complete or not at all; an earlier result in it is replaced.
+        capture : Capture, optional
+            What the result was made from: the report shows its photographs.
+
+        Raises
+        ------
+        BadInput
+            If the folder holds something else, or cannot be written.
+
+        Examples
+        --------
+        >>> import splitknit
+        >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
+        >>> splitknit.reconstruct(capture, "ea").save("result", capture)
+        """
+        _above("report.result").write_results(self, capture, folder)
+
+    def plot(self) -> Any:
+        """The shaded surface from above and from the left.
+
+        Returns
+        -------
+        PIL.Image.Image
+            ``.show()`` opens it, ``.save(file)`` writes it, a notebook displays it.
+        """
+        return _above("report.result").preview(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

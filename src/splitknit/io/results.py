@@ -1,4 +1,4 @@
-"""The fields of a reconstruction as files.
+"""The fields of a reconstruction as files, and back.
 
 Fields stay on the input's pixel grid; the mesh is turned upright by its coordinates (``docs/conventions.md``, frames of
 the results).
@@ -6,8 +6,11 @@ the results).
 
 from __future__ import annotations
 
+import json
+import os
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +18,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import read_bytes, require
 from splitknit.io import (
     atomic_file,
     canonical_json,
+    read_image,
+    read_npz,
     settings_hash,
     surface_mesh,
     write_npz,
@@ -29,6 +35,118 @@ from splitknit.io.provenance import JsonValue
 from splitknit.model import FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]
+
+
+MAX_REPORT = 50_000_000
+"""Bytes of a ``report.json``."""
+LARGEST_MM = 1000.0
+"""Of a result's frame."""
+_FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
+_AGAIN = "reconstruct the capture again"
+
+
+def read_result(path: str | os.PathLike[str]) -> Reconstruction:
+    """Read a result folder, as :func:`splitknit.reconstruct` and ``splitknit reconstruct`` leave it.
+
+    Parameters
+    ----------
+    path : path
+        The folder, or its ``height.npz``; then the albedo is NaN and there are no facts.
+
+    Returns
+    -------
+    Reconstruction
+        The albedo is relative, in 255 steps.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing or damaged.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
+    >>> splitknit.reconstruct(capture, "ea").save("result", capture)
+    >>> splitknit.read_result("result").preset
+    'ea'
+    """
+    folder = Path(path)
+    file = folder / "height.npz" if folder.is_dir() else folder
+    names = ("height_mm", "ridge_mm", "shape_mm", "normals")
+    arrays = read_fields(file, names, ("x_mm", "y_mm", "uncertainty_um", "provenance"))
+    origin = _json_of(str(arrays.pop("provenance", "{}")), file)
+    facts: dict[str, Any] = {}
+    albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
+    if (folder / "report.json").is_file():
+        facts = _json_of(read_bytes(folder / "report.json", MAX_REPORT).decode("utf-8", "replace"), folder)
+    if (folder / "albedo.png").is_file():
+        grey = read_image(folder / "albedo.png")
+        require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
+        level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
+        albedo = np.where(arrays["mask"], level, np.float32(np.nan))
+    known: dict[str, Any] = {name: _json_of(facts.get(name, {}), folder) for name in ("settings", "quality", "facts", "timings_s")}
+    return Reconstruction(
+        **arrays,
+        albedo=albedo,
+        preset=str(facts.get("preset", "")),
+        warnings=tuple(str(warning) for warning in facts.get("warnings", ())),
+        hashes=_json_of(origin.get("inputs", {}), file),
+        **known,
+    )
+
+
+def _json_of(value: Any, where: Path) -> dict[str, Any]:
+    """A JSON object, given as text or as it is."""
+    try:
+        found = json.loads(value) if isinstance(value, str) else value
+    except (ValueError, RecursionError):
+        found = None
+    require(isinstance(found, dict), f"{where}: what is kept beside the surface is damaged; {_AGAIN}.")
+    return dict(found or {})
+
+
+def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
+    """Fields of a result's ``height.npz``, and its frame (``mask``, ``pitch_mm``, ``input_from_upright``,
+    ``upright_size``), checked against each other.
+
+    Parameters
+    ----------
+    path : file
+    names : fields that must be there
+    optional : fields that may be
+
+    Raises
+    ------
+    BadInput
+        If the file is damaged, or an array is missing, of another shape, or impossible.
+    """
+    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional)))
+    for name in (*_FRAME, *names):
+        remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
+        require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
+    shape = arrays["mask"].shape
+    sizes = {"pitch_mm": (), "provenance": (), "input_from_upright": (3, 3), "upright_size": (2,)}
+    sizes["normals"] = (*shape, 3)
+    for name, array in arrays.items():
+        kinds = "U" if name == "provenance" else "iu" if name == "upright_size" else "fiub"
+        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds and len(shape) == 2
+        require(fits, f"{path}: '{name}' has another shape than a result's; {_AGAIN}.")
+    matrix = arrays["input_from_upright"].astype(np.float64)
+    usable = bool(np.isfinite(matrix).all()) and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
+    rows, columns = arrays["upright_size"].tolist()
+    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
+    require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
+    pitch = float(arrays["pitch_mm"])
+    require(
+        0 < pitch * max(rows, columns) <= LARGEST_MM,
+        f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
+    )
+    for name in (*names, *optional):
+        if name in arrays and name != "provenance":
+            arrays[name] = arrays[name].astype(np.float32, copy=False)
+    frame = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
+    return {**arrays, "mask": arrays["mask"].astype(np.bool_), **frame}
 
 
 def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:

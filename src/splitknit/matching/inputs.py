@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import naming, require
-from splitknit.io import read_capture, read_image, read_npz, read_print_png
+from splitknit.io import read_capture, read_image, read_print_png
+from splitknit.io.results import read_fields
 from splitknit.io.templates import read_template
 from splitknit.matching import VERSION, Template, make_template, print_band, unpack
 from splitknit.matching.surface import MatchingSettings, surface_template
@@ -19,8 +20,6 @@ from splitknit.pipeline import reconstruct
 
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _PPI = 500.0
-LARGEST_MM = 1000.0
-"""Of a result's frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,38 +72,8 @@ def read_surface(path: Path) -> Surface:
     BadInput
         If it is damaged, or an array is missing or of another shape.
     """
-    needed = ("ridge_mm", "shape_mm", "normals", "mask", "pitch_mm", "input_from_upright", "upright_size")
-    arrays = read_npz(path, needed)
-    for name in needed:
-        require(name in arrays, f"{path} holds no '{name}'; reconstruct the capture again.")
-    shape = arrays["mask"].shape
-    expected = {
-        "ridge_mm": shape, "shape_mm": shape, "normals": (*shape, 3), "pitch_mm": (), "input_from_upright": (3, 3),
-        "upright_size": (2,),
-    }  # fmt: skip
-    for name, size in expected.items():
-        fits = arrays[name].shape == size and arrays[name].dtype.kind in "fiub"
-        require(fits and len(shape) == 2, f"{path}: '{name}' has another shape than a result's; reconstruct it again.")
-    matrix = arrays["input_from_upright"].astype(np.float64)
-    usable = bool(np.isfinite(matrix).all()) and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    good = arrays["upright_size"].dtype.kind in "iu"
-    rows, columns = arrays["upright_size"].tolist() if good else (0, 0)
-    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
-    pitch = float(arrays["pitch_mm"])
-    usable = usable and 0 < pitch * max(rows, columns) <= LARGEST_MM
-    require(
-        usable,
-        f"{path}: 'input_from_upright', 'upright_size' or 'pitch_mm' cannot be used; reconstruct the capture again.",
-    )
-    return Surface(
-        ridge_mm=arrays["ridge_mm"].astype(np.float32, copy=False),
-        shape_mm=arrays["shape_mm"].astype(np.float32, copy=False),
-        normals=arrays["normals"].astype(np.float32, copy=False),
-        mask=arrays["mask"].astype(np.bool_),
-        pitch_mm=pitch,
-        input_from_upright=matrix,
-        upright_size=(rows, columns),
-    )
+    arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"))
+    return Surface(**arrays)
 
 
 def _reconstructed(folder: Path, preset: str, progress: Progress) -> Surface:

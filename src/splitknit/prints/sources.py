@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, naming, require
 from splitknit.finger.locate import find_finger
 from splitknit.imaging import has_colour, linear_channels
-from splitknit.io import file_hash, read_capture, read_npz
-from splitknit.matching.inputs import LARGEST_MM
+from splitknit.io import file_hash, read_capture
+from splitknit.io.results import read_fields
 from splitknit.model import BoolArray, Capture, FloatArray, Progress, Reconstruction, no_progress
 from splitknit.pipeline import preset_settings, reconstruct
-
-NEEDED = ("height_mm", "ridge_mm", "shape_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,38 +89,9 @@ def source_of(result: Reconstruction) -> Source:
 
 
 def _of_result(path: Path) -> Source:
-    arrays = read_npz(path, (*NEEDED, "x_mm", "y_mm"))
-    for name in NEEDED:
-        remedy = "it has no scale, so calibrate the camera and" if name == "pitch_mm" else "please"
-        require(name in arrays, f"{path} holds no '{name}': {remedy} reconstruct the capture again.")
-    shape = arrays["mask"].shape
-    fields = [name for name in ("height_mm", "ridge_mm", "shape_mm", "x_mm", "y_mm") if name in arrays]
-    good = len(shape) == 2 and all(arrays[name].shape == shape and arrays[name].dtype.kind == "f" for name in fields)
-    good = good and arrays["input_from_upright"].shape == (3, 3) and arrays["upright_size"].shape == (2,)
-    good = good and arrays["pitch_mm"].shape == () and arrays["pitch_mm"].dtype.kind in "fiu"
-    require(good, f"{path} holds arrays of other shapes than a result's; reconstruct the capture again.")
-    matrix = arrays["input_from_upright"].astype(np.float64)
-    good = arrays["upright_size"].dtype.kind in "iu"
-    rows, columns = arrays["upright_size"].tolist() if good else (0, 0)
-    usable = bool(np.isfinite(matrix).all()) and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
-    require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; reconstruct the capture again.")
-    pitch = float(arrays["pitch_mm"])
-    require(
-        0 < pitch * max(rows, columns) <= LARGEST_MM,
-        f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and reconstruct the capture again.",
-    )
+    arrays = read_fields(path, ("height_mm", "ridge_mm", "shape_mm"), ("x_mm", "y_mm"))
     require(bool(arrays["mask"].any()), f"{path}: the mask is empty; reconstruct the capture again.")
-    parts: dict[str, Any] = {name: arrays[name].astype(np.float32, copy=False) for name in fields}
-    return Source(
-        "result",
-        arrays["mask"].astype(np.bool_),
-        pitch,
-        matrix,
-        (rows, columns),
-        hashes={path.name: file_hash(path)},
-        **parts,
-    )
+    return Source("result", hashes={path.name: file_hash(path)}, **arrays)
 
 
 def _of_capture(path: Path, photo: bool, surface: bool, preset: str, progress: Progress) -> Source:

@@ -12,7 +12,8 @@ from splitknit.io import atomic_folder, read_capture, write_capture
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.pipeline import reconstruct
-from splitknit.report.result import ink_print, make_report, write_report, write_results
+from splitknit.prints.ridges import surface_print
+from splitknit.report.result import PRINT_PPI, make_report, write_report, write_results
 from splitknit.simulator.folder import twin_settings
 from splitknit.simulator.twin import simulate_capture
 
@@ -52,7 +53,7 @@ def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = n
             write_results(result, capture, target / preset, compared)
         progress("comparing", 0.92)
         main = results[0]
-        prints = ink_print(main)
+        prints = surface_print(main, PRINT_PPI)
         report = make_report(
             main,
             replace(capture, truth=None),

@@ -28,11 +28,11 @@ from splitknit.io import (
     write_height_tiff,
     write_print_png,
 )
-from splitknit.io.pictures import upright_frame
+from splitknit.io.pictures import data_uri, upright_frame
 from splitknit.io.prints import provenance_texts
 from splitknit.io.results import Origin, write_albedo, write_arrays, write_mesh, write_normals, write_picture
 from splitknit.model import Capture, FloatArray, Reconstruction
-from splitknit.prints import relief_print
+from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, render
 from splitknit.report.figures import Views, render_views
 from splitknit.report.photos import LONGEST_PX, Picture, mirror_pictures
@@ -65,7 +65,7 @@ class Report:
 
 def make_report(
     result: Reconstruction,
-    capture: Capture,
+    capture: Capture | None,
     prints: NDArray[np.uint8],
     views: Views | None = None,
     *,
@@ -79,8 +79,8 @@ def make_report(
     Parameters
     ----------
     result : Reconstruction
-    capture : Capture
-        What it was made from; only small previews of the images enter the page.
+    capture : Capture, optional
+        What it was made from; only small previews of the images enter the page. None leaves them out.
     prints : (h, w) uint8
         The relief as a print.
     views : Views, optional
@@ -96,9 +96,10 @@ def make_report(
     facts = _facts(result, capture, comparisons, files)
     frame = upright_frame(result, figures.LONGEST_PX)
     uncertainty = figures.uncertainty_picture(result, frame)
-    maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
-    maps += [figures.relief_picture(result, frame), figures.shape_picture(result, frame)]
-    maps += mirror_pictures(result, capture)
+    maps = [] if capture is None else [figures.mask_on_image(result, capture)]
+    maps += [picture(result, frame) for picture in (figures.normals_picture, figures.relief_picture)]
+    maps += [figures.shape_picture(result, frame)]
+    maps += [] if capture is None else mirror_pictures(result, capture)
     html = render(
         "report.html",
         title=title,
@@ -127,7 +128,7 @@ def make_report(
 
 
 def _facts(
-    result: Reconstruction, capture: Capture, comparisons: Sequence[Comparison], files: Sequence[str]
+    result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison], files: Sequence[str]
 ) -> dict[str, Any]:
     import splitknit  # noqa: PLC0415 - the version, without an import cycle
 
@@ -137,7 +138,9 @@ def _facts(
         "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "preset": result.preset,
-        "capture": {
+        "capture": {}
+        if capture is None
+        else {
             "material": capture.material,
             "encoding": capture.encoding,
             "image_size": list(capture.shape),
@@ -361,7 +364,7 @@ FILES = (
 
 def write_results(
     result: Reconstruction,
-    capture: Capture,
+    capture: Capture | None,
     folder: str | os.PathLike[str],
     truth: Truth | None = None,
     others: Sequence[Reconstruction] = (),
@@ -371,8 +374,8 @@ def write_results(
     Parameters
     ----------
     result : Reconstruction
-    capture : Capture
-        What it was made from.
+    capture : Capture, optional
+        What it was made from: the report shows its photographs; None leaves them out.
     folder : path
         Appears complete or not at all; an earlier result in it is replaced.
     truth : mapping, optional
@@ -391,14 +394,14 @@ def write_results(
 
 def write_files(
     result: Reconstruction,
-    capture: Capture,
+    capture: Capture | None,
     target: Path,
     truth: Truth | None = None,
     others: Sequence[Reconstruction] = (),
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into an existing folder."""
     origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-    prints = ink_print(result)
+    prints = surface_print(result, PRINT_PPI)
     tasks: list[Callable[[], object]] = [
         partial(_write_pages, target, result, capture, prints, origin, truth, others),
         partial(write_arrays, target / "height.npz", result, origin),
@@ -418,7 +421,7 @@ def write_files(
 def _write_pages(  # noqa: PLR0917
     target: Path,
     result: Reconstruction,
-    capture: Capture,
+    capture: Capture | None,
     prints: NDArray[np.uint8],
     origin: Origin,
     truth: Truth | None,
@@ -426,25 +429,29 @@ def _write_pages(  # noqa: PLR0917
 ) -> Mapping[str, Any]:
     """Write what people look at: the preview and the report."""
     views = render_views(result, upright_frame(result, LONGEST_PX))
-    write_picture(target / "preview.png", _side_by_side(views.above, views.left), origin)
+    write_picture(target / "preview.png", side_by_side(views.above, views.left), origin)
     report = make_report(result, capture, prints, views, truth=truth, others=others, files=FILES)
     write_report(target, report.html, report.facts)
     return report.facts
 
 
-def ink_print(result: Reconstruction) -> NDArray[np.uint8]:
-    """Relief of a reconstruction as ink on paper, 500 pixels per inch: what ``print.png`` shows."""
-    return relief_print(
-        result.ridge_mm,
-        result.mask,
-        1.0 / result.pitch_mm,
-        result.input_from_upright,
-        result.upright_size,
-        PRINT_PPI,
-    )
+def preview(result: Reconstruction) -> Any:
+    """The shaded surface from above and from the left, as a ``PIL.Image.Image``."""
+    from PIL import Image  # noqa: PLC0415 - slow to import
+
+    views = render_views(result, upright_frame(result, LONGEST_PX))
+    return Image.fromarray(side_by_side(views.above, views.left))
 
 
-def _side_by_side(*panels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def preview_html(result: Reconstruction) -> str:
+    """The same as an image element, small, for notebooks."""
+    views = render_views(result, upright_frame(result, 400))
+    data = data_uri(side_by_side(views.above, views.left), photo=True)
+    return f'<img src="{data}" alt="surface from above and from the left">'
+
+
+def side_by_side(*panels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Pictures beside each other, on their own paper."""
     height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
     padded = []
     for panel in panels:
