@@ -37,6 +37,6 @@ def test_every_public_name_resolves() -> None:
 
     for name in splitknit.__all__:
         assert getattr(splitknit, name) is not None
-    assert set(splitknit.__all__) - {"__version__"} == set(splitknit._HOMES)
+    assert set(splitknit.__all__) - {"__version__"} == set(splitknit._MODULE_OF)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         splitknit.nothing  # noqa: B018

@@ -9,48 +9,57 @@ TYPE_CHECKING = False  # as typing's, whose import would take longer than all th
 if TYPE_CHECKING:
     from typing import Any
 
+    from splitknit.api import calibrate_camera as calibrate_camera
+    from splitknit.api import calibrate_lights as calibrate_lights
+    from splitknit.api import calibrate_radiometry as calibrate_radiometry
+    from splitknit.api import evaluate as evaluate
+    from splitknit.api import identify as identify
+    from splitknit.api import make_print as make_print
+    from splitknit.api import match as match
     from splitknit.errors import BadInput as BadInput
-    from splitknit.io import read_capture as read_capture
-    from splitknit.io import write_capture as write_capture
+    from splitknit.evaluation.accuracy import compare as compare
+    from splitknit.io.capture import read_capture as read_capture
+    from splitknit.io.capture import write_capture as write_capture
+    from splitknit.io.results import read_result as read_result
+    from splitknit.io.rig import read_rig as read_rig
+    from splitknit.io.rig import write_rig as write_rig
+    from splitknit.model import Band as Band
     from splitknit.model import Camera as Camera
     from splitknit.model import Capture as Capture
     from splitknit.model import Led as Led
+    from splitknit.model import Mirror as Mirror
     from splitknit.model import Reconstruction as Reconstruction
     from splitknit.model import Rig as Rig
-
-    __version__: str
-    from splitknit.pipeline import preset_settings as preset_settings
     from splitknit.pipeline import reconstruct as reconstruct
+    from splitknit.presets import preset_settings as preset_settings
     from splitknit.simulator.twin import simulate_capture as simulate_capture
 
-_HOMES = {
-    "BadInput": "splitknit.errors",
-    "Camera": "splitknit.model",
-    "Capture": "splitknit.model",
-    "Led": "splitknit.model",
-    "Reconstruction": "splitknit.model",
-    "Rig": "splitknit.model",
-    "preset_settings": "splitknit.pipeline",
-    "read_capture": "splitknit.io",
-    "reconstruct": "splitknit.pipeline",
-    "simulate_capture": "splitknit.simulator.twin",
-    "write_capture": "splitknit.io",
-}
+    __version__: str
 
-__all__ = [  # noqa: RUF022 - what a user needs first comes first
-    "read_capture",
-    "reconstruct",
-    "write_capture",
-    "simulate_capture",
-    "preset_settings",
-    "BadInput",
-    "Camera",
-    "Capture",
-    "Led",
-    "Reconstruction",
-    "Rig",
-    "__version__",
-]
+_HOMES = {
+    "api": (
+        "make_print",
+        "match",
+        "identify",
+        "evaluate",
+        "calibrate_camera",
+        "calibrate_lights",
+        "calibrate_radiometry",
+    ),
+    "io.capture": ("read_capture", "write_capture"),
+    "io.results": ("read_result",),
+    "io.rig": ("read_rig", "write_rig"),
+    "pipeline": ("reconstruct",),
+    "presets": ("preset_settings",),
+    "simulator.twin": ("simulate_capture",),
+    "evaluation.accuracy": ("compare",),
+    "model": ("Band", "Camera", "Capture", "Led", "Mirror", "Reconstruction", "Rig"),
+    "errors": ("BadInput",),
+}
+"""Module of every public name, in the order in which a user needs them."""
+_MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [*_MODULE_OF, "__version__"]  # noqa: PLE0604 - texts all of them
 
 
 def __getattr__(name: str) -> Any:
@@ -58,15 +67,15 @@ def __getattr__(name: str) -> Any:
         from importlib import metadata  # noqa: PLC0415
 
         return metadata.version("splitknit")
-    home = _HOMES.get(name)
-    if home is None:
+    module = _MODULE_OF.get(name)
+    if module is None:
         raise AttributeError(f"module 'splitknit' has no attribute {name!r}")
     import importlib  # noqa: PLC0415
 
-    value = getattr(importlib.import_module(home), name)
+    value = getattr(importlib.import_module(f"splitknit.{module}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted(__all__)

@@ -7,6 +7,7 @@ steps from outside (:mod:`splitknit.steps`); every choice is a field of the sett
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,6 +29,7 @@ from splitknit.integration.knit import add, crossover
 from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
+from splitknit.io.capture import read_capture
 from splitknit.model import Band, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
@@ -56,7 +58,7 @@ NO_NIR = "there is no near-infrared band: the shape comes from the white band, i
 
 
 def reconstruct(
-    capture: Capture,
+    capture: Capture | str | os.PathLike[str],
     preset: str = "metric",
     settings: Mapping[str, Any] | PipelineSettings | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -67,7 +69,7 @@ def reconstruct(
 
     Parameters
     ----------
-    capture : Capture
+    capture : Capture, or the path of a capture folder
         From :func:`splitknit.read_capture` or a simulator.
     preset : a name of :data:`PRESETS`
     settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
@@ -86,14 +88,24 @@ def reconstruct(
     BadInput
         If the capture shows no finger, lacks a band, a setting is not known, or the memory is another capture's.
 
+    Examples
+    --------
+    >>> import splitknit
+    >>> from splitknit.simulator.twin import TwinSettings
+    >>> capture, truth = splitknit.simulate_capture(1, settings=TwinSettings(scale=0.08))
+    >>> splitknit.reconstruct(capture, "snk", {"shapelets.scales": 4}).height_mm.shape
+    (176, 256)
+
     References
     ----------
     A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapter 3.
     """
     chosen = settings if isinstance(settings, PipelineSettings) else override(preset_settings(preset), settings or {})
-    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    if not isinstance(capture, Capture):
+        capture = read_capture(capture)
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
+    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     algorithm = split_and_knit if chosen.method == "thesis" else metric
     with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)

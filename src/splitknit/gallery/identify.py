@@ -30,7 +30,7 @@ from splitknit.matching.inputs import read_side
 from splitknit.matching.methods import as_calibrated, false_match_rate, similarity_at
 from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
 from splitknit.matching.surface import MatchingSettings
-from splitknit.model import Progress, no_progress
+from splitknit.model import Capture, Progress, Reconstruction, no_progress
 
 MERGES = ("person", "finger", "none")
 SEARCHES = ("auto", "exhaustive", "codes")
@@ -78,7 +78,7 @@ class Question:
 
 def identify_file(
     gallery: Path,
-    probe: Path,
+    probe: Path | Reconstruction | Capture,
     question: Question,
     settings: IdentifySettings,
     *,
@@ -127,7 +127,7 @@ def identify_file(
     progress("done", 1.0)
     return {
         "gallery": str(gallery),
-        "probe": {"path": str(probe), "kind": side.kind, "area_mm2": made.area_mm2, "acquired": not made.empty},
+        "probe": {"path": str(side.path), "kind": side.kind, "area_mm2": made.area_mm2, "acquired": not made.empty},
         "mode": "identification" if person is None else "verification",
         "person": person,
         "finger": finger,

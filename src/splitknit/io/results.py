@@ -85,7 +85,9 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
         albedo = np.where(arrays["mask"], level, np.float32(np.nan))
-    known: dict[str, Any] = {name: _json_of(facts.get(name, {}), folder) for name in ("settings", "quality", "facts", "timings_s")}
+    known: dict[str, Any] = {
+        name: _json_of(facts.get(name, {}), folder) for name in ("settings", "quality", "facts", "timings_s")
+    }
     return Reconstruction(
         **arrays,
         albedo=albedo,

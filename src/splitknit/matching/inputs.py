@@ -15,7 +15,7 @@ from splitknit.io.results import read_fields
 from splitknit.io.templates import read_template
 from splitknit.matching import VERSION, Template, make_template, print_band, unpack
 from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.model import Progress, Surface, no_progress, surface_of
+from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
 from splitknit.pipeline import reconstruct
 
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -33,7 +33,9 @@ class Side:
     template: Template | None = None
 
 
-def read_side(path: Path, preset: str, settings: MatchingSettings, progress: Progress = no_progress) -> Side:
+def read_side(
+    given: Path | Reconstruction | Capture, preset: str, settings: MatchingSettings, progress: Progress = no_progress
+) -> Side:
     """Read one side, whatever it is, and make its template.
 
     Raises
@@ -41,6 +43,11 @@ def read_side(path: Path, preset: str, settings: MatchingSettings, progress: Pro
     BadInput
         If it is none of the four, or cannot be read.
     """
+    if isinstance(given, Reconstruction | Capture):
+        result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
+        surface = surface_of(result)
+        return Side(Path("reconstruction"), "result", surface, surface_template(surface, settings))
+    path = given
     progress(f"reading {path.name}", 0.1)
     try:
         found = path.exists()
@@ -51,7 +58,11 @@ def read_side(path: Path, preset: str, settings: MatchingSettings, progress: Pro
         kind = "result" if (path / "height.npz").is_file() else "capture"
         known = kind == "result" or (path / "capture.json").is_file()
         require(known, f"'{path}' is neither a result (height.npz) nor a capture (capture.json); name one of them.")
-        surface = read_surface(path / "height.npz") if kind == "result" else _reconstructed(path, preset, progress)
+        if kind == "result":
+            surface = read_surface(path / "height.npz")
+        else:
+            capture = read_capture(path)
+            surface = surface_of(naming(path, lambda: _reconstructed(capture, preset, progress)))
         return naming(path, lambda: Side(path, kind, surface, surface_template(surface, settings)))
     if path.suffix.lower() == ".npz":
         surface = read_surface(path)
@@ -76,12 +87,8 @@ def read_surface(path: Path) -> Surface:
     return Surface(**arrays)
 
 
-def _reconstructed(folder: Path, preset: str, progress: Progress) -> Surface:
-    capture = read_capture(folder)
-    result = naming(
-        folder, lambda: reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.7 * share))
-    )
-    return surface_of(result)
+def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:
+    return reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.7 * share))
 
 
 def read_print(path: Path) -> tuple[NDArray[np.uint8], float]:

@@ -28,7 +28,7 @@ from splitknit.matching.surface import MatchingSettings, surface_images
 from splitknit.matching.surface_code_match import surface_code_match
 from splitknit.matching.surface_codes import surface_code
 from splitknit.matching.tetrahedra import tetrahedra_match
-from splitknit.model import Progress, Surface, no_progress
+from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
 from splitknit.pipeline import preset_settings
 from splitknit.prints.ridges import surface_print
 from splitknit.settings import override
@@ -43,8 +43,8 @@ _FMR_ROUNDING = 1e-5
 
 
 def match_files(
-    a: Path,
-    b: Path | None,
+    a: Path | Reconstruction | Capture,
+    b: Path | Reconstruction | Capture | None,
     *,
     method: str = "ridge",
     template: Path | None = None,
@@ -57,7 +57,8 @@ def match_files(
     Parameters
     ----------
     a, b
-        Capture folder, result folder, template (``.skt``) or 500-ppi print. Without `b` only the template is made.
+        Capture folder, result folder, template (``.skt``), 500-ppi print, or an object. Without `b` only the template
+        is made.
     method
         ``ridge``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``.
     template
@@ -75,7 +76,7 @@ def match_files(
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
         check_file(template, "a template", lambda data: data.startswith(MAGIC))
-        sources = [path.expanduser().resolve() for path in (a, b) if path is not None]
+        sources = [path.expanduser().resolve() for path in (a, b) if isinstance(path, Path)]
         require(
             template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file."
         )

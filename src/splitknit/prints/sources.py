@@ -67,7 +67,7 @@ def read_source(
         found, folder = False, False
     require(found, f"there is no '{path}'; name a capture folder or a result folder.")
     if folder and (path / "capture.json").is_file():
-        return naming(path, lambda: _of_capture(path, photo, surface, preset, progress))
+        return naming(path, lambda: source_of_capture(read_capture(path), photo, surface, preset, progress))
     result = path / "height.npz" if folder else path
     require(
         result.is_file() and result.suffix.lower() == ".npz",
@@ -94,8 +94,10 @@ def _of_result(path: Path) -> Source:
     return Source("result", hashes={path.name: file_hash(path)}, **arrays)
 
 
-def _of_capture(path: Path, photo: bool, surface: bool, preset: str, progress: Progress) -> Source:
-    capture = read_capture(path)
+def source_of_capture(
+    capture: Capture, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
+) -> Source:
+    """What prints need of a capture, see :func:`read_source`."""
     light = _photograph(capture) if photo else None
     if surface:
         result = reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.6 * share))

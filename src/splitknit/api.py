@@ -1,0 +1,278 @@
+"""What the verbs of the command line do, as functions: files or objects in, objects and plain facts out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from splitknit.errors import require
+from splitknit.model import Capture, Reconstruction, no_progress
+from splitknit.settings import override
+
+if TYPE_CHECKING:
+    from splitknit.evaluation.study import Evaluation
+    from splitknit.gallery.key import Key
+    from splitknit.prints.make import Print
+
+AnyPath = str | os.PathLike[str]
+Finger = Reconstruction | Capture | AnyPath
+"""A reconstruction, a capture, or the path of a result or capture folder."""
+
+
+def make_print(
+    finger: Finger, method: str = "unroll", ppi: float = 500.0, settings: Mapping[str, Any] | None = None
+) -> Print:
+    """Make the 2D print of a finger.
+
+    Parameters
+    ----------
+    finger : Reconstruction, Capture or path
+        A capture is reconstructed first, by the preset ``metric``.
+    method : ``relief``, ``unroll``, ``curvature``, ``photo`` or ``rolled``
+        ``photo`` needs a capture; ``rolled`` one with mirrors, as a path.
+    ppi : resolution in pixels per inch
+    settings : mapping from ``stage.field`` to a value, optional
+        Of :class:`splitknit.prints.make.PrintingSettings`.
+
+    Returns
+    -------
+    Print
+        ``image`` (h, w) uint8, ridges dark, mirrored as ink on paper is.
+
+    Raises
+    ------
+    BadInput
+        If the input lacks what the method needs, or shows no ridges.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> from splitknit.simulator.twin import TwinSettings
+    >>> capture, truth = splitknit.simulate_capture(1, settings=TwinSettings(scale=0.12))
+    >>> splitknit.make_print(splitknit.reconstruct(capture, "ea")).image.dtype
+    dtype('uint8')
+    """
+    from splitknit.prints.make import PrintingSettings, make_rolled_print  # noqa: PLC0415
+    from splitknit.prints.make import make_print as printed  # noqa: PLC0415
+    from splitknit.prints.sources import read_source, source_of, source_of_capture  # noqa: PLC0415
+
+    chosen = override(PrintingSettings(), settings or {})
+    if method == "rolled":
+        from splitknit.prints.rolled import read_rolled  # noqa: PLC0415
+
+        require(not isinstance(finger, Capture | Reconstruction), "a rolled print needs the path of a capture folder.")
+        source, rolled = read_rolled(Path(finger), "metric", chosen.rolled, no_progress)  # type: ignore[arg-type]
+        return make_rolled_print(rolled, source, "free", ppi, chosen)
+    if isinstance(finger, Reconstruction):
+        source = source_of(finger)
+    elif isinstance(finger, Capture):
+        source = source_of_capture(finger, photo=method == "photo", surface=method != "photo")
+    else:
+        source = read_source(Path(finger), photo=method == "photo", surface=method != "photo")
+    return printed(source, method, ppi=ppi, settings=chosen)
+
+
+def match(
+    a: Finger, b: Finger, method: str = "ridge", preset: str = "metric", settings: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Compare two fingers.
+
+    Parameters
+    ----------
+    a, b : Reconstruction, Capture or path
+        Paths may also be templates (``.skt``) and 500-ppi prints.
+    method : ``ridge``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``
+    preset : by which captures are reconstructed
+    settings : mapping from ``stage.field`` to a value, optional
+        Of :class:`splitknit.matching.surface.MatchingSettings`.
+
+    Returns
+    -------
+    dict
+        ``similarity`` (higher is more similar), ``fmr`` (false match rate at this similarity, where it was measured),
+        ``alignment`` and the rest of what ``splitknit match --json`` says.
+
+    Raises
+    ------
+    BadInput
+        If an input cannot be used by the method.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> from splitknit.simulator.twin import TwinSettings
+    >>> capture, truth = splitknit.simulate_capture(1, settings=TwinSettings(scale=0.12))
+    >>> result = splitknit.reconstruct(capture, "ea")
+    >>> round(splitknit.match(result, result)["similarity"], 2)
+    1.0
+    """
+    from splitknit.matching.methods import match_files  # noqa: PLC0415
+
+    sides = [side if isinstance(side, Reconstruction | Capture) else Path(side) for side in (a, b)]
+    return match_files(sides[0], sides[1], method=method, preset=preset, settings=dict(settings or {}))
+
+
+def identify(gallery: AnyPath, finger: Finger, key: Key | None = None, **question: Any) -> dict[str, Any]:
+    """Search a gallery for a finger.
+
+    Parameters
+    ----------
+    gallery : file, made by ``splitknit enroll``
+    finger : Reconstruction, Capture or path
+    key : of an encrypted gallery, optional
+        See :mod:`splitknit.gallery.key`.
+    **question
+        Fields of :class:`splitknit.gallery.identify.Question`: ``top``, ``merge``, ``fmr``, ``search``, ``person``,
+        ``finger``.
+
+    Returns
+    -------
+    dict
+        ``candidates``, best first, and ``decision``; that nobody is found is no error.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used, or the claimed person is not in the gallery.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> splitknit.identify("people.skg", "captures/unknown", top=3)["candidates"]  # doctest: +SKIP
+    """
+    from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415
+
+    probe = finger if isinstance(finger, Reconstruction | Capture) else Path(finger)
+    return identify_file(Path(gallery), probe, Question(**question), IdentifySettings(), key=key)
+
+
+def evaluate(files: AnyPath | Sequence[AnyPath], **settings: Any) -> Evaluation:
+    """Error rates with their intervals from score files.
+
+    Parameters
+    ----------
+    files : score files, one a system
+        CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
+    **settings
+        Fields of :class:`splitknit.evaluation.study.EvaluationSettings`.
+
+    Returns
+    -------
+    Evaluation
+        ``facts`` is what ``report.json`` holds: EER, GAR at FAR, AUC, each with its confidence interval.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> splitknit.evaluate("scores.csv").facts["systems"]  # doctest: +SKIP
+    """
+    from splitknit.evaluation.study import EvaluationSettings, evaluate_scores  # noqa: PLC0415
+
+    listed = [files] if isinstance(files, str | os.PathLike) else list(files)
+    return evaluate_scores([Path(file) for file in listed], EvaluationSettings(**settings))
+
+
+def calibrate_camera(folder: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
+    """Calibrate the camera from photographs of a checkerboard, and write a rig file.
+
+    Parameters
+    ----------
+    folder : photographs of one board, tilted differently in each
+    out : rig file to write
+    **options
+        Fields of :class:`splitknit.calibration.camera_photos.CameraJob`: ``board``, ``square_mm``, ``plane``, ``disc``,
+        ``rig`` and others; paths as :class:`pathlib.Path`.
+
+    Returns
+    -------
+    dict
+        What was found, as ``splitknit calibrate camera --json`` says it.
+
+    Raises
+    ------
+    BadInput
+        Naming the file or option at fault; nothing is written.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> splitknit.calibrate_camera("boards", "rig.json", board="9x6", square_mm=3.0)  # doctest: +SKIP
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000.
+    """
+    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # noqa: PLC0415
+
+    now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return calibrate_to_rig(CameraJob(out=Path(out), folder=Path(folder), calibrated_at=now, **options))
+
+
+def calibrate_lights(out: AnyPath | None = None, **options: Any) -> dict[str, Any]:
+    """Find the LEDs, and write a rig file where one is named.
+
+    Parameters
+    ----------
+    out : rig file to write, optional
+    **options
+        Fields of :class:`splitknit.calibration.lights_job.LightsJob`: ``table`` (tips of the nail's shadow), ``images``
+        with ``sphere``, or ``geometry``; paths as :class:`pathlib.Path`.
+
+    Returns
+    -------
+    dict
+        What was found, as ``splitknit calibrate lights --json`` says it.
+
+    Raises
+    ------
+    BadInput
+        Naming the file or option at fault; nothing is written.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> facts = splitknit.calibrate_lights(geometry=True)
+    >>> len(facts["leds"])
+    14
+    """
+    from splitknit.calibration.lights_job import LightsJob, lights_to_rig  # noqa: PLC0415
+
+    return lights_to_rig(LightsJob(out=None if out is None else Path(out), **options))
+
+
+def calibrate_radiometry(folder: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
+    """Calibrate brightness (response, noise, LEDs, fall-off) from a capture of a white card, and write a rig file.
+
+    Parameters
+    ----------
+    folder : capture folder of the card
+    out : rig file to write
+    **options
+        Of :func:`splitknit.calibration.radiometry_folder.calibrate_to_file`.
+
+    Returns
+    -------
+    dict
+        What was found, as ``splitknit calibrate radiometry --json`` says it.
+
+    Raises
+    ------
+    BadInput
+        Naming the folder or file at fault; nothing is written.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> splitknit.calibrate_radiometry("card", "rig.json")  # doctest: +SKIP
+    """
+    from splitknit.calibration.radiometry_folder import calibrate_to_file  # noqa: PLC0415
+
+    return calibrate_to_file(Path(folder), Path(out), **options)

@@ -1,0 +1,112 @@
+"""The public surface: what it holds, that nothing shadows it, and that results go out and come back."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitknit
+from splitknit.errors import BadInput
+from splitknit.io import write_capture
+from splitknit.model import Capture, Reconstruction
+from splitknit.simulator.twin import TwinSettings
+
+SRC = Path(splitknit.__file__).parent
+
+
+@pytest.fixture(scope="module")
+def capture() -> Capture:
+    return splitknit.simulate_capture(3, "whorl", TwinSettings(scale=0.12))[0]
+
+
+@pytest.fixture(scope="module")
+def result(capture: Capture) -> Reconstruction:
+    return splitknit.reconstruct(capture, "ea")
+
+
+def test_dir_is_the_public_surface() -> None:
+    assert dir(splitknit) == sorted(splitknit.__all__)
+    assert 20 <= len(splitknit.__all__) <= 30
+    for name in splitknit.__all__:
+        assert getattr(splitknit, name) is not None
+        documented = name == "__version__" or "Examples" in (getattr(splitknit, name).__doc__ or "")
+        assert documented or isinstance(getattr(splitknit, name), type), name
+
+
+def test_no_public_function_has_the_name_of_a_module_beside_it() -> None:
+    for name in splitknit.__all__:
+        assert not (SRC / f"{name}.py").exists() and not (SRC / name).exists(), name
+    program = (
+        "import importlib, pkgutil, splitknit\n"
+        "for found in pkgutil.iter_modules(splitknit.__path__, 'splitknit.'):\n"
+        "    importlib.import_module(found.name)\n"
+        "assert all(callable(getattr(splitknit, name)) for name in splitknit.__all__ if name != '__version__')\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_reprs_are_short(capture: Capture, result: Reconstruction) -> None:
+    for thing in (capture, capture.rig, capture.bands["white"], result):
+        assert len(repr(thing)) < 300, repr(thing)
+    assert repr(result).startswith("Reconstruction(preset 'ea'")
+    html = result._repr_html_()
+    assert html.startswith('<img src="data:image/jpeg;base64,') and "<th>preset</th>" in html
+
+
+def test_a_result_is_saved_and_read_again(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:
+    result.save(tmp_path / "with", capture)
+    result.save(tmp_path / "without")
+    for name in ("with", "without"):
+        again = splitknit.read_result(tmp_path / name)
+        for field in ("height_mm", "ridge_mm", "shape_mm", "normals", "mask", "input_from_upright"):
+            np.testing.assert_array_equal(getattr(again, field), getattr(result, field), err_msg=field)
+        assert (again.preset, again.warnings, again.upright_size) == ("ea", result.warnings, result.upright_size)
+        assert again.settings == result.settings and again.hashes == result.hashes
+        known = result.mask & np.isfinite(result.albedo)
+        assert np.corrcoef(again.albedo[known], result.albedo[known])[0, 1] > 0.98
+    assert len((tmp_path / "with" / "report.html").read_text()) > len(
+        (tmp_path / "without" / "report.html").read_text()
+    )
+    bare = splitknit.read_result(tmp_path / "with" / "height.npz")
+    assert bare.preset == "" and not np.isfinite(bare.albedo).any()
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"facts": 3}', '{"settings": "x"}'])
+def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, text: str) -> None:
+    result.save(tmp_path / "r")
+    (tmp_path / "r" / "report.json").write_text(text)
+    with pytest.raises(BadInput, match="is damaged; reconstruct the capture again"):
+        splitknit.read_result(tmp_path / "r")
+
+
+def test_the_plot_is_a_picture(result: Reconstruction) -> None:
+    picture = result.plot()
+    assert min(picture.size) > 100 and picture.mode == "RGB"
+    assert np.asarray(picture).std() > 10
+
+
+def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:
+    write_capture(capture, tmp_path / "c")
+    by_path = splitknit.reconstruct(str(tmp_path / "c"), "ea")
+    np.testing.assert_allclose(by_path.height_mm[by_path.mask], result.height_mm[result.mask], atol=1e-5)
+    result.save(tmp_path / "r", capture)
+    assert splitknit.match(result, tmp_path / "r")["similarity"] == pytest.approx(1.0, abs=1e-3)
+    assert splitknit.match(capture, result, preset="ea")["similarity"] == pytest.approx(1.0, abs=1e-3)
+    one = splitknit.make_print(result, "relief").image
+    np.testing.assert_array_equal(one, splitknit.make_print(tmp_path / "r", "relief").image)
+    assert splitknit.make_print(capture, "photo").image.shape == one.shape
+
+
+def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="capture"):
+        splitknit.reconstruct(tmp_path)
+
+
+def test_lights_from_the_drawing(tmp_path: Path) -> None:
+    facts = splitknit.calibrate_lights(tmp_path / "rig.json", geometry=True)
+    assert len(facts["leds"]) == 14 and (tmp_path / "rig.json").is_file()
+    assert len(splitknit.read_rig(tmp_path / "rig.json").leds) == 14
