@@ -28,10 +28,10 @@ from unittest import mock
 
 import cv2
 import numpy as np
-from tests.apps.handmade import finger
 from tests.batch.batch_stores import waves
 from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, three_minutiae
 from tests.fuzz.mutators import Files
+from tests.handmade import finger
 from tests.png_files import png_of
 
 from splitknit.apps.training.training_data import load_data

@@ -13,7 +13,7 @@ from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.io import read_height_tiff, read_npz, read_ply, read_print_png
 from splitknit.io.results import upright_mesh
-from splitknit.report import result as outputs
+from splitknit.report import result as result_files
 from splitknit.report.result import FILES, write_results
 
 Written = tuple[Path, dict[str, Any]]
@@ -121,7 +121,7 @@ def test_nothing_is_left_after_a_failure(tmp_path: Path, monkeypatch: pytest.Mon
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("disk on fire")
 
-    monkeypatch.setattr(outputs, "_write_albedo", fail)
+    monkeypatch.setattr(result_files, "write_albedo", fail)
     with pytest.raises(RuntimeError, match="disk on fire"):
         write_results(result, capture_of(result), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
