@@ -3,9 +3,9 @@
     python validation/match/impostors.py --fingers 150
 
 writes the table that ``splitknit match`` reads, ``src/splitknit/matching/match_fmr.json``. The fingers' surfaces are
-the true ones, one impression each, in poses drawn from the twin's ranges: impostor scores depend on the ridges' flow, not
-on how well they were reconstructed. Real prints (FVC2002 DB1_B) are added for comparison where the independent data is
-present.
+the true ones, one impression each, in poses drawn from the twin's ranges: impostor scores depend on the ridges' flow,
+not on how well they were reconstructed. Real prints (FVC2002 DB1_B) are added for comparison where the independent data
+is present.
 """
 
 from __future__ import annotations

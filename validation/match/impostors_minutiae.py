@@ -3,8 +3,8 @@
     python validation/match/impostors_minutiae.py --fingers 250
 
 writes the table that ``splitknit match --method minutiae`` reads, ``src/splitknit/matching/match_fmr_minutiae.json``.
-The prints are those of the true surfaces, 500 ppi, one impression each, in poses drawn from the twin's ranges; each print's
-minutiae are found once and kept in ``--cache``, so that a stopped run goes on where it was.
+The prints are those of the true surfaces, 500 ppi, one impression each, in poses drawn from the twin's ranges; each
+print's minutiae are found once and kept in ``--cache``, so that a stopped run goes on where it was.
 """
 
 from __future__ import annotations

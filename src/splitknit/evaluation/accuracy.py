@@ -31,27 +31,16 @@ from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 
 TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
 """What is compared."""
-
-
-@dataclass(frozen=True, slots=True)
-class CompareSettings:
-    """What is measured where."""
-
-    erosion_mm: float = 0.33
-    """Distance from the edge of the common mask from which on pixels count."""
-    band_sigma_mm: float = 0.32
-    """Standard deviation of the Gaussian whose complement is the ridge band."""
-    max_slant_deg: float = 60.0
-    """Largest slant of the true shape at which the ridge band counts."""
-    window_mm: float = 0.86
-    """Side of the windows of the local correlation."""
-    good_correlation: float = 0.8
-    """Local correlation from which on ridges count as recovered."""
-
-    def __post_init__(self) -> None:
-        require(self.erosion_mm >= 0, "compare.erosion_mm must be zero or positive.")
-        require(self.band_sigma_mm > 0 and self.window_mm > 0, "compare's lengths must be positive.")
-        require(0 < self.max_slant_deg <= 90, "compare.max_slant_deg must lie between 0 and 90.")
+EROSION_MM = 0.33
+"""Distance from the edge of the common mask from which on pixels count."""
+BAND_SIGMA_MM = 0.32
+"""Standard deviation of the Gaussian whose complement is the ridge band."""
+MAX_SLANT_DEG = 60.0
+"""Largest slant of the true shape at which the ridge band counts."""
+WINDOW_MM = 0.86
+"""Side of the windows of the local correlation."""
+GOOD_CORRELATION = 0.8
+"""Local correlation from which on ridges count as recovered."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,9 +63,7 @@ class Comparison:
     """(H, W) where the ridge band's figures count."""
 
 
-def compare(
-    result: Reconstruction, truth: Mapping[str, NDArray[Any]], settings: CompareSettings | None = None
-) -> Comparison:
+def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Comparison:
     """Measure `result` against `truth` (``height_mm``, ``shape_mm``, ``mask``, ``normals`` on the same pixel grid).
 
     Raises
@@ -84,7 +71,6 @@ def compare(
     BadInput
         If the truth lacks an array or has another size, or nothing is left to compare.
     """
-    settings = CompareSettings() if settings is None else settings
     for name in ("height_mm", "shape_mm", "mask"):
         require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
         require(
@@ -96,7 +82,7 @@ def compare(
     require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
     box = _box(common)
     inside, pitch = common[box], result.pitch_mm
-    surface = _eroded(inside, settings.erosion_mm / pitch)
+    surface = _eroded(inside, EROSION_MM / pitch)
     require(bool(surface.any()), "the surface that the truth shares with the reconstruction is too narrow to measure.")
 
     height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
@@ -105,8 +91,8 @@ def compare(
     height_error = _centred(height - true_height, surface)
     shape_error = _centred(shape - true_shape, surface)
 
-    band = surface & (_slant_deg(true_shape, inside, pitch) < settings.max_slant_deg)
-    sigma = settings.band_sigma_mm / pitch
+    band = surface & (_slant_deg(true_shape, inside, pitch) < MAX_SLANT_DEG)
+    sigma = BAND_SIGMA_MM / pitch
     true_band = high_pass(true_height - true_shape, inside, sigma)
     ridge_band = high_pass(relief, inside, sigma)
     figures = {
@@ -118,15 +104,14 @@ def compare(
     }
     if "normals" in truth:
         figures["normals_mean_deg"] = _normals_error_deg(result.normals[box][surface], truth["normals"][box][surface])
-    window = max(3, 2 * round(settings.window_mm / pitch / 2) + 1)
-    figures |= _band_figures("ridge", ridge_band, true_band, band, window, settings.good_correlation)
+    window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
+    figures |= _band_figures("ridge", ridge_band, true_band, band, window)
     figures |= _band_figures(
         "height_band",
         high_pass(height, inside, sigma),
         high_pass(true_height, inside, sigma),
         band,
         window,
-        settings.good_correlation,
     )
     return Comparison(
         preset=result.preset,
@@ -154,8 +139,8 @@ def local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, w
     return np.asarray(product / np.sqrt(np.maximum(power, np.float32(1e-30))), dtype=np.float32)
 
 
-def _band_figures(  # noqa: PLR0917
-    name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int, good: float
+def _band_figures(
+    name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int
 ) -> dict[str, float]:
     if not bool(where.any()):
         return {}
@@ -168,7 +153,7 @@ def _band_figures(  # noqa: PLR0917
         f"{name}_gain": float(np.sum(e * t)) / max(float(np.sum(t * t)), 1e-30),
         f"{name}_rms_um": 1000.0 * _rms(e - t),
         f"{name}_truth_std_um": 1000.0 * float(t.std()),
-        f"{name}_good_area": float(np.mean(local[where] > good)),
+        f"{name}_good_area": float(np.mean(local[where] > GOOD_CORRELATION)),
     }
 
 
