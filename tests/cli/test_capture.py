@@ -147,7 +147,7 @@ def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
 
 @pytest.mark.parametrize("name", devices.TARGETS)
 def test_every_target_is_there(name):
-    scene, words = devices.target_scene(name, default_rig(0.05), 1)
+    scene, words = devices._target_scene(name, default_rig(0.05), 1)
     assert words
     assert scene.light([0]).mean() > scene.light([]).mean()
 

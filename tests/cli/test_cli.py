@@ -210,7 +210,7 @@ def run(options):
     except KeyboardInterrupt as error:
         raise {error}("initialization failed") from error
 
-demo.run_demo = run
+demo._run = run
 sys.exit(cli.main())
 """
     run = subprocess.run([sys.executable, "-c", code, "demo"], capture_output=True, text=True, check=False)
@@ -260,7 +260,7 @@ ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTH
 def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
     """Facts, errors and argparse's messages; the result may be written already."""
     program = "import sys; from splitknit.cli import demo, main as cli; "
-    program += "demo.run_demo = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
+    program += "demo._run = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
     for arguments, code, wanted in ((["demo"], 0, "3 mm\\xb2"), (["demo", "--seed", "²"], 2, "must be a whole number")):
         run = subprocess.run(
             [sys.executable, "-c", program, *arguments],

@@ -49,7 +49,7 @@ from splitknit.calibration.radiometry_folder import read_radiometry_plan
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import truth_of
+from splitknit.evaluation.accuracy import read_truth
 from splitknit.evaluation.gallery_scores import gallery_scores
 from splitknit.evaluation.study import read_exclusion_list, read_systems
 from splitknit.gallery.entry import Entry, decode_entry, encode_entry
@@ -299,7 +299,8 @@ def _capture(folder: Path, files: Files) -> None:
     for band in capture.bands.values():
         assert band.pixels.shape[1:3] == capture.rig.camera.image_size
         assert np.isfinite(band.exposure).all()
-    truth_of(capture)
+    if capture.truth is not None:
+        read_truth(capture)
 
 
 def _plain_images() -> list[Files]:

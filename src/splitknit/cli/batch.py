@@ -12,7 +12,7 @@ from splitknit.errors import BadInput, require
 
 def add_batch(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "batch", "reconstruct and compare a whole population, or what of it is missing", run_verb)
+    verb = new_verb(verbs, "batch", "reconstruct and compare a whole population, or what of it is missing", _run)
     verb.add_argument(
         "population", type=Path, metavar="POPULATION", help="folder of 'splitknit simulate population' or an enrolment"
     )
@@ -57,7 +57,7 @@ def add_batch(verbs: Any) -> None:
     )
 
 
-def run_verb(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Run the batch."""
     from splitknit.batch import BatchSettings, preset_cases, run_batch  # noqa: PLC0415 - verbs import what they need
 

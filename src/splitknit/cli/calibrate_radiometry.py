@@ -16,7 +16,7 @@ def add_radiometry(kinds: Any) -> None:
         kinds,
         "radiometry",
         "lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response and noise",
-        run_radiometry,
+        _run,
     )
     verb.add_argument("folder", type=Path, metavar="FOLDER", help="capture folder of a white card under every LED")
     verb.add_argument(
@@ -53,7 +53,7 @@ def add_radiometry(kinds: Any) -> None:
     )
 
 
-def run_radiometry(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Calibrate, or check."""
     from splitknit.calibration.radiometry_folder import (  # noqa: PLC0415 - only this verb pays for it
         calibrate_to_file,

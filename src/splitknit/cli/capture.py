@@ -22,7 +22,7 @@ _BAR = 30
 
 def add_capture(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "capture", "photograph a finger under all LEDs: with the rig, or with its twin", run_capture)
+    verb = new_verb(verbs, "capture", "photograph a finger under all LEDs: with the rig, or with its twin", _run)
     verb.add_argument(
         "--device", choices=("pi", "twin"), required=True, help="pi: the Raspberry Pi's rig; twin: simulated"
     )
@@ -56,7 +56,7 @@ def add_capture(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_capture(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Capture one finger, or those that an enrolment waits for."""
     from splitknit.capture.folder import CaptureOptions  # noqa: PLC0415 - so that --help is quick
     from splitknit.cli.options import read_changes  # noqa: PLC0415
@@ -217,6 +217,3 @@ class _FocusBar:
         if done or watch.ended:
             sys.stderr.write(f"\r{' ' * len(text)}\r")
         return done
-
-
-__all__ = ["add_capture", "run_capture"]

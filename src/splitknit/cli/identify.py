@@ -12,7 +12,7 @@ from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, natu
 
 def add_identify(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "identify", "find a finger in a gallery, or check whose it is said to be", run_identify)
+    verb = new_verb(verbs, "identify", "find a finger in a gallery, or check whose it is said to be", _run)
     add_gallery(verb)
     what = "capture folder, result folder, template (.skt) or 500-ppi print"
     verb.add_argument("probe", type=Path, metavar="PROBE", help=what)
@@ -42,7 +42,7 @@ def add_identify(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_identify(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Identify."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415

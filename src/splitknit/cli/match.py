@@ -14,7 +14,7 @@ _IN_SPACE = ("minutiae3d", "tetrahedra")
 
 def add_match(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "match", "say how alike two fingers are", run_match)
+    verb = new_verb(verbs, "match", "say how alike two fingers are", _run)
     what = "capture folder, result folder, template (.skt) or 500-ppi print"
     verb.add_argument("a", type=Path, metavar="A", help=what)
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
@@ -32,7 +32,7 @@ def add_match(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_match(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Compare."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.matching.methods import match_files  # noqa: PLC0415 - verbs import what they need

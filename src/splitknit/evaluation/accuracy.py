@@ -130,7 +130,7 @@ def high_pass(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArra
     return np.where(mask, values - mean, np.float32(0.0)).astype(np.float32)
 
 
-def local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
+def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
     """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
     share = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
     a, b = np.where(where, first, np.float32(0.0)), np.where(where, second, np.float32(0.0))
@@ -147,7 +147,7 @@ def _band_figures(
     e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
     e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))
     covariance = float(np.sum((e - e.mean()) * (t - t.mean())))
-    local = local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
+    local = _local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
     return {
         f"{name}_correlation": covariance / max((e_power * t_power) ** 0.5, 1e-30),
         f"{name}_gain": float(np.sum(e * t)) / max(float(np.sum(t * t)), 1e-30),
@@ -206,10 +206,16 @@ def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ..
     return whole
 
 
-def truth_of(capture: Capture) -> dict[str, Any] | None:
-    """Read a simulator's truth, if the capture names one, and only what is compared."""
-    if capture.truth is None:
-        return None
+def read_truth(capture: Capture) -> dict[str, Any]:
+    """Read the simulator's truth of a capture, and only what is compared.
+
+    Raises
+    ------
+    BadInput
+        If the capture names none, or it is damaged or of another size than the images.
+    """
+    require(capture.truth is not None, "the capture has no truth to compare with; only simulated ones have.")
+    assert capture.truth is not None
     truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large
     for name, array in truth.items():
         expected = (*capture.shape, 3) if name == "normals" else capture.shape

@@ -100,7 +100,7 @@ def evaluate_scores(
     notes += [] if gallery is None else gallery.notes
     fusion: dict[str, Any] | None = None
     if settings.fuse is not None:
-        joined, fusion, told = fused_system(systems, settings.fuse, settings.bootstrap.seed)
+        joined, fusion, told = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
         systems, notes = [*systems, joined], notes + told
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
@@ -227,7 +227,7 @@ _MISSING = {
 }
 
 
-def fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
+def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
     """Fuse all systems: their fused scores, facts for ``report.json``, and notes.
 
     Raises

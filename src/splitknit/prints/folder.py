@@ -107,7 +107,7 @@ def print_to_folder(
         }
         for name, picture in pictures.items():
             write_print_png(target / name, picture, ppi, texts)
-        write_npz(target / "map.npz", map_arrays(made.map))
+        write_npz(target / "map.npz", _map_arrays(made.map))
         facts: dict[str, Any] = {
             "method": method,
             "surface": place,
@@ -124,8 +124,8 @@ def print_to_folder(
         clock = time.perf_counter()
         quality = measured(made, enhanced, ppi, settings)
         timings["quality"] = time.perf_counter() - clock
-        nfiq2 = nfiq2_of(pictures, ppi)
-        facts["quality"] = quality_facts(quality, nfiq2)
+        nfiq2 = _nfiq2_of(pictures, ppi)
+        facts["quality"] = _quality_facts(quality, nfiq2)
         sought = settings.minutiae
         facts["minutiae"] = write_minutiae(
             target, pictures, enhanced, sought, made.map, source, origin, round(quality.score)
@@ -185,7 +185,7 @@ FULL_WORTH = 0.95
 """Of the ridges' height: from here on, soft edges are the finger's own."""
 
 
-def nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
+def _nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
     """NFIQ 2 of ``print.png`` and ``enhanced.png``, None where it sees no print; None without the package for it."""
     from splitknit.matching.minutiae import NFIQ2_FAILED, nfiq2  # noqa: PLC0415 - large, and not everywhere
 
@@ -196,7 +196,7 @@ def nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str,
     return {name: None if value == NFIQ2_FAILED else value for name, value in found.items()}
 
 
-def quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> dict[str, Any]:
+def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> dict[str, Any]:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences."""
 
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -329,7 +329,7 @@ def write_minutiae(  # noqa: PLR0917
     if source.height_mm is not None or source.points_mm is not None:
         scale = print_map.ppi / 500.0
         places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
-        space = minutiae_in_space(places, found.direction_rad, print_map, source)
+        space = _minutiae_in_space(places, found.direction_rad, print_map, source)
         good = np.isfinite(space).all(axis=1)
         theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
         x, y, z = space[good, :3].T
@@ -339,7 +339,7 @@ def write_minutiae(  # noqa: PLR0917
     return facts
 
 
-def minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
+def _minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
     """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
 
     NaN where the print shows nothing, or the surface is not known.
@@ -417,7 +417,7 @@ def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
     return bar
 
 
-def map_arrays(print_map: PrintMap) -> dict[str, Any]:
+def _map_arrays(print_map: PrintMap) -> dict[str, Any]:
     """What ``map.npz`` holds."""
     return {
         "columns": print_map.columns,

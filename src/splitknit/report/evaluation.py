@@ -131,16 +131,16 @@ def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str
     lowest = float(np.clip(1.0 / most, 1e-7, 1e-2))
     found = [(name, np.array(one["cmc"]["rate"])) for name, one in systems.items() if one["cmc"] is not None]
     return {
-        "rates": [roc_chart(bands, lowest), det_chart(curves, lowest)],
+        "rates": [roc_chart(bands, lowest), _det_chart(curves, lowest)],
         "histograms": [
-            histogram_chart(
+            _histogram_chart(
                 result.scores.name,
                 histograms(result.scores.genuine, result.scores.impostor),
                 systems[result.scores.name]["equal_error"]["threshold"],
             )
             for result in results
         ],
-        "cmc": [cmc_chart(found)] if found else [],
+        "cmc": [_cmc_chart(found)] if found else [],
     }
 
 
@@ -194,7 +194,7 @@ def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | N
     return plot(drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR")
 
 
-def det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
+def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     """FRR over FAR on probit axes, on which two normal distributions give a straight line."""
     worst = max(float(np.min(np.maximum(roc.far, roc.frr))) for _, roc in curves)
     high = next(tick for tick in (0.5, 0.8, 0.95, 0.99, 0.999) if tick > worst or tick == 0.999)
@@ -205,7 +205,7 @@ def det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     return plot(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
 
 
-def histogram_chart(name: str, shares: Histograms, threshold: float | None) -> Markup:
+def _histogram_chart(name: str, shares: Histograms, threshold: float | None) -> Markup:
     """Shares of genuine and impostor scores in each bin, and where both rates are equal."""
     edges = np.repeat(shares.edges, 2)
     drawn = [
@@ -220,7 +220,7 @@ def histogram_chart(name: str, shares: Histograms, threshold: float | None) -> M
     return plot(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
 
 
-def cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
+def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
     """Share of probes whose finger is among the first n of the gallery."""
     longest = max(2, min(20, max(rate.size for _, rate in curves)))
     floor = float(np.floor(min([*(float(rate[0]) for _, rate in curves), 0.95]) * 10) / 10)

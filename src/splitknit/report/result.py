@@ -14,13 +14,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from splitknit.evaluation.accuracy import Comparison, compare
 from splitknit.io import (
     atomic_file,
     atomic_folder,
@@ -35,7 +34,10 @@ from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints import relief_print
 from splitknit.report import charts, figures, render
 from splitknit.report.figures import Views, render_views
-from splitknit.report.photos import LONGEST_PX, Picture, mirror_pictures
+from splitknit.report.photos import LONGEST_PX, Picture, mask_on_image, mirror_pictures
+
+if TYPE_CHECKING:
+    from splitknit.evaluation.accuracy import Comparison
 
 Truth = Mapping[str, NDArray[Any]]
 
@@ -92,11 +94,11 @@ def make_report(
     files : sequence of str
         Names of the files written beside the report.
     """
-    comparisons = [] if truth is None else [compare(each, truth) for each in (result, *others)]
+    comparisons = [] if truth is None else _compared((result, *others), truth)
     facts = _facts(result, capture, comparisons, files)
-    frame = upright_frame(result, figures.LONGEST_PX)
+    frame = upright_frame(result, LONGEST_PX)
     uncertainty = figures.uncertainty_picture(result, frame)
-    maps = [figures.mask_on_image(result, capture), figures.normals_picture(result, frame)]
+    maps = [mask_on_image(result, capture), figures.normals_picture(result, frame)]
     maps += [figures.relief_picture(result, frame), figures.shape_picture(result, frame)]
     maps += mirror_pictures(result, capture)
     html = render(
@@ -124,6 +126,12 @@ def make_report(
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts)
+
+
+def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
+    from splitknit.evaluation.accuracy import compare  # noqa: PLC0415 - only what was simulated has a truth
+
+    return [compare(each, truth) for each in results]
 
 
 def _facts(
