@@ -94,8 +94,8 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) 
     ("error", "code", "words"),
     [
         (BadInput("the mask is\nempty."), 2, r"capture: the mask is\nempty."),
-        (KeyError("height"), 1, "KeyError: 'height' (this is our failure; --traceback shows where)"),
-        (ValueError("no BadInput"), 1, "this is our failure"),
+        (KeyError("height"), 1, "KeyError: 'height' (internal error, please report it; --traceback shows where)"),
+        (ValueError("no BadInput"), 1, "internal error, please report it"),
         (MemoryError(), 1, "not enough memory"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
     ],

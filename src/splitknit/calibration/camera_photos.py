@@ -71,7 +71,7 @@ class FoundCamera:
     warnings: tuple[str, ...]
 
 
-def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, share: None) -> dict[str, Any]:
+def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, fraction: None) -> dict[str, Any]:
     """Calibrate, write the rig file, return the facts.
 
     Raises
@@ -107,7 +107,7 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundC
     if job.folder is not None:
         files = _image_files(job.folder, job.pattern)
         photos = _board_photos(
-            job.folder, files, board, size, expected_by, lambda share: progress("finding corners", 0.85 * share)
+            job.folder, files, board, size, expected_by, lambda fraction: progress("finding corners", 0.85 * fraction)
         )
         size, expected_by, hashes = photos.image_size, files[0].name, dict(photos.hashes)
         progress("fitting", 0.86)

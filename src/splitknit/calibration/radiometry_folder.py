@@ -51,7 +51,7 @@ def calibrate_to_file(
     folder : capture folder of the card, see :mod:`splitknit.calibration.radiometry_folder`
     out : rig file to write
     rig_file : rig to calibrate; the folder's own by default
-    card : height in mm and tilt in deg of the card; None for the tilt of the base that the rig file tells
+    card : height in mm and tilt in deg of the card; None for the tilt of the base in the rig file
     limit_percent : largest rms of an LED's residuals
     residuals : picture to write
 
@@ -192,8 +192,8 @@ def _measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float
     Raises
     ------
     BadInput
-        Naming the file, if an image is missing or unlike the card's, light fell on a dark frame, or the response is
-        not the one that the capture names.
+        Naming the file, if an image is missing or of another kind than the card's, light fell on a dark frame, or the
+        response is not the one that the capture names.
     """
     hashes: dict[str, str] = {}
     dark = None

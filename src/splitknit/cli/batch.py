@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, natural, new_verb, share
+from splitknit.cli.verb import Outcome, Progress, fraction, natural, new_verb
 from splitknit.errors import BadInput, require
 
 
@@ -32,7 +32,11 @@ def add_batch(verbs: Any) -> None:
         help="ridge (default), thesis, minutiae, voted, minutiae3d, surface-code, tetrahedra, with commas; or none",
     )
     verb.add_argument(
-        "--impostors", type=share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"
+        "--impostors",
+        type=fraction,
+        default=1.0,
+        metavar="FRACTION",
+        help="of the comparisons of two fingers (default: 1)",
     )
     verb.add_argument("--seed", type=natural, default=0, metavar="N", help="which of them (default: 0)")
     verb.add_argument(

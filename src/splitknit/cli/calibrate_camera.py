@@ -154,5 +154,5 @@ def _sharpness_lines(field: Mapping[str, Any]) -> list[str]:
         first,
         f"  A finger {field['finger_depth_mm']:g} mm deep does not fit: focused in its middle, its ends are blurred "
         f"over {field['blur_px']:.1f} px. It would fit at f/{field['needed_f_number']:.0f}, where diffraction alone "
-        f"blurs over {field['diffraction_px']:.0f} px; both are alike at f/{field['best_f_number']:.1f}.",
+        f"blurs over {field['diffraction_px']:.0f} px; both are equal at f/{field['best_f_number']:.1f}.",
     ]

@@ -113,7 +113,7 @@ def _led_lines(facts: dict[str, Any]) -> list[str]:
             f"{apart} deg: {one['verdict']}{kept}"
         )
     if facts["nail_height_mm"] is not None:
-        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, as its shadows tell.")
+        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, from its shadows.")
     return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
 
 

@@ -107,9 +107,9 @@ def _lines(facts: dict[str, Any], base_tilt: bool) -> list[str]:
         f"Model: {facts['model']['chosen']} (residuals from the simplest to the richest model: {tried}).",
         f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's brightness.",
     ]
-    for band, share in facts["ambient_percent"].items():
-        if share is not None:
-            lines.append(f"Light from elsewhere: {share:.2f} % of the {band} LEDs'.")
+    for band, fraction in facts["ambient_percent"].items():
+        if fraction is not None:
+            lines.append(f"Light from elsewhere: {fraction:.2f} % of the {band} LEDs'.")
     lines += _camera_lines(facts["camera"])
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]
     if base_tilt and any(facts["card"]["tilt_deg"]):

@@ -205,8 +205,8 @@ class _FocusBar:
     """Shows focus live on the terminal; Enter ends it."""
 
     def __call__(self, focus: Focus, watch: FocusWatch) -> bool:
-        share = min(focus.sharpness / watch.best, 1.0) if watch.best > 0 else 0.0
-        full = round(_BAR * share)
+        fraction = min(focus.sharpness / watch.best, 1.0) if watch.best > 0 else 0.0
+        full = round(_BAR * fraction)
         bar = "#" * full + "." * (_BAR - full)
         text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
         sys.stderr.write(f"\r{text}")

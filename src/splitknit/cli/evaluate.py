@@ -33,7 +33,7 @@ def add_evaluate(verbs: Any) -> None:
     )
     add_key(verb)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the report into")
-    verb.add_argument("--dissimilarity", action="store_true", help="the scores are distances: lower is more alike")
+    verb.add_argument("--dissimilarity", action="store_true", help="the scores are distances: lower is more similar")
     verb.add_argument(
         "--cluster",
         choices=("auto", "plain", "finger", "subject"),

@@ -25,7 +25,7 @@ def add_reconstruct(verbs: Any) -> None:
         "--preset",
         choices=PRESETS,
         default="metric",
-        help="metric (ours, the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), or "
+        help="metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), or "
         "another published case: kumar, zheng, lin, xie",
     )
     verb.add_argument(
@@ -100,7 +100,9 @@ def _reconstruct_to_folder(
             capture = with_rig(capture, rig)
         read_s = time.perf_counter() - started
         try:
-            result = reconstruct(capture, preset, changes, lambda stage, share: progress(stage, 0.15 + 0.65 * share))
+            result = reconstruct(
+                capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
+            )
             result = replace(result, timings_s={"reading": read_s, **result.timings_s})
             progress("writing", 0.8)
             capture = _shown_of(capture)

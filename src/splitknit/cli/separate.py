@@ -21,7 +21,7 @@ def add_separate(verbs: Any) -> None:
         help="how the light was patterned (default: what separation.json says, else checkerboard); symmetry: "
         "checkerboards without noise, an odd number of equal steps a period each way",
     )
-    verb.add_argument("--alpha", type=float, default=None, help="share of the pattern that is lit (default: 0.5)")
+    verb.add_argument("--alpha", type=float, default=None, help="fraction of the pattern that is lit (default: 0.5)")
     verb.add_argument("--dark", type=float, default=None, help="brightness of its unlit part (default: 0)")
     verb.add_argument(
         "--patterns",

@@ -10,7 +10,7 @@ Definitions (the same for every preset and for the validation):
   whole height (`height_mm`) with the true height is given beside it, where curvature and mask edge count as well.
 - *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right, below 1 too flat.
 - *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's mean; the area is
-  the share of the ridge band's pixels where it exceeds 0.8.
+  the fraction of the ridge band's pixels where it exceeds 0.8.
 - *normals*: mean angle between estimated and true normals on the surface.
 """
 
@@ -51,8 +51,8 @@ class Comparison:
     figures: Mapping[str, float]
     """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``, ``ridge_gain``,
     ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the whole height (``height_band_*``),
-    ``mask_on_finger`` (share of the mask on the true finger), ``mask_overlap`` (intersection over union; the true mask
-    goes on below the crease) and ``ridge_area_mm2``."""
+    ``mask_on_finger`` (fraction of the mask on the true finger), ``mask_overlap`` (intersection over union; the true
+    mask goes on below the crease) and ``ridge_area_mm2``."""
     height_error_mm: FloatArray
     """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
     ridge_error_um: FloatArray
@@ -83,7 +83,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     box = _box(common)
     inside, pitch = common[box], result.pitch_mm
     surface = _eroded(inside, EROSION_MM / pitch)
-    require(bool(surface.any()), "the surface that the truth shares with the reconstruction is too narrow to measure.")
+    require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
 
     height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
     shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
@@ -132,10 +132,10 @@ def high_pass(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArra
 
 def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
     """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
-    share = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
+    fraction = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
     a, b = np.where(where, first, np.float32(0.0)), np.where(where, second, np.float32(0.0))
-    product = _mean(a * b, window_px) / share
-    power = (_mean(a * a, window_px) / share) * (_mean(b * b, window_px) / share)
+    product = _mean(a * b, window_px) / fraction
+    power = (_mean(a * a, window_px) / fraction) * (_mean(b * b, window_px) / fraction)
     return np.asarray(product / np.sqrt(np.maximum(power, np.float32(1e-30))), dtype=np.float32)
 
 

@@ -158,7 +158,7 @@ def _width_note(result: Result) -> list[str]:
         return []
     return [
         f"{result.scores.name}: drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide, "
-        "so that fingers of one subject are alike in how hard they are; trust the wider one."
+        "so that fingers of one subject are similarly hard; trust the wider one."
     ]
 
 

@@ -40,7 +40,7 @@ class EvaluationSettings(Checked):
     """What is asked of an evaluation."""
 
     dissimilarity: bool = False
-    """Whether a lower score means more alike; scores are then turned round when they are read."""
+    """Whether a lower score means more similar; scores are then negated when they are read."""
     cluster: Literal["auto", "plain", "finger", "subject"] = "auto"
     """What intervals are drawn by: ``plain``, ``finger``, ``subject``; ``auto``: fingers, else subjects, else plain."""
     average: bool = False
@@ -153,8 +153,8 @@ def _figures(
     steps = sum(len(_methods(one)) + len(group) - 1 for group in groups for one in group)
     done = 0
 
-    def step(share: float) -> None:
-        progress("resampling", (done + share) / max(steps, 1))
+    def step(fraction: float) -> None:
+        progress("resampling", (done + fraction) / max(steps, 1))
 
     for group in groups:
         for one in group:

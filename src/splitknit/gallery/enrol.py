@@ -91,7 +91,7 @@ def enroll_files(
             made.append(
                 _made_of(
                     source, settings.preset, settings.matching, settings.keep,
-                    lambda stage, share, k=k: progress(stage, (k + 0.9 * share) / len(sources)),  # type: ignore[misc]
+                    lambda stage, fraction, k=k: progress(stage, (k + 0.9 * fraction) / len(sources)),  # type: ignore[misc]
                 )
             )  # fmt: skip
         new = []

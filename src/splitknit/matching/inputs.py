@@ -110,7 +110,8 @@ def read_surface(path: Path) -> Surface:
 def _reconstructed(folder: Path, preset: str, progress: Progress) -> Surface:
     capture = read_capture(folder)
     result = naming(
-        folder, lambda: reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.7 * share))
+        folder,
+        lambda: reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction)),
     )
     return surface_of(result)
 

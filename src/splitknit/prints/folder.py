@@ -176,7 +176,7 @@ def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
     return {"p5": low, "median": middle, "p95": high}
 
 
-# Quality of a print as a report tells it: NFIQ 2, our own figures and score, and what to do in words.
+# Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
 
 MOST_SENTENCES = 3
 LEAST_WORTH = 0.7
@@ -392,10 +392,10 @@ def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
         (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
     ):
         known = np.isfinite(field)
-        filled, share = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
+        filled, fraction = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
         values, weight = (
             np.asarray(cv2.remap(part, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR), dtype=np.float32)
-            for part in (filled, share)
+            for part in (filled, fraction)
         )
         evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
         picture = colour(evened, low, high, diverging=low < 0)
@@ -410,9 +410,9 @@ def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
     ramp = np.linspace(low, high, max(width - 40, 2), dtype=np.float32)[None].repeat(12, axis=0)
     bar[6:18, 20 : 20 + ramp.shape[1]] = colour(ramp, low, high, diverging=low < 0)
     texts = (f"{100 * low:+.0f} %" if low else "0", title, f"{100 * high:+.0f} %")
-    for text, share in zip(texts, (0.0, 0.5, 1.0), strict=True):
+    for text, fraction in zip(texts, (0.0, 0.5, 1.0), strict=True):
         (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
-        place = int(4 + share * (width - 8 - length))
+        place = int(4 + fraction * (width - 8 - length))
         cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
     return bar
 

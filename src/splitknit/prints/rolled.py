@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 KINDS = ("free", "arc")
 SIDE_MM, TIP_MM = 14.0, 0.0
-"""Coverage is told of the rows from the tip's cap downwards, as far as this."""
+"""Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
 def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Progress) -> tuple[Source, Rolled]:
@@ -52,7 +52,7 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen)
         made = rolled_finger(
-            capture, views, chosen, settings, lambda stage, share: progress(stage, 0.15 + 0.55 * share)
+            capture, views, chosen, settings, lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction)
         )
         return _source(made, preset, capture.hashes, capture.subject), made
 

@@ -130,7 +130,7 @@ def _of_capture(path: Path, photo: bool, surface: bool, preset: str, progress: P
     capture = read_capture(path)
     light = _photograph(capture) if photo else None
     if surface:
-        result = reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.6 * share))
+        result = reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.6 * fraction))
         return replace(
             source_of(result),
             kind="capture",

@@ -83,7 +83,7 @@ def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
 
 
 def rate(value: float | None) -> str:
-    """A share in percent: two decimals, more where it is small."""
+    """A fraction in percent: two decimals, more where it is small."""
     if value is None:
         return "-"
     hundred = 100 * value
@@ -93,14 +93,14 @@ def rate(value: float | None) -> str:
 
 
 def interval(found: Mapping[str, float] | None) -> str:
-    """A share with its interval."""
+    """A fraction with its interval."""
     if found is None:
         return "-"
     return f"{rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
 
 
 def change(found: Mapping[str, float]) -> str:
-    """A difference of shares in percentage points, with its interval."""
+    """A difference of fractions in percentage points, with its interval."""
     return f"{100 * found['value']:+.2f} ({100 * found['low']:+.2f} to {100 * found['high']:+.2f})"
 
 
@@ -190,7 +190,7 @@ def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | N
     least = min(float(curve.y[curve.x <= lowest].max()) for curve in drawn)
     floor = float(np.floor(min(least, 0.9) * 10) / 10)
     y_marks = tuple((v, percent(v)) for v in _round_marks(floor, 1.0, 6))
-    x = Axis("FAR (log), share of impostors accepted", lowest, 1.0, marks, np.log10)
+    x = Axis("FAR (log), fraction of impostors accepted", lowest, 1.0, marks, np.log10)
     return plot(drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR")
 
 
@@ -216,7 +216,7 @@ def _histogram_chart(name: str, shares: Histograms, threshold: float | None) -> 
     steps = _round_marks(0.0, top, 5)
     x_marks = tuple((v, f"{v:g}") for v in _round_marks(float(edges[0]), float(edges[-1]), 7))
     x = Axis("score", float(edges[0]), float(edges[-1]), x_marks)
-    y = Axis("share of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, percent(v)) for v in steps))
+    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, percent(v)) for v in steps))
     return plot(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
 
 
@@ -284,7 +284,7 @@ def plot(
 
 
 def percent(value: float) -> str:
-    """A share as a percentage, as short as it can be said."""
+    """A fraction as a percentage, as short as it can be said."""
     return f"{100 * value:.6g} %"
 
 

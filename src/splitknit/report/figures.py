@@ -110,8 +110,8 @@ def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
     return captioned(
         "Uncertainty of the relief",
         on_paper(colour(values, 0.0, high), weight),
-        "Skin blurs what light shows of the ridges, and glare covers it; both are undone as far as simulated skin "
-        "teaches it. This is the standard deviation (one sigma) of what is left. Good: small against the relief.",
+        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
+        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against the relief.",
         charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
         frame.pitch_mm,
     )
@@ -215,7 +215,7 @@ def _close_up_frame(result: Reconstruction, side_mm: float) -> Frame:
     return Frame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
 
 
-# Shaded pictures of a height field, by a small renderer of our own.
+# Shaded pictures of a height field, by a small renderer.
 #
 # A height field that is tilted about a horizontal axis hides itself column by column. Walking a column from the front
 # to the back, a point is seen if it is projected higher than all before it (the floating horizon). The horizon rises
@@ -238,7 +238,7 @@ class UprightSurface:
     relief_mm: FloatArray
     """(H, W), as measured."""
     weight: FloatArray
-    """(H, W) in [0, 1], share of the pixel inside the mask."""
+    """(H, W) in [0, 1], fraction of the pixel inside the mask."""
     pitch_mm: float
 
 

@@ -286,14 +286,14 @@ def cad_to_folder(
     changes : fields of :class:`splitknit.rig.part_settings.PartSettings` to replace
     below : put the assembly together with the camera below the finger
     pictures : draw them, too
-    progress : called with what is at work and the share done
+    progress : called with what is at work and the fraction done
 
     Raises
     ------
     BadInput
         In one sentence: a rig that cannot be built, a setting out of range, build123d not installed.
     """
-    say: Progress = progress or (lambda what, share: None)
+    say: Progress = progress or (lambda what, fraction: None)
     check_target(out, "parts.json", "an earlier set of parts")
     rig, hashes = _rig(rig_file)
     settings = override(PartSettings(), changes or {})
@@ -306,7 +306,7 @@ def cad_to_folder(
     with atomic_folder(out) as target:
         for name in ("stl", "step", "pictures"):
             (target / name).mkdir()
-        parts = build_parts(dimensions, lambda name, share: say(f"drawing {name}", 0.45 * share))
+        parts = build_parts(dimensions, lambda name, fraction: say(f"drawing {name}", 0.45 * fraction))
         reports, placed = {}, {}
         for done, part in enumerate(parts):
             name = part.kind.name
@@ -388,7 +388,7 @@ def _write_pictures(
     parts : all parts by name
     placed : their triangles in the rig's frame
     below : the camera is below the finger
-    progress : called with what is drawn and the share done
+    progress : called with what is drawn and the fraction done
     """
     names = []
     for done, (name, triangles) in enumerate(placed.items()):

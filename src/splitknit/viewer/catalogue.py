@@ -226,7 +226,7 @@ def _check_kind(path: Path, root: Path) -> None:
 
 
 def _telling_names(folders: Sequence[Path]) -> list[str]:
-    """Return the names of folders, with as many parents as it takes to tell them apart."""
+    """Return the names of folders, with as many parents as it takes to distinguish them."""
     for depth in range(1, 1 + max(len(folder.parts) for folder in folders)):
         names = ["/".join(folder.parts[-depth:]) for folder in folders]
         if len(set(names)) == len(names):
