@@ -142,11 +142,17 @@ def table(scale: float, presets: Sequence[str], rounds: int) -> None:
 
 def profile(scale: float) -> None:
     """Print where one run spends its processor time (all threads of the process count while a function waits)."""
-    from splitknit.cli.reconstruct import reconstruct_to_folder  # noqa: PLC0415
+    from splitknit import read_capture, reconstruct  # noqa: PLC0415
+    from splitknit.report.result import write_results  # noqa: PLC0415
 
     folder, _ = prepare(scale)
+
+    def whole() -> None:
+        capture = read_capture(folder)
+        write_results(reconstruct(capture), capture, OUT / "result_profile")
+
     profiler = cProfile.Profile(timer=time.process_time)
-    profiler.runcall(reconstruct_to_folder, folder, OUT / "result_profile")
+    profiler.runcall(whole)
     for order, count in (("tottime", 25), ("cumtime", 60)):
         pstats.Stats(profiler).sort_stats(order).print_stats("splitknit|scipy|cv2|method", count)
 

@@ -16,7 +16,7 @@ from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
 from splitknit.imaging.view import pixel_axes_mm
 from splitknit.io import read_capture, read_npz
-from splitknit.io.results import upright_mesh
+from splitknit.io.results import _upright_mesh
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
 from splitknit.presets import settings_document
@@ -129,7 +129,7 @@ def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
 def test_mesh_and_heights_are_one_surface(results: dict[str, Reconstruction]) -> None:
     """Each vertex, taken back to the input by `input_from_upright`'s turn, is its pixel."""
     result = results["snk"]
-    vertices, _, _, _ = upright_mesh(result)
+    vertices, _, _, _ = _upright_mesh(result)
     assert len(vertices) == result.mask.sum()
     rows, columns = np.nonzero(result.mask)
     np.testing.assert_array_equal(vertices[:, 2], result.height_mm[rows, columns])

@@ -23,7 +23,7 @@ import time
 from collections import deque
 from pathlib import Path
 
-VERB = ("splitknit.cli.reconstruct", "splitknit.cli.simulate")
+VERB = ("splitknit.cli.reconstruct", "splitknit.apps.finger_verbs")
 EQUATIONS = ("splitknit.photometric.lambertian", "splitknit.photometric.lambertian")
 MESH = ("splitknit.io.ply",)
 

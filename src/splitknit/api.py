@@ -239,7 +239,7 @@ def calibrate_lights(out: AnyPath | None = None, **options: Any) -> dict[str, An
     Examples
     --------
     >>> import splitknit
-    >>> facts = splitknit.calibrate_lights(geometry=True)
+    >>> facts = splitknit.calibrate_lights(geometry=True, px_per_cm=378.5, image_size="1100,1600", led_height_cm=14.0)
     >>> len(facts["leds"])
     14
     """

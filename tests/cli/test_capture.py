@@ -15,7 +15,7 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.io import read_capture, write_rig
-from splitknit.rig import devices as capture_devices
+from splitknit.rig import devices
 from splitknit.simulator.faults import Faults, FaultyScene
 from splitknit.simulator.finger_scene import FingerScene
 from splitknit.simulator.rig import default_rig
@@ -73,7 +73,7 @@ def faults(monkeypatch: pytest.MonkeyPatch):
             def frame_begins(self, number):
                 self._faulty.frame_begins(number)
 
-        monkeypatch.setattr(capture_devices, "FingerScene", Spoilt)
+        monkeypatch.setattr(devices, "FingerScene", Spoilt)
 
     return spoil
 
@@ -145,9 +145,9 @@ def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
     assert (means > 2).all()
 
 
-@pytest.mark.parametrize("name", capture_devices.TARGETS)
+@pytest.mark.parametrize("name", devices.TARGETS)
 def test_every_target_is_there(name):
-    scene, words = capture_devices.target_scene(name, default_rig(0.05), 1)
+    scene, words = devices._target_scene(name, default_rig(0.05), 1)
     assert words
     assert scene.light([0]).mean() > scene.light([]).mean()
 

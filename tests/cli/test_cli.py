@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from handmade import capture_of, finger
-from splitknit.cli import reconstruct as commands
+from splitknit import pipeline
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io import write_capture
@@ -47,7 +48,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
             raise calls["raise"]
         return finger(preset=preset)[0]
 
-    monkeypatch.setattr(commands, "reconstruct", stand_in)
+    monkeypatch.setattr(pipeline, "reconstruct", stand_in)
     return calls
 
 
@@ -93,8 +94,8 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) 
     ("error", "code", "words"),
     [
         (BadInput("the mask is\nempty."), 2, r"capture: the mask is\nempty."),
-        (KeyError("height"), 1, "KeyError: 'height' (this is our failure; --traceback shows where)"),
-        (ValueError("no BadInput"), 1, "this is our failure"),
+        (KeyError("height"), 1, "KeyError: 'height' (internal error, please report it; --traceback shows where)"),
+        (ValueError("no BadInput"), 1, "internal error, please report it"),
         (MemoryError(), 1, "not enough memory"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
     ],
@@ -155,7 +156,8 @@ def test_help_is_code_0(arguments: list[str], capsys: Captured) -> None:
 
 
 def test_a_closed_pipe_is_no_error() -> None:
-    code = "import sys; from splitknit.apps import cli; cli._say = lambda t: (_ for _ in ()).throw(BrokenPipeError()); "
+    code = "import sys; from splitknit.cli import main as cli; "
+    code += "cli._say = lambda t: (_ for _ in ()).throw(BrokenPipeError()); "
     code += "o = cli.build_parser().parse_args(['demo']); o.run = lambda _: ({}, ['x']); sys.exit(cli._guarded(o))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (run.returncode, run.stderr) == (0, "")
@@ -198,7 +200,7 @@ def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None
     """As pybind11 does where the import of a compiled module is interrupted."""
     code = f"""
 import os, signal, sys
-from splitknit.apps import cli, finger_verbs
+from splitknit.cli import demo, main as cli
 
 def run(options):
     try:
@@ -206,7 +208,7 @@ def run(options):
     except KeyboardInterrupt as error:
         raise {error}("initialization failed") from error
 
-finger_verbs.run_demo = run
+demo._run = run
 sys.exit(cli.main())
 """
     run = subprocess.run([sys.executable, "-c", code, "demo"], capture_output=True, text=True, check=False)
@@ -224,7 +226,7 @@ def test_an_interrupt_at_exit_is_no_traceback() -> None:
 
 def test_the_program_begins_with_next_to_no_imports() -> None:
     """Until its main begins, an interrupt is Python's own and shows a traceback."""
-    code = "import sys; from splitknit.apps import cli; print(*sys.modules)"
+    code = "import sys; from splitknit.cli import main as cli; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(run.stdout.split()) & {"argparse", "contextlib", "json", "numpy", "typing"}
 
@@ -255,8 +257,8 @@ ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTH
 @pytest.mark.parametrize("ascii_only", ASCII)
 def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
     """Facts, errors and argparse's messages; the result may be written already."""
-    program = "import sys; from splitknit.apps import cli, finger_verbs; "
-    program += "finger_verbs.run_demo = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
+    program = "import sys; from splitknit.cli import demo, main as cli; "
+    program += "demo._run = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
     for arguments, code, wanted in ((["demo"], 0, "3 mm\\xb2"), (["demo", "--seed", "²"], 2, "must be a whole number")):
         run = subprocess.run(
             [sys.executable, "-c", program, *arguments],
@@ -297,8 +299,8 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     """SIGTERM in the middle of the work: code 130 and an empty folder."""
     code = (
         "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
-        "from splitknit.apps import cli, commands; "
-        "commands.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
+        "from splitknit.cli import main as cli; from splitknit.simulator import folder; "
+        "folder.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
         "sys.exit(cli.main())"
     )
     run = subprocess.run(
@@ -333,3 +335,14 @@ def test_simulate_then_reconstruct(tmp_path: Path, capsys: Captured) -> None:
     assert main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["comparison"]["metric"]["surface_rms_mm"] < 0.8  # a fifth of the scale; validation holds the accuracy
+
+
+def test_experiments_and_benchmarks_import_no_command_line() -> None:
+    """They call the library, or run the program."""
+    root = Path(__file__).resolve().parents[2]
+    scripts = [
+        script for folder in ("validation", "benchmarks", "examples") for script in (root / folder).rglob("*.py")
+    ]
+    assert len(scripts) > 50
+    imported = re.compile(r"^\s*(from|import) splitknit\.cli", re.MULTILINE)
+    assert [script.name for script in scripts if imported.search(script.read_text(encoding="utf-8"))] == []

@@ -20,8 +20,7 @@ from enrolled import facts_of, refusal_of, words_of
 from first_gallery import of_version_1
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.gallery import key_file as gallery_options
-from splitknit.gallery import manage as gallery_export
+from splitknit.gallery import key_file, manage
 from splitknit.gallery.entry import Entry
 from splitknit.gallery.gallery import NewCapture
 from splitknit.io import read_print_png
@@ -196,17 +195,17 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
 
 
 def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder: Path, monkeypatch) -> None:
-    from splitknit.gallery import enrol as enrolling_sources
+    from splitknit.gallery import enrol
     from splitknit.matching.surface import MatchingSettings
 
     def refuses(path, *rest):
         raise BadInput(f"{path}: no finger is seen.")
 
-    monkeypatch.setattr(enrolling_sources, "read_side", refuses)
-    made = enrolling_sources.made_or_failed(twin_folder, "ea", MatchingSettings())
+    monkeypatch.setattr(enrol, "read_side", refuses)
+    made = enrol.made_or_failed(twin_folder, "ea", MatchingSettings())
     assert made.template == b""
     assert made.failure == "no finger is seen."
-    assert made.source_sha256 == enrolling_sources.source_hash(twin_folder)
+    assert made.source_sha256 == enrol.source_hash(twin_folder)
 
 
 def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: Path) -> None:
@@ -235,24 +234,24 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 def test_a_key_comes_from_a_pipe_that_somebody_writes_into(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(gallery_options, "_WRITER_S", 0.3)
+    monkeypatch.setattr(key_file, "_WRITER_S", 0.3)
     pipe = tmp_path / "key"
     os.mkfifo(pipe)
     with pytest.raises(BadInput, match="a pipe that no program writes into"):
-        gallery_options.key_of(pipe)
+        key_file.key_of(pipe)
     key = tmp_path / "plain"
     key.write_text(PHRASE + "\n")
     slowly = 'sleep 0.1; exec >"$1"; sleep 0.5; printf %s "$2"; sleep 0.1; echo'
     with subprocess.Popen(["sh", "-c", slowly, "sh", pipe, PHRASE]) as writer:
-        assert gallery_options.key_of(pipe) == gallery_options.key_of(key)
+        assert key_file.key_of(pipe) == key_file.key_of(key)
     assert writer.returncode == 0
     ours, theirs = os.pipe()
     os.write(theirs, PHRASE.encode())
     os.close(theirs)
-    assert gallery_options.key_of(Path(f"/dev/fd/{ours}")) == gallery_options.key_of(key)  # --key-file <(...)
+    assert key_file.key_of(Path(f"/dev/fd/{ours}")) == key_file.key_of(key)  # --key-file <(...)
     os.close(ours)
     with pytest.raises(BadInput, match="is neither a file nor a pipe"):
-        gallery_options.key_of(Path("/dev/zero"))
+        key_file.key_of(Path("/dev/zero"))
 
 
 def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
@@ -307,7 +306,7 @@ def test_doubled_rows_are_refused_before_a_file_is_read(gallery: Path, tmp_path:
     facts_of(capsys, "gallery", "export", gallery, "--out", tmp_path / "out")
     table = tmp_path / "out/gallery.csv"
     table.write_bytes(table.read_bytes() + table.read_bytes().splitlines()[-1] + b"\n")
-    monkeypatch.setattr(gallery_export, "read_template", lambda *unused: pytest.fail("a template was read"))
+    monkeypatch.setattr(manage, "read_template", lambda *unused: pytest.fail("a template was read"))
     assert "remove one of them" in refusal_of(capsys, "gallery", "import", tmp_path / "new.skg", tmp_path / "out")
 
 

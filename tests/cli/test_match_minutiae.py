@@ -68,12 +68,12 @@ def test_prints_match_their_surfaces(results: Path, capsys) -> None:
 
 
 def test_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
-    from splitknit.matching.methods import minutiae_false_match_rate
+    from splitknit.matching.methods import _minutiae_false_match_rate
 
     same, other = (facts_of(capsys, results / "a", results / name) for name in ("again", "other"))
-    low, high = minutiae_false_match_rate(5.0), minutiae_false_match_rate(200.0)
+    low, high = _minutiae_false_match_rate(5.0), _minutiae_false_match_rate(200.0)
     assert low is not None and high is not None
-    assert same["fmr"] == minutiae_false_match_rate(same["similarity"])
+    assert same["fmr"] == _minutiae_false_match_rate(same["similarity"])
     assert high == same["fmr"] < 1e-3 < other["fmr"] <= 1
     assert high < low
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.batch.simulate import jobs_of, population_hash
+from splitknit.batch.simulate import _jobs_of, _population_hash
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.cli.main import main
 from splitknit.io import read_capture
@@ -74,7 +74,7 @@ def test_it_is_laid_out_as_an_enrolment(population: Path) -> None:
         assert str(truth["impression_finger"]) == place.finger
     document = json.loads((population / "population.json").read_text())
     assert document["settings"]["scale"] == 0.08
-    assert document["settings_sha256"] == population_hash(PopulationSettings(scale=0.08))
+    assert document["settings_sha256"] == _population_hash(PopulationSettings(scale=0.08))
 
 
 def test_the_table_lists_all_captures(population: Path) -> None:
@@ -163,8 +163,8 @@ def test_other_settings_are_refused(population: Path, capsys: Captured) -> None:
 
 def test_settings_change_the_hash_and_threads_do_not() -> None:
     settings = PopulationSettings()
-    assert population_hash(override(settings, {"render.workers": 7})) == population_hash(settings)
-    assert population_hash(override(settings, {"people.men": 0.4})) != population_hash(settings)
+    assert _population_hash(override(settings, {"render.workers": 7})) == _population_hash(settings)
+    assert _population_hash(override(settings, {"people.men": 0.4})) != _population_hash(settings)
 
 
 def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured) -> None:
@@ -202,7 +202,7 @@ def test_a_damaged_capture_is_named(population: Path, tmp_path: Path, capsys: Ca
 
 def test_a_finger_is_one_job(tmp_path: Path) -> None:
     enrolment = open_enrolment(tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring"))
-    jobs = jobs_of(enrolment.waiting())
+    jobs = _jobs_of(enrolment.waiting())
     assert [len(job.places) for job in jobs] == [3] * 4
     assert [(job.places[0].subject, job.places[0].finger) for job in jobs] == [
         ("S01", "left_ring"), ("S01", "right_ring"), ("S02", "left_ring"), ("S02", "right_ring"),

@@ -7,7 +7,7 @@ import pytest
 
 from handmade import finger
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import compare, high_pass, local_correlation
+from splitknit.evaluation.accuracy import _local_correlation, compare, high_pass
 
 
 def test_the_truth_agrees_with_itself() -> None:
@@ -106,4 +106,4 @@ def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
 def test_local_correlation_of_opposites() -> None:
     wave = np.sin(np.arange(200, dtype=np.float32) / 2)[None].repeat(60, axis=0)
     where = np.ones(wave.shape, bool)
-    assert local_correlation(wave, -2 * wave, where, 13).max() < -0.99
+    assert _local_correlation(wave, -2 * wave, where, 13).max() < -0.99

@@ -59,8 +59,8 @@ NO_READERS = {
     "capture.pi.open_lights": "opens a device",
     "capture.pi.open_camera": "opens a device",
     "capture.pi.open_pi": "opens devices",
-    "apps.capture_devices.read_settings": "sorts settings that are read already",
-    "apps.printing_rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
+    "rig.devices.read_settings": "sorts settings that are read already",
+    "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.networks.load_torch": "imports a package",
     "simulator.diffusion.load_walks": "reads a table of the package",
 }

@@ -28,10 +28,10 @@ from unittest import mock
 
 import cv2
 import numpy as np
-from tests.apps.handmade import finger
 from tests.batch.batch_stores import waves
 from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, three_minutiae
 from tests.fuzz.mutators import Files
+from tests.handmade import finger
 from tests.png_files import png_of
 
 from splitknit.batch import BatchSettings, Store, preset_cases
@@ -47,7 +47,7 @@ from splitknit.calibration.radiometry_folder import read_radiometry_plan
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import truth_of
+from splitknit.evaluation.accuracy import read_truth
 from splitknit.evaluation.gallery_scores import gallery_scores
 from splitknit.evaluation.study import read_exclusion_list, read_systems
 from splitknit.gallery.entry import Entry, decode_entry, encode_entry
@@ -299,7 +299,8 @@ def _capture(folder: Path, files: Files) -> None:
     for band in capture.bands.values():
         assert band.pixels.shape[1:3] == capture.rig.camera.image_size
         assert np.isfinite(band.exposure).all()
-    truth_of(capture)
+    if capture.truth is not None:
+        read_truth(capture)
 
 
 def _plain_images() -> list[Files]:

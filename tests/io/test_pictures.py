@@ -6,7 +6,7 @@ import pytest
 
 from handmade import finger
 from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import UprightSurface, oblique_view, top_view, upright_surface
+from splitknit.report.figures import UprightSurface, _top_view, oblique_view, upright_surface
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
@@ -73,7 +73,7 @@ def test_what_is_in_front_hides_what_is_behind() -> None:
 def test_views_show_the_finger_and_the_light() -> None:
     result, _ = finger()
     surface = upright_surface(result, upright_frame(result, 240), 2.0)
-    above = top_view(surface).astype(int)
+    above = _top_view(surface).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)
     assert above[0, 0].min() > 240
     left, right = above[middle, 40:90].mean(), above[middle, -90:-40].mean()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from handmade import capture_of, finger
 from splitknit.io.pictures import BLUE, ORANGE, upright_frame
 from splitknit.report import figures
-from splitknit.report.photos import Picture
+from splitknit.report.photos import Picture, mask_on_image
 
 
 def _decoded(picture: Picture) -> NDArray[np.uint8]:
@@ -37,7 +37,7 @@ def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
 def test_outline_and_crease_lie_on_the_input() -> None:
     result, _ = finger()
     crease = [[150.0, 330.0], [450.0, 400.0]]
-    shown = figures.mask_on_image(replace(result, facts={"crease_line": crease}), capture_of(result))
+    shown = mask_on_image(replace(result, facts={"crease_line": crease}), capture_of(result))
     image = _decoded(shown).astype(int)
     assert image.shape[:2] == result.mask.shape
     orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
@@ -47,7 +47,7 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
     assert blue.any()
     assert "was cut" in shown.caption
-    assert "No crease" in figures.mask_on_image(result, capture_of(result)).caption
+    assert "No crease" in mask_on_image(result, capture_of(result)).caption
 
 
 def test_scale_bar_is_as_long_as_it_says() -> None:
@@ -61,8 +61,8 @@ def test_scale_bar_is_as_long_as_it_says() -> None:
 def test_relief_limits_leave_out_steep_flanks() -> None:
     result, _ = finger()
     spoilt = np.where(result.normals[..., 2] < 0.5, np.float32(-0.5), result.ridge_mm)
-    assert figures.relief_limits_um(replace(result, ridge_mm=spoilt)) == figures.relief_limits_um(result)
-    low, high = figures.relief_limits_um(result)
+    assert figures._relief_limits_um(replace(result, ridge_mm=spoilt)) == figures._relief_limits_um(result)
+    low, high = figures._relief_limits_um(result)
     assert -45 <= low <= -30
     assert 30 <= high <= 45
 

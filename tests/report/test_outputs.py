@@ -12,8 +12,8 @@ import pytest
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.io import read_height_tiff, read_npz, read_ply, read_print_png
-from splitknit.io.results import upright_mesh
-from splitknit.report import result as outputs
+from splitknit.io.results import _upright_mesh
+from splitknit.report import result as result_files
 from splitknit.report.result import FILES, write_results
 
 Written = tuple[Path, dict[str, Any]]
@@ -69,7 +69,7 @@ def test_mesh_is_upright_and_not_resampled(written: Written) -> None:
 def test_mesh_normals_turn_with_the_mesh() -> None:
     """The normals agree with the triangles, outwards."""
     result, _ = finger()
-    vertices, normals, intensity, faces = upright_mesh(result)
+    vertices, normals, intensity, faces = _upright_mesh(result)
     corners = vertices[faces[::50]].astype(float)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     cross /= np.linalg.norm(cross, axis=1, keepdims=True)
@@ -121,7 +121,7 @@ def test_nothing_is_left_after_a_failure(tmp_path: Path, monkeypatch: pytest.Mon
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("disk on fire")
 
-    monkeypatch.setattr(outputs, "_write_albedo", fail)
+    monkeypatch.setattr(result_files, "write_albedo", fail)
     with pytest.raises(RuntimeError, match="disk on fire"):
         write_results(result, capture_of(result), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

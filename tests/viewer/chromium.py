@@ -14,7 +14,7 @@ import pytest
 BINARY = os.environ.get("SPLITKNIT_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = os.environ.get("SPLITKNIT_CHROMEDRIVER") or shutil.which("chromedriver")
 PATIENCE_S = 90.0
-PICTURES = Path(os.environ.get("SPLITKNIT_PICTURES", Path(__file__).resolve().parents[3] / "tests" / "out" / "viewer"))
+PICTURES = Path(os.environ.get("SPLITKNIT_PICTURES", Path(__file__).resolve().parents[2] / "tests" / "out" / "viewer"))
 
 
 def why_not() -> str:

@@ -25,7 +25,7 @@ from splitknit.errors import BadInput
 from splitknit.io import read_image, read_ply
 from splitknit.io.glb import read_glb
 from splitknit.rig.stl import read_stl
-from splitknit.viewer import server as handler
+from splitknit.viewer import server as server_module
 from splitknit.viewer import service
 from splitknit.viewer.guard import HEADERS
 from splitknit.viewer.surface import Surface, read_surface
@@ -380,7 +380,7 @@ def test_two_requests_on_a_connection_are_answered(shown: Path, asking: Serve) -
 
 
 def test_a_request_that_never_ends_is_given_up(shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(handler, "_HEAD_S", 0.3)
+    monkeypatch.setattr(server_module, "_HEAD_S", 0.3)
     server = asking(shown / "metric")
     assert sent(server, b"GET / HTTP/1.1\r\nHost:") == b""
     stop = threading.Event()
@@ -401,7 +401,7 @@ def test_a_request_that_never_ends_is_given_up(shown: Path, asking: Serve, monke
 
 
 def test_connections_are_limited(shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(handler, "_MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(server_module, "_MOST_CONNECTIONS", 3)
     server = asking(shown / "metric")
     before = threading.active_count()
     with contextlib.ExitStack() as stack:

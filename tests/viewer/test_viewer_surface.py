@@ -10,16 +10,16 @@ import pytest
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.io import read_npz, read_ply, write_npz
-from splitknit.io.results import upright_mesh
+from splitknit.io.results import _upright_mesh
 from splitknit.report.result import write_results
 from splitknit.viewer.surface import (
     TILE,
     Surface,
+    _root_stride,
     filled_tiles,
     first_view,
     read_members,
     read_surface,
-    root_stride,
     strides,
     tile_bytes,
 )
@@ -49,7 +49,7 @@ def test_rays_of_a_perspective_camera_are_kept(tmp_path: Path) -> None:
     write_results(result, capture_of(result), tmp_path / "result")
     surface = read_surface(tmp_path / "result")
     points = np.stack([surface.x_mm, surface.y_mm, surface.height_mm], axis=-1)[surface.mask]
-    np.testing.assert_allclose(points, upright_mesh(result)[0], atol=2e-6)
+    np.testing.assert_allclose(points, _upright_mesh(result)[0], atol=2e-6)
 
 
 def read_tile(data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -88,8 +88,8 @@ def test_coarse_points_are_fine_points(surface: Surface) -> None:
 def test_the_first_view_is_small_and_whole(surface: Surface) -> None:
     pieces = list(first_view(surface))
     points = sum(int(np.isfinite(read_tile(piece)[1][2]).sum()) for piece in pieces)
-    assert surface.count / root_stride(surface) ** 2 <= 70_000
-    assert 0.9 * surface.count < points * root_stride(surface) ** 2 < 1.4 * surface.count  # rims are there twice
+    assert surface.count / _root_stride(surface) ** 2 <= 70_000
+    assert 0.9 * surface.count < points * _root_stride(surface) ** 2 < 1.4 * surface.count  # rims are there twice
 
 
 @pytest.mark.parametrize("where", [(3, 0, 0), (1, 99, 0), (1, 0, 99)])

@@ -142,6 +142,6 @@ def test_the_browser_s_command_line_does_not_hold_the_token(monkeypatch: pytest.
 
 
 def test_vendored_files_are_those_of_the_package() -> None:
-    root = Path(__file__).resolve().parents[3]
+    root = Path(__file__).resolve().parents[2]
     done = subprocess.run([sys.executable, str(root / "tools" / "vendor_three.py"), "--check"], check=False)
     assert done.returncode == 0

@@ -52,7 +52,7 @@ def source_hash() -> str:
     files = [file for folder in folders for file in sorted((package / folder).rglob("*.py"))]
     digest = hashlib.sha256()
     own = [HERE / f"{name}.py" for name in ("xie", "xie_itself", "xie_photographs", "xie_skin", "xie_ways")]
-    for file in [*files, *own, package / "apps" / "compare.py"]:
+    for file in [*files, *own, package / "evaluation" / "accuracy.py"]:
         digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -2,10 +2,10 @@
 
     python validation/match/impostors.py --fingers 150
 
-writes the table that ``splitknit match`` reads (``src/splitknit/apps/match_fmr.json``). The fingers' surfaces are the
-true ones, one impression each, in poses drawn from the twin's ranges: impostor scores depend on the ridges' flow, not
-on how well they were reconstructed. Real prints (FVC2002 DB1_B) are added for comparison where the independent data is
-present.
+writes the table that ``splitknit match`` reads, ``src/splitknit/matching/match_fmr.json``. The fingers' surfaces are
+the true ones, one impression each, in poses drawn from the twin's ranges: impostor scores depend on the ridges' flow,
+not on how well they were reconstructed. Real prints (FVC2002 DB1_B) are added for comparison where the independent data
+is present.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from splitknit.io import read_print_png
 from splitknit.matching import Prepared, calibrate_scores, make_template, print_band, ridge_match
 from splitknit.matching.surface import MatchingSettings, surface_template
 
-TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr.json"
+TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "match_fmr.json"
 SCALE = 0.15
 
 

@@ -2,9 +2,9 @@
 
     python validation/match/impostors_minutiae.py --fingers 250
 
-writes the table that ``splitknit match --method minutiae`` reads (``src/splitknit/apps/match_fmr_minutiae.json``). The
-prints are those of the true surfaces, 500 ppi, one impression each, in poses drawn from the twin's ranges; each print's
-minutiae are found once and kept in ``--cache``, so that a stopped run goes on where it was.
+writes the table that ``splitknit match --method minutiae`` reads, ``src/splitknit/matching/match_fmr_minutiae.json``.
+The prints are those of the true surfaces, 500 ppi, one impression each, in poses drawn from the twin's ranges; each
+print's minutiae are found once and kept in ``--cache``, so that a stopped run goes on where it was.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.prints.ridges import surface_print
 
-TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "apps" / "match_fmr_minutiae.json"
+TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "match_fmr_minutiae.json"
 SCALE = 0.27
 """Of the camera: 20 pixels a millimetre, the print's own resolution."""
 

@@ -14,13 +14,14 @@ import argparse
 import itertools
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rolled_measure import measure
 
-from splitknit.cli.main import main as splitknit
 from splitknit.errors import BadInput
 from splitknit.matching import Template, make_template, ridge_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
@@ -49,7 +50,8 @@ def simulated(folder: Path, seed: int, number: int, scale: float = SCALE) -> Pat
             "left,right",
         ]
         arguments += ["--no-nir", "--impression", str(number), "--set", f"pose.roll_deg=[{roll},{roll}]"]
-        if splitknit([*arguments, "--json"]) != 0:
+        program = [sys.executable, "-m", "splitknit.cli.main"]
+        if subprocess.run([*program, *arguments, "--json"], check=False).returncode != 0:
             raise SystemExit(f"{out} could not be simulated.")
     return out
 

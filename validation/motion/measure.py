@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import CompareSettings, compare, high_pass
+from splitknit.evaluation.accuracy import BAND_SIGMA_MM, compare, high_pass
 from splitknit.finger.locate import find_finger
 from splitknit.finger.steady import find_steady_finger
 from splitknit.model import Capture, Reconstruction
@@ -88,9 +88,8 @@ def registration_cpu_s(capture: Capture) -> float:
 
 def shifted_correlation(result: Reconstruction, truth: Truth, reach_mm: float = 0.6) -> float:
     """Largest correlation of the ridge bands over shifts: what is lost beside the place of the finger."""
-    settings = CompareSettings()
     mask = result.mask & np.asarray(truth["mask"], dtype=np.bool_)
-    sigma, reach = settings.band_sigma_mm / result.pitch_mm, round(reach_mm / result.pitch_mm)
+    sigma, reach = BAND_SIGMA_MM / result.pitch_mm, round(reach_mm / result.pitch_mm)
     found = high_pass(np.where(mask, result.ridge_mm, 0).astype(np.float32), mask, sigma)
     inside = np.asarray(truth["mask"], dtype=np.bool_)
     relief = np.where(inside, truth["height_mm"] - truth["shape_mm"], 0).astype(np.float32)

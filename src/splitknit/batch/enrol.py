@@ -63,7 +63,7 @@ def enroll_population(
     """
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
     progress("looking", 0.0)
-    places = found_in(folder)
+    places = _found_in(folder)
     with contextlib.ExitStack() as stack:
         target = opened(gallery, key, settings.matching)
         created = target is None
@@ -104,7 +104,7 @@ def enroll_population(
     return facts
 
 
-def found_in(folder: Path) -> list[Found]:
+def _found_in(folder: Path) -> list[Found]:
     """Captures and results of an enrolment folder, by person, session and finger.
 
     Raises

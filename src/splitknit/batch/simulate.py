@@ -71,7 +71,7 @@ def simulate_population(
         "format_version": _VERSION,
         "draws": DRAWS,
         **provenance(settings),
-        "settings_sha256": population_hash(settings),
+        "settings_sha256": _population_hash(settings),
     }
     _check_settings(out, document)
     enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
@@ -105,13 +105,13 @@ def simulate_population(
     }
 
 
-def population_hash(settings: PopulationSettings) -> str:
+def _population_hash(settings: PopulationSettings) -> str:
     """SHA-256 of everything that the captures follow from; the number of threads is not."""
     render = replace(settings.render, workers=1)
     return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)})
 
 
-def simulate_job(job: Job, settings: PopulationSettings, folder: Path) -> int:
+def _simulate_job(job: Job, settings: PopulationSettings, folder: Path) -> int:
     """Simulate the captures of one finger into the enrolment `folder`; return how many."""
     place = job.places[0]
     person = settings.person(int(place.subject.removeprefix("S")))
@@ -126,7 +126,7 @@ def simulate_job(job: Job, settings: PopulationSettings, folder: Path) -> int:
     return len(job.places)
 
 
-def jobs_of(waiting: Sequence[Place]) -> list[Job]:
+def _jobs_of(waiting: Sequence[Place]) -> list[Job]:
     """The waiting captures by finger, subject by subject."""
     by_finger: dict[tuple[str, str], list[Place]] = {}
     for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
@@ -138,8 +138,8 @@ def _simulated(
     enrolment: Enrolment, settings: PopulationSettings, waiting: Sequence[Place], workers: int
 ) -> Iterator[tuple[int, str]]:
     """Do all jobs; yield how many captures are done, and which finger was the last."""
-    jobs = jobs_of(waiting)
-    work: Callable[[Job], int] = partial(simulate_job, settings=settings, folder=enrolment.folder)
+    jobs = _jobs_of(waiting)
+    work: Callable[[Job], int] = partial(_simulate_job, settings=settings, folder=enrolment.folder)
     done = 0
     for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):
         done += captures

@@ -71,7 +71,7 @@ class FoundCamera:
     warnings: tuple[str, ...]
 
 
-def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, share: None) -> dict[str, Any]:
+def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, fraction: None) -> dict[str, Any]:
     """Calibrate, write the rig file, return the facts.
 
     Raises
@@ -85,18 +85,18 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, share: N
     )
     check_rig_file(job.out)
     base = read_rig(job.rig) if job.rig is not None else None
-    found = find_camera(job, base, progress)
+    found = _find_camera(job, base, progress)
     progress("writing", 0.97)
     leds = base.leds if base is not None else default_rig().leds
     before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
     facts = facts_of(job, found, nominal_leds=base is None)
     mirrors = base.mirrors if base is not None else ()
-    provenance = {**before, "camera": rig_provenance(facts, found.hashes)}
+    provenance = {**before, "camera": _rig_provenance(facts, found.hashes)}
     write_rig(Rig(found.camera, leds, provenance, mirrors), job.out)
     return facts
 
 
-def find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCamera:
+def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCamera:
     """Everything but the file."""
     board = Board.named(job.board, job.square_mm)
     fit: CameraCalibration | None = None
@@ -105,9 +105,9 @@ def find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCa
     size: tuple[int, int] | None = base.camera.image_size if base is not None else None
     expected_by = str(job.rig)
     if job.folder is not None:
-        files = image_files(job.folder, job.pattern)
-        photos = board_photos(
-            job.folder, files, board, size, expected_by, lambda share: progress("finding corners", 0.85 * share)
+        files = _image_files(job.folder, job.pattern)
+        photos = _board_photos(
+            job.folder, files, board, size, expected_by, lambda fraction: progress("finding corners", 0.85 * fraction)
         )
         size, expected_by, hashes = photos.image_size, files[0].name, dict(photos.hashes)
         progress("fitting", 0.86)
@@ -120,10 +120,10 @@ def find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCa
     marks = {}
     for file in job.plane:
         marks[file.name], size, expected_by = _same(
-            plane_marks(file, board, size, expected_by), size, expected_by, file
+            _plane_marks(file, board, size, expected_by), size, expected_by, file
         )
     if job.disc is not None:
-        found = disc_marks(job.disc, job.dot_mm, size, expected_by)
+        found = _disc_marks(job.disc, job.dot_mm, size, expected_by)
         marks[job.disc.name], size, expected_by = _same(found, size, expected_by, job.disc)
     for file in (*job.plane, *([job.disc] if job.disc is not None else [])):
         hashes[file.name] = file_hash(file)
@@ -219,7 +219,7 @@ class BoardPhotos:
     hashes: Mapping[str, str]
 
 
-def image_files(folder: Path, pattern: str | None = None) -> list[Path]:
+def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
     """Images in `folder`, in the order that people count, only those whose name fits the glob `pattern` if given.
 
     A pattern such as ``board_*/white_0.png`` takes images of capture folders inside `folder`.
@@ -258,7 +258,7 @@ def read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tu
     return pixels, hashlib.sha256(data).hexdigest()
 
 
-def board_photos(  # noqa: PLR0917
+def _board_photos(  # noqa: PLR0917
     folder: Path,
     files: Sequence[Path],
     board: Board,
@@ -302,7 +302,7 @@ def board_photos(  # noqa: PLR0917
     return BoardPhotos(size, corners, tuple(_label(file, folder) for file in without), hashes)
 
 
-def plane_marks(
+def _plane_marks(
     file: Path, board: Board, size: tuple[int, int] | None, expected_by: str
 ) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the board's corners in mm and in the image, and the image's size."""
@@ -317,7 +317,7 @@ def plane_marks(
     return board.points_mm, corners, (pixels.shape[0], pixels.shape[1])
 
 
-def disc_marks(
+def _disc_marks(
     file: Path, spacing_mm: float, size: tuple[int, int] | None, expected_by: str
 ) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the disc's dots in mm and in the image, and the image's size."""
@@ -386,7 +386,7 @@ def facts_of(job: CameraJob, found: FoundCamera, nominal_leds: bool) -> dict[str
     }
 
 
-def rig_provenance(facts: Mapping[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
+def _rig_provenance(facts: Mapping[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
     """Return what the rig file says about its camera's origin."""
     kept = ("calibrated_at", "measured", "nominal", "warnings")
     residuals = {"fit": facts["fit"], "plane": facts["plane"]}

@@ -336,7 +336,7 @@ def _of_sphere(job: LightsJob) -> dict[str, Any]:
 
 
 def _photographs(folder: Path) -> list[_Photograph]:
-    """Images by name: ``white_3.png`` tells the LED; others count as white in the order of the numbers in them."""
+    """Images by name: ``white_3.png`` names the LED; others count as white in the order of the numbers in them."""
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the ball.")
     files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     files = [path for path in files if "mask" not in path.stem.lower() and not path.stem.lower().startswith("ambient")]

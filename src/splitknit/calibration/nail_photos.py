@@ -48,7 +48,7 @@ def tips_of_photos(
     """
     check_picture(show, folder)
     check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
-    files = nail_files(folder)
+    files = _nail_files(folder)
     tips: list[Tip] = []
     tiles: list[tuple[str, FloatArray, NailView, int]] = []
     hashes: dict[str, str] = {}
@@ -67,7 +67,7 @@ def tips_of_photos(
                 lost.append(f"{band} {led} at nail {nail}")
     tips.sort(key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail))
     if show is not None:
-        write_image(show, nail_overview(tiles, camera.image_size))
+        write_image(show, _nail_overview(tiles, camera.image_size))
     if table is not None:
         with atomic_file(table) as stream:
             stream.write(write_tips(tips).encode("ascii"))
@@ -76,7 +76,7 @@ def tips_of_photos(
     return tips, hashes, lost
 
 
-def nail_files(folder: Path) -> Files:
+def _nail_files(folder: Path) -> Files:
     """Return the images of a folder: subfolders, one for each nail position, of white_0.png ... nir_6.png.
 
     A folder without subfolders is one position. ``nails.json`` may list the files instead:
@@ -183,7 +183,7 @@ def _small(image: FloatArray, longest: int = 480) -> FloatArray:
 Points = NDArray[np.float64]
 
 
-def nail_overview(
+def _nail_overview(
     tiles: Sequence[tuple[str, FloatArray, NailView, int]], image_size: tuple[int, int], width: int = 400
 ) -> ColourArray:
     """All photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray towards the LED (line).
@@ -195,7 +195,8 @@ def nail_overview(
     width : of each tile in pixels
     """
     drawn = [
-        nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width) for name, image, view, led in tiles
+        _nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width)
+        for name, image, view, led in tiles
     ]
     blank = np.full_like(drawn[0], 255)
     drawn += [blank] * (-len(drawn) % 7)
@@ -203,7 +204,7 @@ def nail_overview(
     return np.ascontiguousarray(np.concatenate(rows, axis=0))
 
 
-def nail_tile(
+def _nail_tile(
     name: str, image: FloatArray, found: tuple[Points, Points], image_size: tuple[int, int], width: int
 ) -> ColourArray:
     """One photograph with what was found drawn into it: `found` is the nail and the tip."""

@@ -51,7 +51,7 @@ def calibrate_to_file(
     folder : capture folder of the card, see :mod:`splitknit.calibration.radiometry_folder`
     out : rig file to write
     rig_file : rig to calibrate; the folder's own by default
-    card : height in mm and tilt in deg of the card; None for the tilt of the base that the rig file tells
+    card : height in mm and tilt in deg of the card; None for the tilt of the base in the rig file
     limit_percent : largest rms of an LED's residuals
     residuals : picture to write
 
@@ -73,25 +73,25 @@ def calibrate_to_file(
     height_mm, tilt_deg = card
     tilt_deg = base_tilt_deg(rig) if tilt_deg is None else tilt_deg
     progress("camera", 0.3)
-    camera = measure_camera(plan, capture)
-    black = black_level_of(camera, capture)
+    camera = _measure_camera(plan, capture)
+    black = _black_level_of(camera, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(limit_percent=limit_percent)
     progress("flat field", 0.6)
     try:
         found = calibrate_radiometry(capture, rig, CardPlane(height_mm, tilt_deg), black, settings)
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
-    warnings = [*found.warnings, *black_level_warning(black, capture)]
+    warnings = [*found.warnings, *_black_level_warning(black, capture)]
     facts = {
         **found.facts,
-        "camera": camera_json(camera),
+        "camera": _camera_json(camera),
         "warnings": warnings,
         **provenance({"radiometry": settings}, {**capture.hashes, **camera.hashes}),
     }
     progress("writing", 0.9)
     written = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
     if residuals is not None:
-        write_image(residuals, residual_picture(found))
+        write_image(residuals, _residual_picture(found))
     write_rig(written, out)
     progress("done", 1.0)
     files = [str(out)] + ([str(residuals)] if residuals is not None else [])
@@ -131,11 +131,11 @@ def check_folder(
     rig = read_rig(rig_file)
     plan = read_radiometry_plan(folder)
     capture = read_capture(folder)
-    camera = measure_camera(plan, capture)
+    camera = _measure_camera(plan, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(drift_percent=limit_percent)
     progress("comparing", 0.7)
     try:
-        check = check_card(capture, rig, black_level_of(camera, capture), settings)
+        check = check_card(capture, rig, _black_level_of(camera, capture), settings)
     except BadInput as error:
         raise BadInput(f"{rig_file} and {folder}: {error}") from error
     facts = {**check_facts(check, rig), "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
@@ -143,7 +143,7 @@ def check_folder(
     return facts
 
 
-def residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourArray:
+def _residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourArray:
     """Residuals of every LED side by side, a band a row: blue 2 % darker than the model, orange 2 % brighter.
 
     Cells that were left out as dust are black.
@@ -186,14 +186,14 @@ class CameraFacts:
     hashes: dict[str, str]
 
 
-def measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> CameraFacts:
+def _measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> CameraFacts:
     """Measure dark frames and exposures, and compare the response with what the capture says of its images.
 
     Raises
     ------
     BadInput
-        Naming the file, if an image is missing or unlike the card's, light fell on a dark frame, or the response is
-        not the one that the capture names.
+        Naming the file, if an image is missing or of another kind than the card's, light fell on a dark frame, or the
+        response is not the one that the capture names.
     """
     hashes: dict[str, str] = {}
     dark = None
@@ -280,7 +280,7 @@ def _noise_models(
     return found
 
 
-def camera_json(camera: CameraFacts) -> dict[str, Any]:
+def _camera_json(camera: CameraFacts) -> dict[str, Any]:
     """Return what was measured as plain JSON, parts of full scale in per cent."""
     dark, response = camera.dark, camera.response
     return {
@@ -317,14 +317,14 @@ def camera_json(camera: CameraFacts) -> dict[str, Any]:
     }
 
 
-def black_level_of(camera: CameraFacts, capture: Capture) -> float | None:
+def _black_level_of(camera: CameraFacts, capture: Capture) -> float | None:
     """Stored value of no light by the dark frames, or None without them."""
     if camera.dark is None:
         return None
     return float(np.mean(camera.dark.black_level)) * float(np.iinfo(capture.bands["white"].pixels.dtype).max)
 
 
-def black_level_warning(black_level: float | None, capture: Capture) -> list[str]:
+def _black_level_warning(black_level: float | None, capture: Capture) -> list[str]:
     """Say that the capture's black level is not the dark frames'."""
     if black_level is None:
         return []

@@ -24,7 +24,7 @@ from splitknit.model import Progress, Rig, no_progress
 
 MARKER = "session.json"
 Ask = Callable[[Place, str | None], str]
-"""Asks for a finger, told why it is asked for again; answers ``go``, ``skip`` or ``stop``."""
+"""Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +94,7 @@ def capture_to_folder(
             devices.rig,
             options.settings,
             watch_focus=options.watch_focus,
-            progress=lambda stage, share: progress(stage, 0.8 * share),
+            progress=lambda stage, fraction: progress(stage, 0.8 * fraction),
         )
         verdict = "; ".join(session.verdict)
         facts = {**_facts(devices, session, options), "subject": dict(subject)}
@@ -174,8 +174,8 @@ def capture_enrolment(
     notes: list[str] = []
     for k, place in enumerate(places):
 
-        def report(stage: str, share: float, k: int = k, place: Place = place) -> None:
-            progress(f"{place.subject} {place.finger}", (k + share) / len(places))
+        def report(stage: str, fraction: float, k: int = k, place: Place = place) -> None:
+            progress(f"{place.subject} {place.finger}", (k + fraction) / len(places))
 
         answer, facts = _one_finger(enrolment, place, open_devices, options, ask=ask, progress=report)
         if answer == "stop":

@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, natural, new_verb, share
+from splitknit.cli.verb import Outcome, Progress, fraction, natural, new_verb
 from splitknit.errors import BadInput, require
 
 
 def add_batch(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "batch", "reconstruct and compare a whole population, or what of it is missing", run_verb)
+    verb = new_verb(verbs, "batch", "reconstruct and compare a whole population, or what of it is missing", _run)
     verb.add_argument(
         "population", type=Path, metavar="POPULATION", help="folder of 'splitknit simulate population' or an enrolment"
     )
@@ -32,7 +32,11 @@ def add_batch(verbs: Any) -> None:
         help="ridge (default), thesis, minutiae, voted, minutiae3d, surface-code, tetrahedra, with commas; or none",
     )
     verb.add_argument(
-        "--impostors", type=share, default=1.0, metavar="SHARE", help="of the comparisons of two fingers (default: 1)"
+        "--impostors",
+        type=fraction,
+        default=1.0,
+        metavar="FRACTION",
+        help="of the comparisons of two fingers (default: 1)",
     )
     verb.add_argument("--seed", type=natural, default=0, metavar="N", help="which of them (default: 0)")
     verb.add_argument(
@@ -57,7 +61,7 @@ def add_batch(verbs: Any) -> None:
     )
 
 
-def run_verb(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Run the batch."""
     from splitknit.batch import BatchSettings, preset_cases, run_batch  # noqa: PLC0415 - verbs import what they need
 

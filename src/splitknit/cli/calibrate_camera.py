@@ -13,7 +13,7 @@ from splitknit.cli.verb import Outcome, Progress, new_verb
 
 def add_camera(kinds: Any) -> None:
     """Add the verb."""
-    verb = new_verb(kinds, "camera", "measure the camera from photographs of a checkerboard (Zhang)", run)
+    verb = new_verb(kinds, "camera", "measure the camera from photographs of a checkerboard (Zhang)", _run)
     verb.add_argument(
         "folder", type=Path, nargs="?", metavar="FOLDER", help="photographs of one board, tilted differently in each"
     )
@@ -51,7 +51,7 @@ def add_camera(kinds: Any) -> None:
     _number(lens, "--finger-depth-mm", 8.0, "depth of the finger that should be sharp")
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Calibrate."""
     from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # noqa: PLC0415 - only this verb pays
 
@@ -154,5 +154,5 @@ def _sharpness_lines(field: Mapping[str, Any]) -> list[str]:
         first,
         f"  A finger {field['finger_depth_mm']:g} mm deep does not fit: focused in its middle, its ends are blurred "
         f"over {field['blur_px']:.1f} px. It would fit at f/{field['needed_f_number']:.0f}, where diffraction alone "
-        f"blurs over {field['diffraction_px']:.0f} px; both are alike at f/{field['best_f_number']:.1f}.",
+        f"blurs over {field['diffraction_px']:.0f} px; both are equal at f/{field['best_f_number']:.1f}.",
     ]

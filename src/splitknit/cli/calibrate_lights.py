@@ -12,7 +12,7 @@ from splitknit.cli.verb import Outcome, Progress, add_settings, new_verb
 
 def add_lights(kinds: Any) -> None:
     """Add the verb."""
-    verb = new_verb(kinds, "lights", "where the LEDs are: from a nail's shadows, a ball, or the rig's drawing", run)
+    verb = new_verb(kinds, "lights", "where the LEDs are: from a nail's shadows, a ball, or the rig's drawing", _run)
     way = verb.add_argument_group("from what (one of them)")
     way.add_argument("--table", type=Path, metavar="CSV", help="nail and shadow tips, typed")
     way.add_argument(
@@ -59,7 +59,7 @@ def add_lights(kinds: Any) -> None:
     add_settings(verb)
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Calibrate, write the rig, say what was found."""
     from splitknit.calibration.lights_found import LightSettings  # noqa: PLC0415 - only this verb pays
     from splitknit.calibration.lights_job import LightsJob, lights_to_rig  # noqa: PLC0415
@@ -113,7 +113,7 @@ def _led_lines(facts: dict[str, Any]) -> list[str]:
             f"{apart} deg: {one['verdict']}{kept}"
         )
     if facts["nail_height_mm"] is not None:
-        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, as its shadows tell.")
+        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, from its shadows.")
     return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
 
 

@@ -16,7 +16,7 @@ def add_radiometry(kinds: Any) -> None:
         kinds,
         "radiometry",
         "lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response and noise",
-        run_radiometry,
+        _run,
     )
     verb.add_argument("folder", type=Path, metavar="FOLDER", help="capture folder of a white card under every LED")
     verb.add_argument(
@@ -53,7 +53,7 @@ def add_radiometry(kinds: Any) -> None:
     )
 
 
-def run_radiometry(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Calibrate, or check."""
     from splitknit.calibration.radiometry_folder import (  # noqa: PLC0415 - only this verb pays for it
         calibrate_to_file,
@@ -107,9 +107,9 @@ def _lines(facts: dict[str, Any], base_tilt: bool) -> list[str]:
         f"Model: {facts['model']['chosen']} (residuals from the simplest to the richest model: {tried}).",
         f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's brightness.",
     ]
-    for band, share in facts["ambient_percent"].items():
-        if share is not None:
-            lines.append(f"Light from elsewhere: {share:.2f} % of the {band} LEDs'.")
+    for band, fraction in facts["ambient_percent"].items():
+        if fraction is not None:
+            lines.append(f"Light from elsewhere: {fraction:.2f} % of the {band} LEDs'.")
     lines += _camera_lines(facts["camera"])
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]
     if base_tilt and any(facts["card"]["tilt_deg"]):

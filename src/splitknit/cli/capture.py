@@ -22,7 +22,7 @@ _BAR = 30
 
 def add_capture(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "capture", "photograph a finger under all LEDs: with the rig, or with its twin", run_capture)
+    verb = new_verb(verbs, "capture", "photograph a finger under all LEDs: with the rig, or with its twin", _run)
     verb.add_argument(
         "--device", choices=("pi", "twin"), required=True, help="pi: the Raspberry Pi's rig; twin: simulated"
     )
@@ -56,7 +56,7 @@ def add_capture(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_capture(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Capture one finger, or those that an enrolment waits for."""
     from splitknit.capture.folder import CaptureOptions  # noqa: PLC0415 - so that --help is quick
     from splitknit.cli.options import read_changes  # noqa: PLC0415
@@ -205,8 +205,8 @@ class _FocusBar:
     """Shows focus live on the terminal; Enter ends it."""
 
     def __call__(self, focus: Focus, watch: FocusWatch) -> bool:
-        share = min(focus.sharpness / watch.best, 1.0) if watch.best > 0 else 0.0
-        full = round(_BAR * share)
+        fraction = min(focus.sharpness / watch.best, 1.0) if watch.best > 0 else 0.0
+        full = round(_BAR * fraction)
         bar = "#" * full + "." * (_BAR - full)
         text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
         sys.stderr.write(f"\r{text}")
@@ -217,6 +217,3 @@ class _FocusBar:
         if done or watch.ended:
             sys.stderr.write(f"\r{' ' * len(text)}\r")
         return done
-
-
-__all__ = ["add_capture", "run_capture"]

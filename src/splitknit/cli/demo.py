@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, Progress, natural, new_verb, scale
 
 def add_demo(verbs: Any) -> None:
     """Add ``splitknit demo``."""
-    verb = new_verb(verbs, "demo", "simulate a finger, reconstruct it, compare it with the truth", run_demo)
+    verb = new_verb(verbs, "demo", "simulate a finger, reconstruct it, compare it with the truth", _run)
     verb.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write (default: demo)")
     verb.add_argument("--seed", type=natural, default=1, help="which finger (default: 1)")
     verb.add_argument(
@@ -19,7 +19,7 @@ def add_demo(verbs: Any) -> None:
     )
 
 
-def run_demo(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Simulate, reconstruct, compare."""
     from splitknit.report.demo import demo  # noqa: PLC0415 - verbs import what they need, so that --help is quick
 

@@ -13,7 +13,7 @@ from splitknit.errors import require
 
 def add_enroll(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "enroll", "put fingers into a gallery, which is made where there is none", run_enroll)
+    verb = new_verb(verbs, "enroll", "put fingers into a gallery, which is made where there is none", _run)
     add_gallery(verb)
     what = "capture folder, result folder, template (.skt) or 500-ppi print; several are sessions of one finger"
     verb.add_argument("sources", type=Path, metavar="SOURCE", nargs="*", help=what)
@@ -42,7 +42,7 @@ def add_enroll(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_enroll(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Enrol."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.gallery.enrol import Enrolling, enroll_files  # noqa: PLC0415 - verbs import what they need

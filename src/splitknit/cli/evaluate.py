@@ -13,7 +13,7 @@ from splitknit.errors import require
 
 def add_evaluate(verbs: Any) -> None:
     """Add ``splitknit evaluate``."""
-    verb = new_verb(verbs, "evaluate", "error rates of anybody's scores, with confidence intervals", run)
+    verb = new_verb(verbs, "evaluate", "error rates of anybody's scores, with confidence intervals", _run)
     source = verb.add_mutually_exclusive_group(required=True)
     source.add_argument(
         "--scores",
@@ -33,7 +33,7 @@ def add_evaluate(verbs: Any) -> None:
     )
     add_key(verb)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the report into")
-    verb.add_argument("--dissimilarity", action="store_true", help="the scores are distances: lower is more alike")
+    verb.add_argument("--dissimilarity", action="store_true", help="the scores are distances: lower is more similar")
     verb.add_argument(
         "--cluster",
         choices=("auto", "plain", "finger", "subject"),
@@ -63,7 +63,7 @@ def add_evaluate(verbs: Any) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Evaluate, write, and say what came out."""
     from splitknit.evaluation.intervals import BootstrapSettings  # noqa: PLC0415
     from splitknit.evaluation.study import EvaluationSettings  # noqa: PLC0415

@@ -15,9 +15,9 @@ from splitknit.gallery.key_file import NEW_KEY_VARIABLE, key_notes, key_of
 def add_gallery_verbs(verbs: Any) -> None:
     """Add ``splitknit gallery`` and what follows it."""
     kinds = group(verbs, "gallery", "look into a gallery, remove from it, export, import, check and encrypt it")
-    listed = _kind(kinds, "list", "tell whose fingers are in it", _list)
+    listed = _kind(kinds, "list", "list whose fingers are in it", _list)
     listed.add_argument("--person", default=None, metavar="NAME", help="of this person only")
-    _kind(kinds, "info", "tell numbers and sizes; needs no key", _info)
+    _kind(kinds, "info", "show numbers and sizes; needs no key", _info)
     removed = _kind(kinds, "remove", "remove a person or a finger, so that nothing of it remains in the file", _remove)
     removed.add_argument("--person", default=None, metavar="NAME", help="whose fingers")
     removed.add_argument("--finger", default=None, metavar="FINGER", help="this one only")

@@ -12,11 +12,11 @@ from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, natu
 
 def add_identify(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "identify", "find a finger in a gallery, or check whose it is said to be", run_identify)
+    verb = new_verb(verbs, "identify", "find a finger in a gallery, or check whose it is said to be", _run)
     add_gallery(verb)
     what = "capture folder, result folder, template (.skt) or 500-ppi print"
     verb.add_argument("probe", type=Path, metavar="PROBE", help=what)
-    verb.add_argument("--top", type=natural, default=10, metavar="N", help="candidates that are told (default: 10)")
+    verb.add_argument("--top", type=natural, default=10, metavar="N", help="candidates that are reported (default: 10)")
     verb.add_argument("--person", default=None, metavar="NAME", help="verification: whose finger it is said to be")
     verb.add_argument("--finger", default=None, metavar="FINGER", help="which finger it is; others are left out")
     verb.add_argument(
@@ -42,7 +42,7 @@ def add_identify(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_identify(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Identify."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415
@@ -86,8 +86,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
         first, decision = facts["candidates"][0], facts["decision"]
         others = count(searched["captures"], "capture")
         lines.append(
-            f"Fmr is the share of other fingers that are as alike. Among {others} of others, "
-            f"{first['expected_false_matches']:.2g} are to be expected as alike as the first candidate, and "
+            f"Fmr is the fraction of other fingers that are as similar. Among {others} of others, "
+            f"{first['expected_false_matches']:.2g} are to be expected as similar as the first candidate, and "
             f"{decision['expected_false_matches']:.2g} beyond the threshold."
         )
     if searched["without_code"]:

@@ -1,6 +1,6 @@
 """The command line: ``splitknit VERB``.
 
-Exit code 0: done; 2: the input cannot be used (one sentence on stderr says why and what to do); 1: our failure;
+Exit code 0: done; 2: the input cannot be used (one sentence on stderr says why and what to do); 1: an internal error;
 130: interrupted. Results go to files, facts to stdout, everything else to stderr.
 
 The module imports next to nothing and the rest within :func:`main`, which can then end an interrupt at any time.
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Any, NoReturn
 
-DONE, OUR_FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, INTERNAL_ERROR, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 _INTERRUPTED = "splitknit: interrupted; nothing was left half-written."
 _interrupts: list[int] = []
 
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _on_interrupt(handler: Any) -> None:
-    """Let Ctrl-C and SIGTERM call `handler`, except where our parent ignores them."""
+    """Let Ctrl-C and SIGTERM call `handler`, except where the parent process ignores them."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -94,7 +94,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="splitknit",
         description="Metric 3D fingerprints from photographs of a finger under one light after another.",
-        epilog="Exit code: 0 done, 2 the input cannot be used, 1 our failure. 'splitknit VERB --help' tells more.",
+        epilog="Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'.",
     )
     parser.add_argument("--version", action="version", version=f"splitknit {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
@@ -168,10 +168,11 @@ def _guarded(options: argparse.Namespace) -> int:
         return DONE
     except MemoryError:
         message = "splitknit: error: not enough memory for this capture; use smaller images or more memory."
-        return _fail(options, message, OUR_FAILURE)
+        return _fail(options, message, INTERNAL_ERROR)
     except Exception as error:
-        message = f"splitknit: {type(error).__name__}: {one_line(error)} (this is our failure; --traceback shows where)"
-        return _fail(options, message, OUR_FAILURE)
+        advice = "internal error, please report it; --traceback shows where"
+        message = f"splitknit: {type(error).__name__}: {one_line(error)} ({advice})"
+        return _fail(options, message, INTERNAL_ERROR)
     return DONE
 
 

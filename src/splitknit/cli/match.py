@@ -1,4 +1,4 @@
-"""``splitknit match A B``: how alike two fingers are."""
+"""``splitknit match A B``: how similar two fingers are."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _IN_SPACE = ("minutiae3d", "tetrahedra")
 
 def add_match(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "match", "say how alike two fingers are", run_match)
+    verb = new_verb(verbs, "match", "say how similar two fingers are", _run)
     what = "capture folder, result folder, template (.skt) or 500-ppi print"
     verb.add_argument("a", type=Path, metavar="A", help=what)
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
@@ -22,7 +22,7 @@ def add_match(verbs: Any) -> None:
         "--method",
         choices=("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
         default="ridge",
-        help="ridge (ours, the default), thesis (local binary patterns; needs captures or results), minutiae (of the "
+        help="ridge (the default), thesis (local binary patterns; needs captures or results), minutiae (of the "
         "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux), voted (minutiae on which "
         "sets of images that leave one out agree; needs captures), or of surfaces (captures or results): minutiae3d "
         "(Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
@@ -32,7 +32,7 @@ def add_match(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_match(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Compare."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.matching.methods import match_files  # noqa: PLC0415 - verbs import what they need
@@ -57,7 +57,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
         shown = f"{facts['similarity']:.{0 if facts['method'] in _MINUTIAE else 4}f}"
         lines.append(f"similarity {shown} ({_meaning(facts)})")
         if facts["fmr"] is not None:
-            lines.append(f"fmr at most {facts['fmr']:.2g} (share of other fingers, simulated ones, that are as alike)")
+            lines.append(f"fmr at most {facts['fmr']:.2g} (fraction of other, simulated fingers that are as similar)")
         if facts["method"] == "thesis":
             lines.append(
                 f"overlap {facts['overlap']:.3f} of both outlines (intersection over union), "
@@ -101,11 +101,11 @@ def _meaning(facts: dict[str, Any]) -> str:
         return f"not compared: {why}"
     return {
         "ridge": "1 = the same picture",
-        "thesis": "1 = equal, 0 = as unlike as can be",
+        "thesis": "1 = equal, 0 = as dissimilar as possible",
         "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
-        "minutiae3d": "share of minutiae that agree, squared",
-        "tetrahedra": "share of minutiae that agree, squared",
-        "surface-code": "share of equal bits; other fingers have about two thirds",
+        "minutiae3d": "fraction of minutiae that agree, squared",
+        "tetrahedra": "fraction of minutiae that agree, squared",
+        "surface-code": "fraction of equal bits; other fingers have about two thirds",
         "voted": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
     }[facts["method"]]
 

@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, new_
 
 def add_print(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "print", "turn a finger in space into a flat print of 500 pixels per inch", run_print)
+    verb = new_verb(verbs, "print", "turn a finger in space into a flat print of 500 pixels per inch", _run)
     verb.add_argument(
         "finger", type=Path, metavar="FINGER", help="result folder, or capture folder (reconstructed first)"
     )
@@ -36,7 +36,7 @@ def add_print(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_print(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Print."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
     from splitknit.prints.folder import print_to_folder  # noqa: PLC0415

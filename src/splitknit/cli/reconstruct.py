@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 def add_reconstruct(verbs: Any) -> None:
     """Add ``splitknit reconstruct``."""
-    verb = new_verb(verbs, "reconstruct", "turn a capture folder into a 3D fingerprint in millimetres", run_reconstruct)
+    verb = new_verb(verbs, "reconstruct", "turn a capture folder into a 3D fingerprint in millimetres", _run)
     verb.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder (with capture.json)")
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
         "--preset",
         choices=PRESETS,
         default="metric",
-        help="metric (ours, the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), or "
+        help="metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), or "
         "another published case: kumar, zheng, lin, xie",
     )
     verb.add_argument(
@@ -41,7 +41,7 @@ def add_reconstruct(verbs: Any) -> None:
     add_settings(verb)
 
 
-def run_reconstruct(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Write a reconstruction."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
 
@@ -49,7 +49,7 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
     if options.shape is not None:
         changes = {**changes, "shape.source": options.shape}
     with Progress(options) as progress:
-        facts = reconstruct_to_folder(
+        facts = _reconstruct_to_folder(
             options.capture,
             options.out,
             preset=options.preset,
@@ -71,7 +71,7 @@ def run_reconstruct(options: argparse.Namespace) -> Outcome:
     return facts, lines
 
 
-def reconstruct_to_folder(
+def _reconstruct_to_folder(
     capture_folder: Path,
     out: Path,
     *,
@@ -84,7 +84,6 @@ def reconstruct_to_folder(
 
     `rig` names a rig file that replaces the capture's own, such as a later calibration.
     """
-    from splitknit.evaluation.accuracy import truth_of  # noqa: PLC0415
     from splitknit.io import atomic_folder, read_capture, with_rig  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415
     from splitknit.pipeline import preset_settings, reconstruct  # noqa: PLC0415
@@ -101,11 +100,13 @@ def reconstruct_to_folder(
             capture = with_rig(capture, rig)
         read_s = time.perf_counter() - started
         try:
-            result = reconstruct(capture, preset, changes, lambda stage, share: progress(stage, 0.15 + 0.65 * share))
+            result = reconstruct(
+                capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
+            )
             result = replace(result, timings_s={"reading": read_s, **result.timings_s})
             progress("writing", 0.8)
             capture = _shown_of(capture)
-            facts = write_files(result, capture, target, truth_of(capture))
+            facts = write_files(result, capture, target, _truth_of(capture))
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{capture_folder}: {error}") from error
     progress("done", 1.0)
@@ -116,6 +117,14 @@ def reconstruct_to_folder(
         "area_mm2": facts["result"]["area_mm2"],
         "total_s": time.perf_counter() - started,
     }
+
+
+def _truth_of(capture: Capture) -> dict[str, Any] | None:
+    if capture.truth is None:
+        return None
+    from splitknit.evaluation.accuracy import read_truth  # noqa: PLC0415 - only what was simulated has one
+
+    return read_truth(capture)
 
 
 def _shown_of(capture: Capture) -> Capture:

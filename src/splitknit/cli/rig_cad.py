@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, Progress, add_settings, new_verb
 
 def add_cad(kinds: Any) -> None:
     """Add ``splitknit rig cad``."""
-    verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", run)
+    verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _run)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
         "--rig", type=Path, default=None, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)"
@@ -21,7 +21,7 @@ def add_cad(kinds: Any) -> None:
     add_settings(verb)
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Draw, check and write the parts."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
     from splitknit.rig.cad import cad_to_folder  # noqa: PLC0415

@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, add_settings, new_verb
 
 def add_circuit(kinds: Any) -> None:
     """Add ``splitknit rig circuit``."""
-    verb = new_verb(kinds, "circuit", "the LED board: KiCad netlist, schematic, parts, pin map", run)
+    verb = new_verb(kinds, "circuit", "the LED board: KiCad netlist, schematic, parts, pin map", _run)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
     verb.add_argument(
@@ -24,7 +24,7 @@ def add_circuit(kinds: Any) -> None:
     add_settings(verb)
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Design the board and write it."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.io.rig import read_rig  # noqa: PLC0415

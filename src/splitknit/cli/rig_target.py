@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, new_verb
 
 def add_target(kinds: Any) -> None:
     """Add the verb."""
-    verb = new_verb(kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", run)
+    verb = new_verb(kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", _run)
     verb.add_argument("--out", type=Path, required=True, metavar="FILE", help="PDF file to write, one sheet of A4")
     verb.add_argument("--board", default="9x6", metavar="CxR", help="inner corners each way (default: 9x6)")
     verb.add_argument("--square-mm", type=float, default=3.0, metavar="N", help="side of a square (default: 3)")
@@ -20,7 +20,7 @@ def add_target(kinds: Any) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Write the sheet."""
     from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
     from splitknit.io import atomic_file  # noqa: PLC0415

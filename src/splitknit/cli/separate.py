@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, Progress, natural, new_verb
 
 def add_separate(verbs: Any) -> None:
     """Add ``splitknit separate``."""
-    verb = new_verb(verbs, "separate", "split images under fine patterns into direct and global light", run_separate)
+    verb = new_verb(verbs, "separate", "split images under fine patterns into direct and global light", _run)
     verb.add_argument("folder", type=Path, metavar="FOLDER", help="folder of images, with or without separation.json")
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
@@ -21,7 +21,7 @@ def add_separate(verbs: Any) -> None:
         help="how the light was patterned (default: what separation.json says, else checkerboard); symmetry: "
         "checkerboards without noise, an odd number of equal steps a period each way",
     )
-    verb.add_argument("--alpha", type=float, default=None, help="share of the pattern that is lit (default: 0.5)")
+    verb.add_argument("--alpha", type=float, default=None, help="fraction of the pattern that is lit (default: 0.5)")
     verb.add_argument("--dark", type=float, default=None, help="brightness of its unlit part (default: 0)")
     verb.add_argument(
         "--patterns",
@@ -40,7 +40,7 @@ def add_separate(verbs: Any) -> None:
     verb.add_argument("--block", type=natural, default=None, help="side of a block of the result, for one image")
 
 
-def run_separate(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Write direct and global light."""
     from splitknit.separation.folder import separate_to_folder  # noqa: PLC0415
 

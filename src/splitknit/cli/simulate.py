@@ -14,12 +14,11 @@ from splitknit.errors import BadInput, require
 
 def add_simulate(verbs: Any) -> None:
     """Add ``splitknit simulate``."""
-
     verb = new_verb(
         verbs,
         "simulate",
         "photograph a simulated finger, a population of them, or what calibrates a simulated rig",
-        run_simulate,
+        _run,
     )
     verb.add_argument(
         "what",
@@ -76,17 +75,17 @@ def add_simulate(verbs: Any) -> None:
         "--impression", type=natural, default=0, help="which capture of the finger: pose and noise change (default: 0)"
     )
     add_settings(verb)
-    add_population_options(verb)
+    _add_population_options(verb)
 
 
-def run_simulate(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Write a simulated capture."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.simulator.folder import simulate_to_folder  # noqa: PLC0415
 
     if options.what == "population":
-        return run_population(options)
-    refuse_population_options(options)
+        return _run_population(options)
+    _refuse_population_options(options)
     changes = read_changes(options.settings, options.assignments)
     if options.motion is not None:
         require(not options.bench, "--bench and --motion do not go together: the bench has no finger.")
@@ -170,7 +169,7 @@ DEFAULT_WORKERS = 2
 _OPTIONS = ("subjects", "fingers", "sessions", "workers")
 
 
-def add_population_options(verb: argparse.ArgumentParser) -> None:
+def _add_population_options(verb: argparse.ArgumentParser) -> None:
     """Add what only a population knows."""
     group = verb.add_argument_group("population")
     group.add_argument("--subjects", type=natural, default=None, metavar="N", help="people (default: 17)")
@@ -183,7 +182,7 @@ def add_population_options(verb: argparse.ArgumentParser) -> None:
     )
 
 
-def refuse_population_options(options: argparse.Namespace) -> None:
+def _refuse_population_options(options: argparse.Namespace) -> None:
     """Refuse a population's options where one finger is simulated.
 
     Raises
@@ -194,7 +193,7 @@ def refuse_population_options(options: argparse.Namespace) -> None:
     require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
 
 
-def run_population(options: argparse.Namespace) -> Outcome:
+def _run_population(options: argparse.Namespace) -> Outcome:
     """Simulate a population, or what of it is missing."""
     from splitknit.batch.simulate import simulate_population  # noqa: PLC0415
     from splitknit.capture.enrolment import FINGERS  # noqa: PLC0415

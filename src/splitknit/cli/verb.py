@@ -98,8 +98,8 @@ def scale(text: str) -> float:
     return _between(text, 0.05, 1.0)
 
 
-def share(text: str) -> float:
-    """Read a share of a whole (a type for argparse)."""
+def fraction(text: str) -> float:
+    """Read a fraction (a type for argparse)."""
     return _between(text, 0.0, 1.0)
 
 
@@ -132,11 +132,11 @@ class Progress:
             )
         return self
 
-    def update(self, stage: str, share: float) -> None:
-        """Say that `stage` is at work and `share` (0 to 1) of everything is done."""
+    def update(self, stage: str, fraction: float) -> None:
+        """Say that `stage` is at work and `fraction` (0 to 1) of everything is done."""
         if self._bar is not None:
             self._bar.set_description_str(stage, refresh=False)
-            self._bar.n = min(100.0, round(100.0 * share, 1))
+            self._bar.n = min(100.0, round(100.0 * fraction, 1))
             self._bar.refresh()
 
     def __exit__(self, *unused: object) -> None:

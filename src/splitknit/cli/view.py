@@ -15,7 +15,7 @@ from splitknit.cli.verb import Outcome, new_verb
 
 def add_view(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "view", "look at results in the browser, on this machine only", run_view)
+    verb = new_verb(verbs, "view", "look at results in the browser, on this machine only", _run)
     verb.add_argument(
         "paths",
         type=Path,
@@ -29,7 +29,7 @@ def add_view(verbs: Any) -> None:
     verb.add_argument("--no-browser", action="store_true", help="do not open the page, only say its address")
 
 
-def run_view(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Serve until Ctrl-C; what there is to say is said before."""
     from splitknit.viewer.server import (  # noqa: PLC0415
         open_paths,

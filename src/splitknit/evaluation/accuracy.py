@@ -10,7 +10,7 @@ Definitions (the same for every preset and for the validation):
   whole height (`height_mm`) with the true height is given beside it, where curvature and mask edge count as well.
 - *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right, below 1 too flat.
 - *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's mean; the area is
-  the share of the ridge band's pixels where it exceeds 0.8.
+  the fraction of the ridge band's pixels where it exceeds 0.8.
 - *normals*: mean angle between estimated and true normals on the surface.
 """
 
@@ -31,27 +31,16 @@ from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 
 TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
 """What is compared."""
-
-
-@dataclass(frozen=True, slots=True)
-class CompareSettings:
-    """What is measured where."""
-
-    erosion_mm: float = 0.33
-    """Distance from the edge of the common mask from which on pixels count."""
-    band_sigma_mm: float = 0.32
-    """Standard deviation of the Gaussian whose complement is the ridge band."""
-    max_slant_deg: float = 60.0
-    """Largest slant of the true shape at which the ridge band counts."""
-    window_mm: float = 0.86
-    """Side of the windows of the local correlation."""
-    good_correlation: float = 0.8
-    """Local correlation from which on ridges count as recovered."""
-
-    def __post_init__(self) -> None:
-        require(self.erosion_mm >= 0, "compare.erosion_mm must be zero or positive.")
-        require(self.band_sigma_mm > 0 and self.window_mm > 0, "compare's lengths must be positive.")
-        require(0 < self.max_slant_deg <= 90, "compare.max_slant_deg must lie between 0 and 90.")
+EROSION_MM = 0.33
+"""Distance from the edge of the common mask from which on pixels count."""
+BAND_SIGMA_MM = 0.32
+"""Standard deviation of the Gaussian whose complement is the ridge band."""
+MAX_SLANT_DEG = 60.0
+"""Largest slant of the true shape at which the ridge band counts."""
+WINDOW_MM = 0.86
+"""Side of the windows of the local correlation."""
+GOOD_CORRELATION = 0.8
+"""Local correlation from which on ridges count as recovered."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +51,8 @@ class Comparison:
     figures: Mapping[str, float]
     """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``, ``ridge_gain``,
     ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the whole height (``height_band_*``),
-    ``mask_on_finger`` (share of the mask on the true finger), ``mask_overlap`` (intersection over union; the true mask
-    goes on below the crease) and ``ridge_area_mm2``."""
+    ``mask_on_finger`` (fraction of the mask on the true finger), ``mask_overlap`` (intersection over union; the true
+    mask goes on below the crease) and ``ridge_area_mm2``."""
     height_error_mm: FloatArray
     """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
     ridge_error_um: FloatArray
@@ -74,9 +63,7 @@ class Comparison:
     """(H, W) where the ridge band's figures count."""
 
 
-def compare(
-    result: Reconstruction, truth: Mapping[str, NDArray[Any]], settings: CompareSettings | None = None
-) -> Comparison:
+def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Comparison:
     """Measure `result` against `truth` (``height_mm``, ``shape_mm``, ``mask``, ``normals`` on the same pixel grid).
 
     Raises
@@ -84,7 +71,6 @@ def compare(
     BadInput
         If the truth lacks an array or has another size, or nothing is left to compare.
     """
-    settings = CompareSettings() if settings is None else settings
     for name in ("height_mm", "shape_mm", "mask"):
         require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
         require(
@@ -96,8 +82,8 @@ def compare(
     require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
     box = _box(common)
     inside, pitch = common[box], result.pitch_mm
-    surface = _eroded(inside, settings.erosion_mm / pitch)
-    require(bool(surface.any()), "the surface that the truth shares with the reconstruction is too narrow to measure.")
+    surface = _eroded(inside, EROSION_MM / pitch)
+    require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
 
     height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
     shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
@@ -105,8 +91,8 @@ def compare(
     height_error = _centred(height - true_height, surface)
     shape_error = _centred(shape - true_shape, surface)
 
-    band = surface & (_slant_deg(true_shape, inside, pitch) < settings.max_slant_deg)
-    sigma = settings.band_sigma_mm / pitch
+    band = surface & (_slant_deg(true_shape, inside, pitch) < MAX_SLANT_DEG)
+    sigma = BAND_SIGMA_MM / pitch
     true_band = high_pass(true_height - true_shape, inside, sigma)
     ridge_band = high_pass(relief, inside, sigma)
     figures = {
@@ -118,15 +104,14 @@ def compare(
     }
     if "normals" in truth:
         figures["normals_mean_deg"] = _normals_error_deg(result.normals[box][surface], truth["normals"][box][surface])
-    window = max(3, 2 * round(settings.window_mm / pitch / 2) + 1)
-    figures |= _band_figures("ridge", ridge_band, true_band, band, window, settings.good_correlation)
+    window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
+    figures |= _band_figures("ridge", ridge_band, true_band, band, window)
     figures |= _band_figures(
         "height_band",
         high_pass(height, inside, sigma),
         high_pass(true_height, inside, sigma),
         band,
         window,
-        settings.good_correlation,
     )
     return Comparison(
         preset=result.preset,
@@ -145,30 +130,30 @@ def high_pass(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArra
     return np.where(mask, values - mean, np.float32(0.0)).astype(np.float32)
 
 
-def local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
+def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
     """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
-    share = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
+    fraction = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
     a, b = np.where(where, first, np.float32(0.0)), np.where(where, second, np.float32(0.0))
-    product = _mean(a * b, window_px) / share
-    power = (_mean(a * a, window_px) / share) * (_mean(b * b, window_px) / share)
+    product = _mean(a * b, window_px) / fraction
+    power = (_mean(a * a, window_px) / fraction) * (_mean(b * b, window_px) / fraction)
     return np.asarray(product / np.sqrt(np.maximum(power, np.float32(1e-30))), dtype=np.float32)
 
 
-def _band_figures(  # noqa: PLR0917
-    name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int, good: float
+def _band_figures(
+    name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int
 ) -> dict[str, float]:
     if not bool(where.any()):
         return {}
     e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
     e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))
     covariance = float(np.sum((e - e.mean()) * (t - t.mean())))
-    local = local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
+    local = _local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
     return {
         f"{name}_correlation": covariance / max((e_power * t_power) ** 0.5, 1e-30),
         f"{name}_gain": float(np.sum(e * t)) / max(float(np.sum(t * t)), 1e-30),
         f"{name}_rms_um": 1000.0 * _rms(e - t),
         f"{name}_truth_std_um": 1000.0 * float(t.std()),
-        f"{name}_good_area": float(np.mean(local[where] > good)),
+        f"{name}_good_area": float(np.mean(local[where] > GOOD_CORRELATION)),
     }
 
 
@@ -221,10 +206,16 @@ def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ..
     return whole
 
 
-def truth_of(capture: Capture) -> dict[str, Any] | None:
-    """Read a simulator's truth, if the capture names one, and only what is compared."""
-    if capture.truth is None:
-        return None
+def read_truth(capture: Capture) -> dict[str, Any]:
+    """Read the simulator's truth of a capture, and only what is compared.
+
+    Raises
+    ------
+    BadInput
+        If the capture names none, or it is damaged or of another size than the images.
+    """
+    require(capture.truth is not None, "the capture has no truth to compare with; only simulated ones have.")
+    assert capture.truth is not None
     truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large
     for name, array in truth.items():
         expected = (*capture.shape, 3) if name == "normals" else capture.shape

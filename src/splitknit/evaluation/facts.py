@@ -75,7 +75,7 @@ def system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
         },
         "roc": _curve(result),
         "session_pairs": [_session_pair(names, part, settings) for names, part in by_session_pair(scores).items()],
-        "cmc": cmc_facts(cmc(scores), settings),
+        "cmc": _cmc_facts(cmc(scores), settings),
     }
     return facts
 
@@ -94,7 +94,7 @@ def difference_facts(one: Any, settings: BootstrapSettings) -> dict[str, Any]:
     }
 
 
-def cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
+def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
     """Rank one and the curve, up to rank 100."""
     if found is None:
         return None
@@ -156,7 +156,7 @@ def _width_note(result: Result) -> list[str]:
         return []
     return [
         f"{result.scores.name}: drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide, "
-        "so that fingers of one subject are alike in how hard they are; trust the wider one."
+        "so that fingers of one subject are similarly hard; trust the wider one."
     ]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_s
 from splitknit.io import plain_json
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores
 from splitknit.model import Progress, no_progress
+from splitknit.settings import Checked
 
 if TYPE_CHECKING:
     from splitknit.evaluation.gallery_scores import GalleryScores
@@ -35,24 +36,18 @@ MOST_SYSTEMS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class EvaluationSettings:
+class EvaluationSettings(Checked):
     """What is asked of an evaluation."""
 
     dissimilarity: bool = False
-    """Whether a lower score means more alike; scores are then turned round when they are read."""
-    cluster: str = "auto"
+    """Whether a lower score means more similar; scores are then negated when they are read."""
+    cluster: Literal["auto", "plain", "finger", "subject"] = "auto"
     """What intervals are drawn by: ``plain``, ``finger``, ``subject``; ``auto``: fingers, else subjects, else plain."""
     average: bool = False
     """Whether scores are averaged over sessions as well."""
-    fuse: str | None = None
+    fuse: Literal["linear", "trained", None] = None
     """Whether the systems' fusion is one more: ``linear`` or ``trained``, cross-validated by subject."""
     bootstrap: BootstrapSettings = BootstrapSettings()  # noqa: RUF009 - frozen
-
-    def __post_init__(self) -> None:
-        known = ("auto", "plain", "finger", "subject")
-        require(self.cluster in known, f"cluster is one of {', '.join(known)}, but it is '{self.cluster}'.")
-        ways = (None, "linear", "trained")
-        require(self.fuse in ways, f"scores are fused by linear or trained, not by '{self.fuse}'.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +100,7 @@ def evaluate_scores(
     notes += [] if gallery is None else gallery.notes
     fusion: dict[str, Any] | None = None
     if settings.fuse is not None:
-        joined, fusion, told = fused_system(systems, settings.fuse, settings.bootstrap.seed)
+        joined, fusion, told = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
         systems, notes = [*systems, joined], notes + told
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
@@ -158,8 +153,8 @@ def _figures(
     steps = sum(len(_methods(one)) + len(group) - 1 for group in groups for one in group)
     done = 0
 
-    def step(share: float) -> None:
-        progress("resampling", (done + share) / max(steps, 1))
+    def step(fraction: float) -> None:
+        progress("resampling", (done + fraction) / max(steps, 1))
 
     for group in groups:
         for one in group:
@@ -232,7 +227,7 @@ _MISSING = {
 }
 
 
-def fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
+def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
     """Fuse all systems: their fused scores, facts for ``report.json``, and notes.
 
     Raises

@@ -90,9 +90,9 @@ def enroll_files(
         made = []
         for k, source in enumerate(sources):
             made.append(
-                made_of(
+                _made_of(
                     source, settings.preset, settings.matching, settings.keep,
-                    lambda stage, share, k=k: progress(stage, (k + 0.9 * share) / len(sources)),  # type: ignore[misc]
+                    lambda stage, fraction, k=k: progress(stage, (k + 0.9 * fraction) / len(sources)),  # type: ignore[misc]
                 )
             )  # fmt: skip
         new = []
@@ -106,7 +106,7 @@ def enroll_files(
         added = target.add(new, replace=settings.replace)
         facts = gallery_facts(target, created=found is None)
     progress("done", 1.0)
-    enrolled = [entry_facts(one, is_new=is_new) for one, is_new in zip(new, added, strict=True)]
+    enrolled = [_entry_facts(one, is_new=is_new) for one, is_new in zip(new, added, strict=True)]
     return {**facts, "enrolled": enrolled}
 
 
@@ -149,7 +149,7 @@ def new_capture(made: Made, person: str, finger: str, session: str, settings: En
     return NewCapture(entry, made.template, code, None if code is None else CODE_VERSION, made.images)
 
 
-def entry_facts(one: NewCapture, *, is_new: bool) -> dict[str, Any]:
+def _entry_facts(one: NewCapture, *, is_new: bool) -> dict[str, Any]:
     """Of an enrolled capture."""
     return {
         "person": one.entry.person,
@@ -207,7 +207,7 @@ class Made:
     images: bytes | None = None
 
 
-def made_of(
+def _made_of(
     path: Path, preset: str, settings: MatchingSettings, keep: str = "none", progress: Progress = no_progress
 ) -> Made:
     """Template and facts of one source.
@@ -231,12 +231,12 @@ def made_of(
 
 
 def made_or_failed(path: Path, preset: str, settings: MatchingSettings, keep: str = "none") -> Made | str:
-    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
+    """As :func:`_made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
 
     Returns a sentence, and no row, where the files themselves are unusable.
     """
     try:
-        return made_of(path, preset, settings, keep)
+        return _made_of(path, preset, settings, keep)
     except BadInput as error:
         if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
             return str(error)

@@ -56,13 +56,13 @@ class Question:
     """What is asked."""
 
     top: int = 10
-    """Candidates that are told."""
+    """Candidates that are reported."""
     merge: str = "person"
     """One candidate for each ``person``, for each ``finger`` of a person, or ``none``: each enrolled capture."""
     fmr: float = 1e-4
     """False match rate of one comparison at which is decided."""
     search: str = "auto"
-    """``exhaustive``: all are compared by their ridges; ``codes``: those whose codes are alike; ``auto``: by size.
+    """``exhaustive``: all are compared by their ridges; ``codes``: those whose codes are similar; ``auto``: by size.
     Where a person or finger is named, all of theirs are compared."""
     person: str | None = None
     """Whose finger it is said to be (verification)."""
@@ -107,14 +107,14 @@ def identify_file(
     with Gallery.open(gallery, key) as opened:
         opened.require_comparable(templates_hash(settings.matching))
         pool = _pool(opened, person, finger, question.search)
-        side = read_side(probe, preset, settings.matching, lambda stage, share: progress(stage, 0.5 * share))
+        side = read_side(probe, preset, settings.matching, lambda stage, fraction: progress(stage, 0.5 * fraction))
         made = side.template
         assert made is not None
         started = time.perf_counter()
         found, facts = _search(opened, made, pool, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
     candidates = _merged(found, question.merge)[: question.top]
-    told = [_candidate(rank, one, facts["captures"], calibrated) for rank, one in enumerate(candidates, start=1)]
+    reported = [_candidate(rank, one, facts["captures"], calibrated) for rank, one in enumerate(candidates, start=1)]
     best = candidates[0][0] if candidates else None
     decision = None
     if threshold is not None:
@@ -133,7 +133,7 @@ def identify_file(
         "finger": finger,
         "searched": facts,
         "merge": question.merge,
-        "candidates": told,
+        "candidates": reported,
         "decision": decision,
         "timings_s": {"search": seconds},
     }
@@ -154,7 +154,10 @@ def _pool(gallery: Gallery, person: str | None, finger: str | None, search: str)
         return None
     rows = gallery.entries(person, finger)
     who = " and ".join(word for word in (person and f"person '{person}'", finger and f"finger '{finger}'") if word)
-    require(len(rows) > 0 or not who, f"'{gallery.path}' holds nothing of {who}; 'splitknit gallery list' tells whom.")
+    require(
+        len(rows) > 0 or not who,
+        f"'{gallery.path}' holds nothing of {who}; 'splitknit gallery list' shows who is in it.",
+    )
     return rows
 
 

@@ -93,7 +93,9 @@ def remove_from_gallery(
         if person is not None:
             chosen = [one.row for one in opened.entries(check_person(person), finger, session)]
             words = ", ".join(word for word in (person, finger, session and f"session {session}") if word)
-            require(len(chosen) > 0, f"'{gallery}' holds nothing of {words}; 'splitknit gallery list' tells whom.")
+            require(
+                len(chosen) > 0, f"'{gallery}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+            )
         removed = opened.remove(chosen)
         require(removed > 0, f"'{gallery}' holds no row {', '.join(map(str, chosen))}.")
         return {"gallery": str(gallery), "removed": removed, "captures": len(opened)}

@@ -78,11 +78,11 @@ def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: Frame) -> tuple
     Returns
     -------
     values : (h, w) or (h, w, C) float32, zero where the weight is zero
-    weight : (h, w) float32 in [0, 1], the share of the pixel inside the mask
+    weight : (h, w) float32 in [0, 1], the fraction of the pixel inside the mask
     """
-    small, share, input_from_small = _binned(field, mask, frame)
+    small, fraction, input_from_small = _binned(field, mask, frame)
     small_from_picture = np.linalg.inv(input_from_small) @ frame.input_from_picture
-    weight = _warp_linear(share, small_from_picture, frame.size)
+    weight = _warp_linear(fraction, small_from_picture, frame.size)
     values = _warp_linear(small, small_from_picture, frame.size)
     divisor = np.maximum(weight, np.float32(1e-3))
     values /= divisor if values.ndim == 2 else divisor[..., None]
@@ -107,18 +107,18 @@ def _binned(
         raise BadInput("the picture's frame lies outside the input.")
     part = field[low[1] : high[1], low[0] : high[0]]
     values = np.where(inside if part.ndim == 2 else inside[..., None], part, 0).astype(np.float32)
-    share = inside.astype(np.float32)
+    fraction = inside.astype(np.float32)
     origin = np.array(
         [[factor, 0.0, low[0] + (factor - 1) / 2], [0.0, factor, low[1] + (factor - 1) / 2], [0.0, 0.0, 1.0]]
     )
     if factor > 1:
         pad = ((0, -part.shape[0] % factor), (0, -part.shape[1] % factor), (0, 0))
         values = np.pad(values, pad[: values.ndim])
-        share = np.pad(share, pad[:2])
-        small = (share.shape[1] // factor, share.shape[0] // factor)
+        fraction = np.pad(fraction, pad[:2])
+        small = (fraction.shape[1] // factor, fraction.shape[0] // factor)
         values = np.asarray(cv2.resize(values, small, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        share = np.asarray(cv2.resize(share, small, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    return values, share, origin
+        fraction = np.asarray(cv2.resize(fraction, small, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return values, fraction, origin
 
 
 def _warp_linear(image: FloatArray, source_from_target: NDArray[np.float64], size: tuple[int, int]) -> FloatArray:

@@ -172,7 +172,7 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
     write_npz(path, arrays)
 
 
-def upright_mesh(
+def _upright_mesh(
     result: Reconstruction,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.uint8], NDArray[np.int32]]:
     """Return vertices (N, 3) in mm, normals (N, 3), intensity (N,) and faces (M, 3) of the surface, tip along +y.
@@ -203,7 +203,7 @@ def upright_mesh(
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     """Write ``phalange.ply``: the surface in mm, tip up."""
-    vertices, normals, intensity, faces = upright_mesh(result)
+    vertices, normals, intensity, faces = _upright_mesh(result)
     comments = [
         f"splitknit {origin['version']}, preset {result.preset}",
         "unit mm; x right, y to the fingertip, z to the camera",

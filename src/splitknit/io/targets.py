@@ -17,9 +17,9 @@ _MAX_BYTES = 1_000_000_000
 
 
 def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:
-    """Refuse to replace a folder that is not empty and not of our kind, or that is read from (`keep`).
+    """Refuse to replace a folder that is not empty and not of this kind, or that is read from (`keep`).
 
-    :func:`splitknit.io.atomic_folder` refuses files that are not ours; this keeps one kind of ours from replacing
+    :func:`splitknit.io.atomic_folder` refuses files of other programs; this keeps one kind of folder from replacing
     another, such as a result a capture.
 
     Parameters
@@ -49,7 +49,7 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
 
 
 def check_file(out: Path | None, words: str, ours: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
-    """Refuse to replace a file that is not of our kind; called before the work, so that none is done in vain.
+    """Refuse to replace a file that is not of this kind; called before the work, so that none is done in vain.
 
     Parameters
     ----------

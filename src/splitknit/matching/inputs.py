@@ -88,7 +88,7 @@ def read_surface(path: Path) -> Surface:
 
 
 def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:
-    return reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.7 * share))
+    return reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction))
 
 
 def read_print(path: Path) -> tuple[NDArray[np.uint8], float]:

@@ -226,7 +226,7 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
     }
 
 
-def minutiae_false_match_rate(similarity: float) -> float | None:
+def _minutiae_false_match_rate(similarity: float) -> float | None:
     """Rate at which other (simulated) fingers' relief prints reach this similarity; None without a table."""
     table = _fmr_table(_MINUTIAE_TABLE)
     return None if table is None else table(similarity)
@@ -246,7 +246,7 @@ def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | 
         return None, "nothing was compared"
     if a.surface is None or b.surface is None:
         return None, "rates were measured on relief prints of surfaces, not on prints from files"
-    rate = minutiae_false_match_rate(similarity)
+    rate = _minutiae_false_match_rate(similarity)
     return rate, None if rate is not None else "no rates were measured"
 
 

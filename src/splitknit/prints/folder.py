@@ -107,7 +107,7 @@ def print_to_folder(
         }
         for name, picture in pictures.items():
             write_print_png(target / name, picture, ppi, texts)
-        write_npz(target / "map.npz", map_arrays(made.map))
+        write_npz(target / "map.npz", _map_arrays(made.map))
         facts: dict[str, Any] = {
             "method": method,
             "surface": place,
@@ -124,8 +124,8 @@ def print_to_folder(
         clock = time.perf_counter()
         quality = measured(made, enhanced, ppi, settings)
         timings["quality"] = time.perf_counter() - clock
-        nfiq2 = nfiq2_of(pictures, ppi)
-        facts["quality"] = quality_facts(quality, nfiq2)
+        nfiq2 = _nfiq2_of(pictures, ppi)
+        facts["quality"] = _quality_facts(quality, nfiq2)
         sought = settings.minutiae
         facts["minutiae"] = write_minutiae(
             target, pictures, enhanced, sought, made.map, source, origin, round(quality.score)
@@ -176,7 +176,7 @@ def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
     return {"p5": low, "median": middle, "p95": high}
 
 
-# Quality of a print as a report tells it: NFIQ 2, our own figures and score, and what to do in words.
+# Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
 
 MOST_SENTENCES = 3
 LEAST_WORTH = 0.7
@@ -185,7 +185,7 @@ FULL_WORTH = 0.95
 """Of the ridges' height: from here on, soft edges are the finger's own."""
 
 
-def nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
+def _nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
     """NFIQ 2 of ``print.png`` and ``enhanced.png``, None where it sees no print; None without the package for it."""
     from splitknit.matching.minutiae import NFIQ2_FAILED, nfiq2  # noqa: PLC0415 - large, and not everywhere
 
@@ -196,7 +196,7 @@ def nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str,
     return {name: None if value == NFIQ2_FAILED else value for name, value in found.items()}
 
 
-def quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> dict[str, Any]:
+def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> dict[str, Any]:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences."""
 
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -329,7 +329,7 @@ def write_minutiae(  # noqa: PLR0917
     if source.height_mm is not None or source.points_mm is not None:
         scale = print_map.ppi / 500.0
         places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
-        space = minutiae_in_space(places, found.direction_rad, print_map, source)
+        space = _minutiae_in_space(places, found.direction_rad, print_map, source)
         good = np.isfinite(space).all(axis=1)
         theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
         x, y, z = space[good, :3].T
@@ -339,7 +339,7 @@ def write_minutiae(  # noqa: PLR0917
     return facts
 
 
-def minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
+def _minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
     """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
 
     NaN where the print shows nothing, or the surface is not known.
@@ -392,10 +392,10 @@ def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
         (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
     ):
         known = np.isfinite(field)
-        filled, share = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
+        filled, fraction = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
         values, weight = (
             np.asarray(cv2.remap(part, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR), dtype=np.float32)
-            for part in (filled, share)
+            for part in (filled, fraction)
         )
         evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
         picture = colour(evened, low, high, diverging=low < 0)
@@ -410,14 +410,14 @@ def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
     ramp = np.linspace(low, high, max(width - 40, 2), dtype=np.float32)[None].repeat(12, axis=0)
     bar[6:18, 20 : 20 + ramp.shape[1]] = colour(ramp, low, high, diverging=low < 0)
     texts = (f"{100 * low:+.0f} %" if low else "0", title, f"{100 * high:+.0f} %")
-    for text, share in zip(texts, (0.0, 0.5, 1.0), strict=True):
+    for text, fraction in zip(texts, (0.0, 0.5, 1.0), strict=True):
         (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
-        place = int(4 + share * (width - 8 - length))
+        place = int(4 + fraction * (width - 8 - length))
         cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
     return bar
 
 
-def map_arrays(print_map: PrintMap) -> dict[str, Any]:
+def _map_arrays(print_map: PrintMap) -> dict[str, Any]:
     """What ``map.npz`` holds."""
     return {
         "columns": print_map.columns,

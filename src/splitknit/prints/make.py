@@ -65,7 +65,7 @@ class Print:
     image: NDArray[np.uint8]
     """(h, w) ridges dark."""
     weight: FloatArray
-    """(h, w) share of the pixel that lies on the finger, 0 to 1."""
+    """(h, w) fraction of the pixel that lies on the finger, 0 to 1."""
     map: PrintMap
     values: FloatArray
     """(h, w) what its quality is measured on: the relief in mm, or the light of the photograph."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 KINDS = ("free", "arc")
 SIDE_MM, TIP_MM = 14.0, 0.0
-"""Coverage is told of the rows from the tip's cap downwards, as far as this."""
+"""Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
 def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Progress) -> tuple[Source, Rolled]:
@@ -52,7 +52,7 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen)
         made = rolled_finger(
-            capture, views, chosen, settings, lambda stage, share: progress(stage, 0.15 + 0.55 * share)
+            capture, views, chosen, settings, lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction)
         )
         return _source(made, preset, capture.hashes, capture.subject), made
 
@@ -149,7 +149,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
 
 def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
     """Write ``rolled.ply`` into a folder and return the facts."""
-    return {**rolled_facts(rolled), "mesh_points": write_rolled_mesh(target / "rolled.ply", rolled)}
+    return {**rolled_facts(rolled), "mesh_points": _write_rolled_mesh(target / "rolled.ply", rolled)}
 
 
 def evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
@@ -162,7 +162,7 @@ def evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
     return np.asarray(mean / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3), dtype=np.float32)
 
 
-def write_rolled_mesh(path: Path, rolled: Rolled) -> int:
+def _write_rolled_mesh(path: Path, rolled: Rolled) -> int:
     """Write the skin as a mesh in mm, x right, y to the tip, z to the camera; return the number of its points."""
     points = skin_points(rolled)
     vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)

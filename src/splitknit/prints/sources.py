@@ -100,7 +100,7 @@ def source_of_capture(
     """What prints need of a capture, see :func:`read_source`."""
     light = _photograph(capture) if photo else None
     if surface:
-        result = reconstruct(capture, preset, progress=lambda stage, share: progress(stage, 0.1 + 0.6 * share))
+        result = reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.6 * fraction))
         return replace(
             source_of(result),
             kind="capture",

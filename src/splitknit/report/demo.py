@@ -22,7 +22,7 @@ WRITTEN = {
     "report.html": "both results beside the truth; open it in a browser",
     "report.json": "the same figures for programs",
     "capture": "the simulated capture (14 images, the rig, the truth)",
-    "metric": "the result of our preset: mesh, heights, normals, print, report",
+    "metric": "the result of the preset metric: mesh, heights, normals, print, report",
     "ea": "the result of plain photometric stereo on the same images",
 }
 

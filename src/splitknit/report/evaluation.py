@@ -83,7 +83,7 @@ def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
 
 
 def rate(value: float | None) -> str:
-    """A share in percent: two decimals, more where it is small."""
+    """A fraction in percent: two decimals, more where it is small."""
     if value is None:
         return "-"
     hundred = 100 * value
@@ -93,14 +93,14 @@ def rate(value: float | None) -> str:
 
 
 def interval(found: Mapping[str, float] | None) -> str:
-    """A share with its interval."""
+    """A fraction with its interval."""
     if found is None:
         return "-"
     return f"{rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
 
 
 def change(found: Mapping[str, float]) -> str:
-    """A difference of shares in percentage points, with its interval."""
+    """A difference of fractions in percentage points, with its interval."""
     return f"{100 * found['value']:+.2f} ({100 * found['low']:+.2f} to {100 * found['high']:+.2f})"
 
 
@@ -131,16 +131,16 @@ def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str
     lowest = float(np.clip(1.0 / most, 1e-7, 1e-2))
     found = [(name, np.array(one["cmc"]["rate"])) for name, one in systems.items() if one["cmc"] is not None]
     return {
-        "rates": [roc_chart(bands, lowest), det_chart(curves, lowest)],
+        "rates": [roc_chart(bands, lowest), _det_chart(curves, lowest)],
         "histograms": [
-            histogram_chart(
+            _histogram_chart(
                 result.scores.name,
                 histograms(result.scores.genuine, result.scores.impostor),
                 systems[result.scores.name]["equal_error"]["threshold"],
             )
             for result in results
         ],
-        "cmc": [cmc_chart(found)] if found else [],
+        "cmc": [_cmc_chart(found)] if found else [],
     }
 
 
@@ -190,11 +190,11 @@ def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | N
     least = min(float(curve.y[curve.x <= lowest].max()) for curve in drawn)
     floor = float(np.floor(min(least, 0.9) * 10) / 10)
     y_marks = tuple((v, percent(v)) for v in _round_marks(floor, 1.0, 6))
-    x = Axis("FAR (log), share of impostors accepted", lowest, 1.0, marks, np.log10)
+    x = Axis("FAR (log), fraction of impostors accepted", lowest, 1.0, marks, np.log10)
     return plot(drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR")
 
 
-def det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
+def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     """FRR over FAR on probit axes, on which two normal distributions give a straight line."""
     worst = max(float(np.min(np.maximum(roc.far, roc.frr))) for _, roc in curves)
     high = next(tick for tick in (0.5, 0.8, 0.95, 0.99, 0.999) if tick > worst or tick == 0.999)
@@ -205,7 +205,7 @@ def det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     return plot(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
 
 
-def histogram_chart(name: str, shares: Histograms, threshold: float | None) -> Markup:
+def _histogram_chart(name: str, shares: Histograms, threshold: float | None) -> Markup:
     """Shares of genuine and impostor scores in each bin, and where both rates are equal."""
     edges = np.repeat(shares.edges, 2)
     drawn = [
@@ -216,11 +216,11 @@ def histogram_chart(name: str, shares: Histograms, threshold: float | None) -> M
     steps = _round_marks(0.0, top, 5)
     x_marks = tuple((v, f"{v:g}") for v in _round_marks(float(edges[0]), float(edges[-1]), 7))
     x = Axis("score", float(edges[0]), float(edges[-1]), x_marks)
-    y = Axis("share of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, percent(v)) for v in steps))
+    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, percent(v)) for v in steps))
     return plot(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
 
 
-def cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
+def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
     """Share of probes whose finger is among the first n of the gallery."""
     longest = max(2, min(20, max(rate.size for _, rate in curves)))
     floor = float(np.floor(min([*(float(rate[0]) for _, rate in curves), 0.95]) * 10) / 10)
@@ -284,7 +284,7 @@ def plot(
 
 
 def percent(value: float) -> str:
-    """A share as a percentage, as short as it can be said."""
+    """A fraction as a percentage, as short as it can be said."""
     return f"{100 * value:.6g} %"
 
 

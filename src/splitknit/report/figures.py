@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation.accuracy import Comparison
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.io.pictures import (
     ColourArray,
@@ -22,27 +22,10 @@ from splitknit.io.pictures import (
 )
 from splitknit.model import FloatArray, Reconstruction
 from splitknit.report import charts
-from splitknit.report.photos import LONGEST_PX, Picture, captioned, mask_on_image, mean_image, titled
+from splitknit.report.photos import Picture, captioned
 
-__all__ = [
-    "LONGEST_PX",
-    "Picture",
-    "Views",
-    "close_up",
-    "close_up_frame",
-    "error_pictures",
-    "mask_on_image",
-    "mean_image",
-    "normals_picture",
-    "print_picture",
-    "relief_limits_um",
-    "relief_picture",
-    "render_views",
-    "shape_picture",
-    "titled",
-    "uncertainty_picture",
-    "view_pictures",
-]
+if TYPE_CHECKING:
+    from splitknit.evaluation.accuracy import Comparison
 
 RELIEF_EXAGGERATION = 2.0
 TILT_DEG = 56.0
@@ -68,7 +51,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     """Show the ridges and valleys in micrometres."""
     values, weight = to_frame(result.ridge_mm, result.mask, frame)
     relief = 1000.0 * values
-    low, high = relief_limits_um(result)
+    low, high = _relief_limits_um(result)
     picture = on_paper(colour(relief, low, high), weight)
     return captioned(
         "Relief",
@@ -80,7 +63,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     )
 
 
-def relief_limits_um(result: Reconstruction) -> tuple[float, float]:
+def _relief_limits_um(result: Reconstruction) -> tuple[float, float]:
     """Limits of a colour scale for the relief: what ridges span where the skin faces the camera, in whole fives."""
     facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
     where = facing if bool(facing.any()) else result.mask
@@ -127,8 +110,8 @@ def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
     return captioned(
         "Uncertainty of the relief",
         on_paper(colour(values, 0.0, high), weight),
-        "Skin blurs what light shows of the ridges, and glare covers it; both are undone as far as simulated skin "
-        "teaches it. This is the standard deviation (one sigma) of what is left. Good: small against the relief.",
+        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
+        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against the relief.",
         charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
         frame.pitch_mm,
     )
@@ -149,7 +132,7 @@ def render_views(result: Reconstruction, frame: Frame) -> Views:
     """Render the surface from above and from two sides."""
     surface = upright_surface(result, frame, RELIEF_EXAGGERATION)
     left, right = (oblique_view(surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
-    return Views(top_view(surface), left, right, frame.pitch_mm)
+    return Views(_top_view(surface), left, right, frame.pitch_mm)
 
 
 def view_pictures(views: Views) -> list[Picture]:
@@ -210,7 +193,7 @@ def error_pictures(result: Reconstruction, comparison: Comparison, frame: Frame)
 
 def close_up(relief_mm: FloatArray, result: Reconstruction, title: str, side_mm: float = 5.0) -> Picture:
     """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
-    frame = close_up_frame(result, side_mm)
+    frame = _close_up_frame(result, side_mm)
     values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
     mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
     relief = 1000.0 * (values - np.float32(mean))
@@ -223,7 +206,7 @@ def close_up(relief_mm: FloatArray, result: Reconstruction, title: str, side_mm:
     )
 
 
-def close_up_frame(result: Reconstruction, side_mm: float) -> Frame:
+def _close_up_frame(result: Reconstruction, side_mm: float) -> Frame:
     """Upright square in the middle of the mask, one picture pixel for each input pixel."""
     whole = upright_frame(result, 10**6)
     side = max(8, round(side_mm / result.pitch_mm))
@@ -232,7 +215,7 @@ def close_up_frame(result: Reconstruction, side_mm: float) -> Frame:
     return Frame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
 
 
-# Shaded pictures of a height field, by a small renderer of our own.
+# Shaded pictures of a height field, by a small renderer.
 #
 # A height field that is tilted about a horizontal axis hides itself column by column. Walking a column from the front
 # to the back, a point is seen if it is projected higher than all before it (the floating horizon). The horizon rises
@@ -255,7 +238,7 @@ class UprightSurface:
     relief_mm: FloatArray
     """(H, W), as measured."""
     weight: FloatArray
-    """(H, W) in [0, 1], share of the pixel inside the mask."""
+    """(H, W) in [0, 1], fraction of the pixel inside the mask."""
     pitch_mm: float
 
 
@@ -302,7 +285,7 @@ def _lamp(direction: FloatArray, turn_rad: float) -> FloatArray:
     return np.array([cos * x + sin * y, -sin * x + cos * y, z], dtype=np.float32)
 
 
-def top_view(surface: UprightSurface) -> ColourArray:
+def _top_view(surface: UprightSurface) -> ColourArray:
     """Shaded surface seen from the camera, upright."""
     alpha = surface.weight[..., None]
     return _bytes(shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))

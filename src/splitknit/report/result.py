@@ -14,13 +14,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from splitknit.evaluation.accuracy import Comparison, compare
 from splitknit.io import (
     atomic_file,
     atomic_folder,
@@ -35,7 +34,10 @@ from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, render
 from splitknit.report.figures import Views, render_views
-from splitknit.report.photos import LONGEST_PX, Picture, mirror_pictures
+from splitknit.report.photos import LONGEST_PX, Picture, mask_on_image, mirror_pictures
+
+if TYPE_CHECKING:
+    from splitknit.evaluation.accuracy import Comparison
 
 Truth = Mapping[str, NDArray[Any]]
 
@@ -50,7 +52,7 @@ COMPARED = (
     ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
     ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
     ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
-    ("mask_on_finger", "Share of the mask that lies on the finger", "", "above 0.99"),
+    ("mask_on_finger", "Fraction of the mask that lies on the finger", "", "above 0.99"),
 )
 """Figure, words, unit, what good looks like."""
 
@@ -92,11 +94,11 @@ def make_report(
     files : sequence of str
         Names of the files written beside the report.
     """
-    comparisons = [] if truth is None else [compare(each, truth) for each in (result, *others)]
+    comparisons = [] if truth is None else _compared((result, *others), truth)
     facts = _facts(result, capture, comparisons, files)
-    frame = upright_frame(result, figures.LONGEST_PX)
+    frame = upright_frame(result, LONGEST_PX)
     uncertainty = figures.uncertainty_picture(result, frame)
-    maps = [] if capture is None else [figures.mask_on_image(result, capture)]
+    maps = [] if capture is None else [mask_on_image(result, capture)]
     maps += [picture(result, frame) for picture in (figures.normals_picture, figures.relief_picture)]
     maps += [figures.shape_picture(result, frame)]
     maps += [] if capture is None else mirror_pictures(result, capture)
@@ -125,6 +127,12 @@ def make_report(
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts)
+
+
+def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
+    from splitknit.evaluation.accuracy import compare  # noqa: PLC0415 - only what was simulated has a truth
+
+    return [compare(each, truth) for each in results]
 
 
 def _facts(
@@ -186,7 +194,7 @@ def plain(value: Any) -> Any:  # noqa: PLR0911
 
 
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
-    """State the most important facts in words."""
+    """The most important facts."""
     upright = np.linalg.inv(result.input_from_upright)
     rows, columns = np.nonzero(result.mask[::4, ::4])
     points = upright @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
@@ -305,18 +313,18 @@ def _flat(value: Any) -> str:
 
 EXPLAINED = {
     "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
-    "ridge_contrast_per_image": "The same for every image. Good: all alike.",
+    "ridge_contrast_per_image": "The same for every image. Good: all similar.",
     "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",
-    "dark_specks": "Share of the finger under dark specks, as dust makes them. Good: below 0.002.",
-    "bright_specks": "Share of the finger under bright specks, as scales of dry skin make them. Good: below 0.005.",
-    "saturated_per_image": "Share of the finger that is too bright to measure, for every image. Good: below 0.02.",
+    "dark_specks": "Fraction of the finger under dark specks, as dust makes them. Good: below 0.002.",
+    "bright_specks": "Fraction of the finger under bright specks, as scales of dry skin make them. Good: below 0.005.",
+    "saturated_per_image": "Fraction of the finger that is too bright to measure, for every image. Good: below 0.02.",
     "brightness": "Median brightness of the finger, 1 = full scale. Good: 0.1 to 0.6.",
     "brightness_per_image": "The same for every image.",
     "ambient_share": "Light that is not from the LEDs, relative to theirs. Good: below 0.3.",
     "area_mm2": "Area of the skin in the image.",
     "length_mm": "Length of the finger in view.",
     "width_mm": "Width of the finger in view.",
-    "frame_share": "Share of the image that the finger fills.",
+    "frame_share": "Fraction of the image that the finger fills.",
     "borders": "Borders of the image that the finger touches. Good: one.",
     "led_relative": "Brightness of every image relative to what the rig file promises. Good: all near 1.",
     "yaw_deg": "Turn of the finger in the image, counter-clockwise; it is taken out.",
@@ -332,8 +340,8 @@ EXPLAINED = {
     "likeness_before": "Correlation of every image's details with the expected ones, before the motion was undone.",
     "likeness_after": "The same afterwards.",
     "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
-    "relief_by": "network: ridges drawn by the trained network; colour: told from glare by colour alone.",
-    "separation": "What was done about glare and about light that spreads inside the skin.",
+    "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone.",
+    "separation": "What was done about specular reflection and about light that spreads inside the skin.",
 }
 """Name in ``quality`` or ``facts`` to what it says and what good looks like."""
 

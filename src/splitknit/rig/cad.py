@@ -286,14 +286,14 @@ def cad_to_folder(
     changes : fields of :class:`splitknit.rig.part_settings.PartSettings` to replace
     below : put the assembly together with the camera below the finger
     pictures : draw them, too
-    progress : called with what is at work and the share done
+    progress : called with what is at work and the fraction done
 
     Raises
     ------
     BadInput
         In one sentence: a rig that cannot be built, a setting out of range, build123d not installed.
     """
-    say: Progress = progress or (lambda what, share: None)
+    say: Progress = progress or (lambda what, fraction: None)
     check_target(out, "parts.json", "an earlier set of parts")
     rig, hashes = _rig(rig_file)
     settings = override(PartSettings(), changes or {})
@@ -306,7 +306,7 @@ def cad_to_folder(
     with atomic_folder(out) as target:
         for name in ("stl", "step", "pictures"):
             (target / name).mkdir()
-        parts = build_parts(dimensions, lambda name, share: say(f"drawing {name}", 0.45 * share))
+        parts = build_parts(dimensions, lambda name, fraction: say(f"drawing {name}", 0.45 * fraction))
         reports, placed = {}, {}
         for done, part in enumerate(parts):
             name = part.kind.name
@@ -320,7 +320,7 @@ def cad_to_folder(
         say("assembling", 0.80)
         by_name = {part.kind.name: part for part in parts}
         write_assembly(target / "assembly.step", [by_name[name] for name in stack], below=below)
-        drawn = write_pictures(target / "pictures", by_name, placed, below=below, progress=say) if pictures else []
+        drawn = _write_pictures(target / "pictures", by_name, placed, below=below, progress=say) if pictures else []
         if not pictures:
             (target / "pictures").rmdir()
         facts = {
@@ -372,7 +372,7 @@ _SECTION = View(-28.0, 12.0)
 _SECTION_BELOW = View(28.0, 12.0)
 
 
-def write_pictures(
+def _write_pictures(
     folder: Path,
     parts: Mapping[str, RigPart],
     placed: Mapping[str, Triangles],
@@ -388,29 +388,29 @@ def write_pictures(
     parts : all parts by name
     placed : their triangles in the rig's frame
     below : the camera is below the finger
-    progress : called with what is drawn and the share done
+    progress : called with what is drawn and the fraction done
     """
     names = []
     for done, (name, triangles) in enumerate(placed.items()):
         progress(f"picture of {name}", 0.82 + 0.12 * done / len(placed))
-        write_image(folder / f"{name}.png", part_picture(triangles, parts[name].kind.colour))
+        write_image(folder / f"{name}.png", _part_picture(triangles, parts[name].kind.colour))
         names.append(f"{name}.png")
     stack = STACK_BELOW if below else STACK
     progress("exploded view", 0.94)
-    write_image(folder / "exploded.png", exploded_picture(placed, stack, below=below))
+    write_image(folder / "exploded.png", _exploded_picture(placed, stack, below=below))
     progress("section", 0.97)
     cut = {name: half_of(parts[name]) for name in stack}
-    write_image(folder / "section.png", section_picture(cut, below=below))
+    write_image(folder / "section.png", _section_picture(cut, below=below))
     return [*names, "exploded.png", "section.png"]
 
 
-def part_picture(triangles: Triangles, colour: str) -> ColourArray:
+def _part_picture(triangles: Triangles, colour: str) -> ColourArray:
     """Return a part seen from above, and from below beside it."""
     body = Body(triangles, _PALE if colour == "white" else _DARK)
     return np.hstack([draw([body], View(-60.0, 42.0), (480, 600)), draw([body], View(-60.0, -35.0), (480, 600))])
 
 
-def exploded_picture(placed: Mapping[str, Triangles], stack: Sequence[str], *, below: bool) -> ColourArray:
+def _exploded_picture(placed: Mapping[str, Triangles], stack: Sequence[str], *, below: bool) -> ColourArray:
     """Return the stack with gaps between its parts, and their names."""
     view = _EXPLODED_BELOW if below else _EXPLODED
     azimuth = np.deg2rad(view.azimuth_deg + 40.0)
@@ -424,7 +424,7 @@ def exploded_picture(placed: Mapping[str, Triangles], stack: Sequence[str], *, b
     return draw(bodies, view, (1000, 860), labels=0.26)
 
 
-def section_picture(cut: Mapping[str, Triangles], *, below: bool) -> ColourArray:
+def _section_picture(cut: Mapping[str, Triangles], *, below: bool) -> ColourArray:
     """Return the assembled rig cut open along the finger."""
     bodies = [Body(_turned(triangles, below), _COLOURS[name]) for name, triangles in cut.items()]
     return draw(bodies, _SECTION_BELOW if below else _SECTION, (900, 640))

@@ -49,14 +49,14 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     facts = _facts(circuit, out)
     with atomic_folder(out) as folder:
         (folder / "circuit.net").write_text(kicad_netlist(circuit, __version__), encoding="utf-8")
-        (folder / "schematic.svg").write_text(schematic_svg(circuit) + "\n", encoding="utf-8")
+        (folder / "schematic.svg").write_text(_schematic_svg(circuit) + "\n", encoding="utf-8")
         (folder / "parts.csv").write_text(_parts_csv(circuit), encoding="utf-8")
         (folder / "circuit.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
         write_rig(pinned, folder / "rig.json")
     return facts
 
 
-def schematic_svg(circuit: Circuit) -> str:
+def _schematic_svg(circuit: Circuit) -> str:
     """Return the schematic as one SVG document."""
     rows = -(-len(circuit.channels) // COLUMNS)
     width, top = COLUMNS * CELL[0] + 20, 190

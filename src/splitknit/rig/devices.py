@@ -123,7 +123,7 @@ def opened_twin(
     else:
         twin = settings.twin
         rig = twin.rig or default_rig(twin.scale, twin.rig_seed, twin.intensity_spread)
-        scene, words = target_scene(target, rig, seed)
+        scene, words = _target_scene(target, rig, seed)
         notes = (words,)
     clock = Clock()
     noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
@@ -142,7 +142,7 @@ def opened_twin(
         yield Opened("twin", camera, lights, rig, truth=truth, notes=notes)
 
 
-def target_scene(name: str, rig: Rig, seed: int) -> tuple[Scene, str]:
+def _target_scene(name: str, rig: Rig, seed: int) -> tuple[Scene, str]:
     """Return a target under the rig, and what it is; the seed draws its place where it has one."""
     camera, leds = rig.camera, rig.leds
     if name == "nail":

@@ -153,10 +153,10 @@ def _write(parts: Separation, plan: PatternFolder, light: PatternLight, target: 
     files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
     for name, part in (("direct", parts.direct), ("global", parts.global_)):
         write_light_tiff(target / f"{name}.tiff", part, LINEAR, origin)
-        write_image(target / f"{name}.png", light_picture(part))
+        write_image(target / f"{name}.png", _light_picture(part))
     if isinstance(parts, PhaseSeparation):
         write_light_tiff(target / "phase.tiff", parts.phase_rad, "rad, wrapped", origin)
-        write_image(target / "phase.png", phase_picture(parts))
+        write_image(target / "phase.png", _phase_picture(parts))
         files += ["phase.tiff", "phase.png"]
     return {**origin, **_figures(parts, plan, light), "files": [*files, "report.json"]}
 
@@ -209,7 +209,7 @@ def _write_report(path: Path, facts: Mapping[str, Any]) -> None:
 # Previews of separated light for people.
 
 
-def light_picture(light: FloatArray) -> NDArray[np.uint8]:
+def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
     """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is known."""
     known = np.isfinite(light)
     top = max(float(np.quantile(light[known], 0.999)) if known.any() else 1.0, 1e-12)
@@ -218,7 +218,7 @@ def light_picture(light: FloatArray) -> NDArray[np.uint8]:
     return np.asarray(np.round(255 * curve), dtype=np.uint8)
 
 
-def phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
+def _phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
     """The phase as hue, as bright as the modulation is strong."""
     known = np.isfinite(parts.phase_rad)
     hue = np.mod(np.where(known, parts.phase_rad, 0.0) / (2 * np.pi), 1.0) * 180.0

@@ -13,11 +13,11 @@ optional::
       "black": "black.png",                     source off or showing black; taken off every image
       "white": "white.png",                     whole source lit; compared with direct + global; part of symmetry
       "mask": "mask.png",                       white = to be separated
-      "alpha": 0.5, "dark": 0.0,                lit share; brightness of the unlit part (0 if `black` shows it)
+      "alpha": 0.5, "dark": 0.0,                lit fraction; brightness of the unlit part (0 if `black` shows it)
       "patterns": ["s_0.png", "..."],           state of each image on the camera's pixels, 255 = lit; or "estimate"
       "shifts": [[0, 0], [0, 3], "..."],        of each image: numbers, or pairs; a full grid, each once
       "period": 16,                             of the pattern, in units of the shifts
-      "kind": "line", "shadow_percent": 0,      of an occluder: line or mesh (with alpha); share of images in shadow
+      "kind": "line", "shadow_percent": 0,      of an occluder: line or mesh (with alpha); fraction of images in shadow
       "check_px": 8,                            side of a check, for a single image; for checkerboards on skin, where
                                                 patterns are then found in the images unless they are given
       "block": 16,                              side of a block of a single image's result
@@ -63,7 +63,7 @@ class PatternFolder:
     mask: Path | None = None
     """White = to be separated."""
     alpha: float | None = None
-    """Lit share of the pattern; the method's default where None."""
+    """Lit fraction of the pattern; the method's default where None."""
     dark: float = 0.0
     """Brightness of the unlit part of the pattern."""
     patterns: tuple[Path, ...] | str | None = None
@@ -75,7 +75,7 @@ class PatternFolder:
     kind: str | None = None
     """``line`` or ``mesh``; a mesh where None and `alpha` is given."""
     shadow_percent: float = 0.0
-    """Share of an occluder's images in which a pixel is surely in shadow."""
+    """Fraction of an occluder's images in which a pixel is surely in shadow."""
     check_px: float | None = None
     """Side of a check on the camera's pixels: of a single image, and of checkerboards on skin, where light spreads."""
     block: int | None = None
@@ -209,7 +209,7 @@ def _in_order(stem: str) -> list[tuple[int, int | str]]:
 
 
 def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:
-    """The numbers in which the names differ, one or two of them, checked to leave no gap; None where names do not tell.
+    """The numbers in which the names differ, one or two of them, checked to leave no gap; None where there are none.
 
     They are places in a table, not lengths: nothing but completeness is read from them.
     """

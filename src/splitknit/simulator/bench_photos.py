@@ -64,7 +64,7 @@ def bench_to_folder(
     seed: int,
     scale: float = 0.5,
     photos: BenchPhotos | None = None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda stage, fraction: None,
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
 

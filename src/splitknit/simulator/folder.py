@@ -44,7 +44,7 @@ def simulate_to_folder(
         require(scale is None, "the rig file says how large the images are; leave out the scale.")
         settings = replace(settings, rig=read_rig(rig))
     if lights != "white":
-        settings = replace(settings, rig=coloured_lights(lights, settings))
+        settings = replace(settings, rig=_coloured_lights(lights, settings))
     check_target(out, "truth.npz", "an earlier simulated capture")
     with atomic_folder(out) as target:
         progress("simulating", 0.0)
@@ -67,7 +67,7 @@ def simulate_to_folder(
 EXPOSURES = {"coloured": 2, "coloured9": 3}
 
 
-def coloured_lights(lights: str, settings: TwinSettings) -> Rig:
+def _coloured_lights(lights: str, settings: TwinSettings) -> Rig:
     """The rig with coloured LEDs in place of its white ones.
 
     Raises

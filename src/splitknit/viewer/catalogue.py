@@ -126,8 +126,8 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     roots = [_resolved(path) for path in paths]
     for path, root in zip(paths, roots, strict=True):
         _check_kind(path, root)
-    if len(roots) == 1 and not is_result(roots[0]):
-        folders = find_results(roots[0])
+    if len(roots) == 1 and not _is_result(roots[0]):
+        folders = _find_results(roots[0])
         require(
             len(folders) > 0,
             f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them); "
@@ -137,7 +137,7 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
         chosen: tuple[str, ...] = ()
     else:
         for path, root in zip(paths, roots, strict=True):
-            require(is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
+            require(_is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
         folders, names = roots, _telling_names(roots)
         chosen = tuple(str(k) for k in range(len(roots)))
     entries = tuple(
@@ -152,13 +152,13 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     return Catalogue(names[0] if len(names) == 1 else roots[0].name, entries, chosen)
 
 
-def is_result(folder: Path) -> bool:
+def _is_result(folder: Path) -> bool:
     """Whether `splitknit reconstruct` wrote here."""
     file = folder / "height.npz"
     return file.is_file() and not file.is_symlink()
 
 
-def find_results(root: Path) -> list[Path]:
+def _find_results(root: Path) -> list[Path]:
     """Return the results below `root`, links not followed, in the order of their names.
 
     Raises
@@ -169,7 +169,7 @@ def find_results(root: Path) -> list[Path]:
     found = []
     for folder, below, _ in os.walk(root, followlinks=False):
         here = Path(folder)
-        if is_result(here):
+        if _is_result(here):
             found.append(here)
             below.clear()
             require(len(found) <= _MOST, f"'{root}' holds more than {_MOST} results; name a folder below it.")
@@ -220,13 +220,13 @@ def _check_kind(path: Path, root: Path) -> None:
     require(there, f"there is no '{path}'; name a result folder, or a folder of results.")
     require(folder, f"'{path}' is a file; name a result folder (with height.npz), or a folder of results.")
     require(
-        is_result(root) or not (root / "capture.json").is_file(),
+        _is_result(root) or not (root / "capture.json").is_file(),
         f"'{path}' is a capture, not a result; `splitknit reconstruct {path} --out RESULT` makes one.",
     )
 
 
 def _telling_names(folders: Sequence[Path]) -> list[str]:
-    """Return the names of folders, with as many parents as it takes to tell them apart."""
+    """Return the names of folders, with as many parents as it takes to distinguish them."""
     for depth in range(1, 1 + max(len(folder.parts) for folder in folders)):
         names = ["/".join(folder.parts[-depth:]) for folder in folders]
         if len(set(names)) == len(names):

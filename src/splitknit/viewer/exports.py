@@ -40,7 +40,7 @@ def export(entry: Entry, surface: Surface, kind: str, step: int) -> Export:
     Raises
     ------
     BadInput
-        If the kind or the step is none of ours, or the result lacks an array.
+        If the kind or the step is not known, or the result lacks an array.
     """
     require(kind in KINDS, f"a surface is exported as {', '.join(KINDS)}, not as {kind[:20]!a}.")
     require(step in STEPS, "every 1st, 2nd, 4th or 8th value can be exported.")

@@ -1,7 +1,7 @@
 """Who may ask: only the page that this server gave out, on this machine.
 
 Another page in the same browser may send requests to the loopback address, but it does not know the token; the name it
-uses may lead here (DNS rebinding), but then the ``Host`` is not ours; and browsers say where a request comes from.
+uses may lead here (DNS rebinding), but then the ``Host`` is another; and browsers say where a request comes from.
 Another user of the machine may connect to the port, but does not know the token either.
 """
 
@@ -51,7 +51,7 @@ def refusal(method: str, path: str, headers: Message, token: str, port: int) -> 
         As sent, still encoded.
     headers : Message
     token : str
-        The first part of every address of ours.
+        The first part of every address.
     port : int
         On which we listen.
     """

@@ -84,8 +84,8 @@ def marks_of(folder: Path, surface: Surface) -> Marks:
     mm = 25.4 / ppi
     # the print is mirrored: its right is the finger's left
     left_mm, up_mm = (x_px - (columns - 1) / 2) * mm, ((rows - 1) / 2 - y_px) * mm
-    place = on_surface(surface, -left_mm, up_mm)
-    tail = on_surface(surface, -(left_mm + _TAIL_MM * np.cos(direction)), up_mm + _TAIL_MM * np.sin(direction))
+    place = _on_surface(surface, -left_mm, up_mm)
+    tail = _on_surface(surface, -(left_mm + _TAIL_MM * np.cos(direction)), up_mm + _TAIL_MM * np.sin(direction))
     return Marks(x_px, y_px, direction, tuple(_KINDS[int(each)] for each in kind), quality, place, tail)
 
 
@@ -120,7 +120,7 @@ def _columns(*fields: NDArray[Any]) -> _Columns:
     return x, y, direction, kind, quality
 
 
-def on_surface(surface: Surface, right_mm: NDArray[np.float64], up_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_surface(surface: Surface, right_mm: NDArray[np.float64], up_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N, 3) points of the surface at places given from the middle of the upright frame, NaN beside the finger."""
     rows, columns = surface.upright_size
     column = (columns - 1) / 2 + np.asarray(right_mm) / surface.pitch_mm

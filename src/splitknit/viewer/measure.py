@@ -82,8 +82,8 @@ def pick(
     if crossed.size == 0:
         return None
     k = int(crossed[0])
-    share = float(above[k] / (above[k] - above[k + 1]))
-    x, y = (float(points[axis, k] + share * (points[axis, k + 1] - points[axis, k])) for axis in (0, 1))
+    fraction = float(above[k] / (above[k] - above[k + 1]))
+    x, y = (float(points[axis, k] + fraction * (points[axis, k + 1] - points[axis, k])) for axis in (0, 1))
     z = float(sample(surface.height_mm, locate(surface, np.array([x]), np.array([y])))[0])
     return (x, y, z) if np.isfinite(z) else None
 
@@ -102,13 +102,13 @@ def section(surface: Surface, start_mm: tuple[float, float], end_mm: tuple[float
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
     count = int(min(_MOST_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
-    share = np.linspace(0.0, 1.0, count)
-    x, y = (ends[0, axis] + share * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
+    fraction = np.linspace(0.0, 1.0, count)
+    x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
     place = locate(surface, x, y)
     height = sample(surface.height_mm, place)
     relief = np.where(np.isfinite(height), 1000.0 * sample(surface.ridge_mm, place), np.nan)
     require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the finger.")
-    along = share * flat_mm
+    along = fraction * flat_mm
     return Section(along, x, y, height, relief, _figures(along, height, relief))
 
 

@@ -74,7 +74,7 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
 
 
 def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, int]]:
-    """Pairs of minutiae that lie within 0.8 mm of each other and point alike within 30 deg, the nearest first."""
+    """Pairs of minutiae that lie within 0.8 mm of each other and point the same way within 30 deg, nearest first."""
     moved, tails = alignment.moved(b.place_mm), alignment.moved(b.tail_mm)
     gaps = np.linalg.norm(a.place_mm[:, None, :2] - moved[None, :, :2], axis=2)
     ways = (_ways(a.tail_mm - a.place_mm)[:, None] - _ways(tails - moved)[None, :] + np.pi) % (2 * np.pi) - np.pi

@@ -68,7 +68,7 @@ def start(service: Service, port: int) -> ViewerServer:
     Raises
     ------
     BadInput
-        If the port is in use or not ours to take.
+        If the port is in use or may not be used.
     """
     try:
         return ViewerServer(service, new_token(), port)
@@ -133,7 +133,7 @@ class ViewerServer(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), _Handler)
 
     def server_bind(self) -> None:
-        """Bind without asking the network for our name."""
+        """Bind without asking the network for this host's name."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()

@@ -76,7 +76,7 @@ class Service:
 
         Parameters
         ----------
-        path : below the token, as sent; nothing of ours needs an escape, so none is undone
+        path : below the token, as sent; no address needs an escape, so none is undone
         query : name to value
 
         Raises
@@ -264,7 +264,7 @@ def _list(values: Any) -> list[float | None]:
     return [round(float(value), 5) if np.isfinite(value) else None for value in values]
 
 
-# What the page says about a result in words and numbers.
+# What the page shows of a result: text and numbers.
 
 _TURNING = dict.fromkeys(
     (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)), "\N{REPLACEMENT CHARACTER}"

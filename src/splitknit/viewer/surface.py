@@ -187,7 +187,7 @@ _FIRST_VIEW = 70_000
 _HEAD = struct.Struct("<8i")
 
 
-def root_stride(surface: Surface) -> int:
+def _root_stride(surface: Surface) -> int:
     """Stride of the first view, a power of two."""
     stride = 1
     while surface.count / stride**2 > _FIRST_VIEW:
@@ -197,7 +197,7 @@ def root_stride(surface: Surface) -> int:
 
 def strides(surface: Surface) -> list[int]:
     """Strides of all levels, the coarsest first."""
-    stride = root_stride(surface)
+    stride = _root_stride(surface)
     return [stride >> k for k in range(stride.bit_length())]
 
 
@@ -235,7 +235,7 @@ def tile_bytes(surface: Surface, stride: int, row: int, column: int) -> bytes:
 
 def first_view(surface: Surface) -> Iterator[bytes]:
     """Tiles of the coarsest level, one after the other."""
-    stride = root_stride(surface)
+    stride = _root_stride(surface)
     for row, column in filled_tiles(surface, stride):
         yield tile_bytes(surface, stride, row, column)
 

@@ -1,4 +1,4 @@
-// Colour maps that colour-blind readers can tell apart; the same stops as the report's (apps/pictures.py).
+// Colour maps that colour-blind readers can tell apart; the same stops as the report's (io/pictures.py).
 
 /** Cividis (Nunez, Anderton and Renslow 2018). */
 const CIVIDIS = [
