@@ -61,8 +61,8 @@ def hashes(folder):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default::DeprecationWarning")
 def test_the_folder_is_complete_and_the_same_every_time(tmp_path, capsys):
+    from splitknit.rig.assembly import read_stl
     from splitknit.rig.part_reports import check_soundness
-    from splitknit.rig.stl import read_stl
 
     rig = default_rig()
     six = replace(rig, leds=rig.leds[:6])

@@ -114,10 +114,9 @@ from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.matchable import MatchingSettings, Surface
-from splitknit.rig.candidates import Candidate
+from splitknit.rig.assembly import read_stl, write_stl
+from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.optimise import SweepFolder
-from splitknit.rig.stl import read_stl, write_stl
-from splitknit.rig.study import Study
 from splitknit.settings import override
 from splitknit.training.separation import SeparationSettings
 from splitknit.training.separation_data import SeparationData

@@ -12,8 +12,7 @@ from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
 from splitknit.rig import assembly, part_files
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
-from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of
-from splitknit.rig.mirror_shape import holder_places, mirror_front
+from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of, holder_places, mirror_front
 from splitknit.rig.part_reports import check_soundness, first_hits, report_part
 from splitknit.rig.part_settings import PartSettings
 from splitknit.settings import override

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.rig.assembly import PartKind
+from splitknit.rig.assembly import PartKind, read_stl, write_stl
 from splitknit.rig.part_reports import check_soundness, first_hits, overhang, report_part, slice_mask, thinnest_wall
-from splitknit.rig.print_settings import PrinterSettings
-from splitknit.rig.stl import read_stl, write_stl
+from splitknit.rig.part_settings import PrinterSettings
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))

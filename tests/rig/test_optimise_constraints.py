@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.rig.candidates import BuildSettings, Candidate, grid, rig_of
-from splitknit.rig.constraints import Limits, Print, examine, glare_lobe_rad, glaring
-from splitknit.rig.photons import (
+from splitknit.rig.candidates import (
+    BuildSettings,
+    Candidate,
+    Print,
+    RigLimits,
+    examine,
+    glare_lobe_rad,
+    glaring,
+    grid,
+    rig_of,
+)
+from splitknit.rig.photography import (
     PhotonSettings,
     electrons_per_s,
     intensity_w_sr,
@@ -28,7 +37,7 @@ THESIS = Candidate(140.0, 52.5, 1.0)
 
 
 def _found(candidate, build=ORTHOGRAPHIC, photons=None, limits=None, finger=DOME):
-    findings = examine(candidate, build, photons or PhotonSettings(), limits or Limits(), finger=finger)
+    findings = examine(candidate, build, photons or PhotonSettings(), limits or RigLimits(), finger=finger)
     return {one.name: one for one in findings}
 
 

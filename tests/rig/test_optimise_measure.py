@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.model import Reconstruction
-from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
+from splitknit.rig.candidates import BuildSettings, Candidate, Study, rig_of
 from splitknit.rig.evaluate_rig import (
     compare_surfaces,
     evaluate,
@@ -20,9 +20,7 @@ from splitknit.rig.evaluate_rig import (
     truth,
     view_of,
 )
-from splitknit.rig.photo import photograph
-from splitknit.rig.photons import PhotonSettings, intensity_w_sr
-from splitknit.rig.study import Study
+from splitknit.rig.photography import PhotonSettings, intensity_w_sr, photograph
 from splitknit.simulator.diffusion import load_walks
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)

@@ -11,10 +11,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
 from splitknit.rig.dimension_checks import check_dimensions
-from splitknit.rig.dimension_table import dimension_table
-from splitknit.rig.dimensions import dimensions_of
-from splitknit.rig.mirror_shape import mirror_front, mirror_profile, mirror_view
-from splitknit.rig.nail import nail_height, shadow_tips
+from splitknit.rig.dimensions import dimensions_of, mirror_front, mirror_profile, mirror_view, nail_height, shadow_tips
+from splitknit.rig.part_reports import dimension_table
 from splitknit.rig.part_settings import PartSettings
 from splitknit.settings import override
 from splitknit.simulator.built_rig import built_rig

@@ -13,8 +13,7 @@ from splitknit.calibration import Board, find_board
 from splitknit.calibration.disc import find_disc
 from splitknit.calibration.plane import plane_scale
 from splitknit.errors import BadInput
-from splitknit.rig.pdf import POINTS_PER_MM, Page
-from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf
+from splitknit.rig.target import POINTS_PER_MM, RULER_MM, Page, TargetSettings, dots_mm, target_pdf
 
 PX_PER_MM = 12.0
 

@@ -11,8 +11,14 @@ from scipy.spatial import cKDTree
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Mirror
-from splitknit.rig.dimensions import dimensions_of
-from splitknit.rig.mirror_shape import holder_depth, holder_places, mirror_front, mirror_profile, mirror_view
+from splitknit.rig.dimensions import (
+    dimensions_of,
+    holder_depth,
+    holder_places,
+    mirror_front,
+    mirror_profile,
+    mirror_view,
+)
 from splitknit.rig.part_settings import MirrorSettings, PartSettings
 from splitknit.settings import override
 from splitknit.simulator.diffusion import fresnel

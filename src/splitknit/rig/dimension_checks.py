@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.rig.dimensions import RigDimensions
-from splitknit.rig.led_holes import LedHole
+from splitknit.rig.dimensions import LedHole, RigDimensions
 
 _SAMPLES = 400
 _LEAST_SEAT_MM = 0.6

@@ -7,16 +7,168 @@ whole stack is turned over.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Rig
-from splitknit.rig.led_holes import LedHole, led_hole
-from splitknit.rig.nail import nail_height
-from splitknit.rig.part_settings import PartSettings
+from splitknit.model import Led, Rig
+from splitknit.rig.part_settings import LedSettings, PartSettings
+
+# --- calibration nail -------------------------------------------------------------------------------------------------
+
+_STEP_MM = 0.5
+
+
+def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+    """Return (L, 2): where each LED throws the shadow of a nail's tip onto the finger plane, in mm.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the places of its LEDs.
+    nail_mm : height of the tip over the plane, below the lowest LED
+    place_mm : x and y of the nail
+
+    Examples
+    --------
+    >>> from splitknit.simulator.rig import default_rig
+    >>> shadow_tips(default_rig(), 14.0)[0].round(2).tolist()  # the LED on the right throws it to the left
+    [-5.83, 0.0]
+    """
+    leds = _places(rig)
+    stretch = nail_mm / (leds[:, 2] - nail_mm)
+    place = np.asarray(place_mm, dtype=np.float64)
+    return np.asarray(place + (place - leds[:, :2]) * stretch[:, None])
+
+
+def nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
+    """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
+
+    Parameters
+    ----------
+    rig : Rig
+    offset_mm : how far from the middle the nail may stand, along x and along y
+    margin_mm : between a shadow's tip and the border of the picture
+    radius_mm : of the nail's foot; a shadow's tip must come out from under it
+
+    Raises
+    ------
+    BadInput
+        If the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
+    """
+    camera = rig.camera
+    half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
+    leds = _places(rig)
+    best = float(leds[:, 2].min()) / 3
+    for place in itertools.product((-offset_mm, 0.0, offset_mm), repeat=2):
+        away = np.asarray(place) - leds[:, :2]  # (L, 2) the way of the shadow
+        room = np.where(away >= 0, half - place, half + place)
+        stretch = (room / np.maximum(np.abs(away), 1e-9)).min(axis=1)
+        if not (stretch > 0).all():
+            best = 0.0
+            break
+        best = min(best, float((leds[:, 2] * stretch / (1 + stretch)).min()))
+    height = math.floor(best / _STEP_MM + 1e-9) * _STEP_MM
+    require(
+        height >= 4.0,
+        f"the picture of {2 * (half[0] + margin_mm):.0f} x {2 * (half[1] + margin_mm):.0f} mm is too small for the "
+        f"shadows of a nail up to {offset_mm:g} mm from its middle; set calibration.nail_offset_mm smaller.",
+    )
+    nearest = float(np.hypot(*shadow_tips(rig, height).T).min())
+    require(
+        nearest >= radius_mm + 0.5,
+        f"a nail of {height:g} mm hides the shadow of an LED under its foot of {radius_mm:g} mm radius "
+        f"(calibration.nail_radius_mm), as that LED stands nearly above it.",
+    )
+    return height
+
+
+def _places(rig: Rig) -> NDArray[np.float64]:
+    places = [led.position_mm for led in rig.leds]
+    require(None not in places, "the nail's height needs the place of every LED (position_mm).")
+    return np.asarray(places, dtype=np.float64)
+
+
+# --- holes of the LEDs ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LedHole:
+    """A tilted hole for one LED; distances along its axis count from the light, away from the finger."""
+
+    index: int
+    band: str
+    light_mm: NDArray[np.float64]
+    """(3,) the LED's place in the rig file: the middle of its dome."""
+    back: NDArray[np.float64]
+    """(3,) unit vector along the hole, away from the finger."""
+    radius_mm: float
+    pocket_radius_mm: float
+    """Behind the shoulder, where the flange rests."""
+    shoulder_mm: float
+    back_mm: float
+    """Where the pocket ends."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the hole and the camera's axis."""
+        return math.degrees(math.acos(min(1.0, float(self.back[2]))))
+
+    def at(self, distance_mm: float) -> NDArray[np.float64]:
+        """(3,) point on the axis."""
+        return np.asarray(self.light_mm + distance_mm * self.back)
+
+    @property
+    def lean_mm(self) -> float:
+        """How much farther along the axis a level face meets the hole's one side than its axis."""
+        return self.radius_mm * math.tan(math.radians(self.tilt_deg))
+
+    def level_mm(self, z: float) -> float:
+        """Where the axis meets a level face at the height `z`."""
+        return (z - float(self.light_mm[2])) / float(self.back[2])
+
+    @property
+    def radius_taken_mm(self) -> float:
+        """How far from the camera's axis the LED reaches while it is pushed in from behind."""
+        tilted = self.pocket_radius_mm * float(self.back[2])
+        waiting = self.at(self.back_mm + self.shoulder_mm + self.radius_mm)  # its dome is at the pocket's end
+        outside = float(np.hypot(*waiting[:2])) + tilted
+        return max(outside, float(np.hypot(*self.light_mm[:2])) + self.radius_mm)
+
+
+def led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
+    """Return the hole of one LED.
+
+    Raises
+    ------
+    BadInput
+        If the LED has no place.
+    """
+    require(
+        led.position_mm is not None and not led.also,
+        f"LED {index} of the rig has no position_mm (it is distant light or a group), but parts need its place.",
+    )
+    white = led.band == "white"
+    diameter = settings.white_diameter_mm if white else settings.nir_diameter_mm
+    flange = settings.white_flange_mm if white else settings.nir_flange_mm
+    shoulder = settings.white_flange_to_light_mm if white else settings.nir_flange_to_light_mm
+    return LedHole(
+        index=index,
+        band=led.band,
+        light_mm=np.asarray(led.position_mm, dtype=np.float64),
+        back=-led.axis,
+        radius_mm=diameter / 2 + settings.clearance_mm,
+        pocket_radius_mm=flange / 2 + settings.clearance_mm,
+        shoulder_mm=shoulder,
+        back_mm=shoulder + settings.pocket_mm,
+    )
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 """Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that parts fit one way."""
@@ -230,3 +382,69 @@ def _gusset(settings: PartSettings) -> float:
 def _boards_high(settings: PartSettings) -> float:
     board = settings.board
     return board.pi_post_height_mm + 1.5 + board.pcb_over_pi_mm + 1.6 + board.pcb_parts_mm
+
+
+# --- mirror holders ---------------------------------------------------------------------------------------------------
+
+_HALF = math.sqrt(0.5)
+_LIP_WALL_MM = 1.2
+
+
+def mirror_front(settings: PartSettings) -> tuple[float, float]:
+    """Return the lower front edge of a mirror: distance from its holder's front, height over the holder's foot, mm."""
+    slack = settings.joint.clearance_mm
+    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (settings.mirror.thick_mm + slack) * _HALF + _LIP_WALL_MM
+
+
+def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
+    """Return the outline of a mirror holder: distance from its front, height over its foot, mm.
+
+    The mirror's reflecting face starts at :func:`mirror_front` and leans by 45 deg away from the finger; a lip holds
+    its lower edge.
+    """
+    mirror, slack, wall = settings.mirror, settings.joint.clearance_mm, settings.joint.wall_mm
+    front = np.array(mirror_front(settings))
+    along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    low = front + (mirror.thick_mm + slack) * behind
+    high = low + mirror.wide_mm * along
+    lip_inside, lip_outside = front - slack * behind, front - (slack + _LIP_WALL_MM) * behind
+    start = lip_outside[1] - lip_outside[0]  # where the lip's outer face, at 45 deg, meets the holder's front
+    corners = [high, low, lip_inside, lip_inside + mirror.lip_mm * along, lip_outside + mirror.lip_mm * along]
+    back = float(high[0]) + wall
+    outline = [(0.0, 0.0), (back, 0.0), (back, float(high[1])), *((float(u), float(v)) for u, v in corners)]
+    return [*outline, (0.0, float(start))]
+
+
+def holder_depth(settings: PartSettings) -> float:
+    """Return the depth of a mirror holder, away from the finger, mm."""
+    return mirror_profile(settings)[1][0]
+
+
+def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]:
+    """Return for the right, left and tip holder: x, y of the middle of its front edge, and its turn in degrees."""
+    d = dimensions
+    side = d.block_mm + d.settings.mirror.gap_mm
+    middle = d.stop_y_mm + 1.0 - d.settings.mirror.long_mm / 2
+    tip = d.stop_y_mm + d.settings.joint.wall_mm + d.settings.mirror.gap_mm
+    return [(side, middle, 0.0), (-side, middle, 180.0), (0.0, tip, 90.0)]
+
+
+def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
+    """Return what the mirrors show: heights of the finger over the plane (mm), and the share of it in the picture.
+
+    A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
+    """
+    d, mirror = dimensions, dimensions.settings.mirror
+    (front, foot), (side, _, _), (_, tip, _) = mirror_front(d.settings), holder_places(d)[0], holder_places(d)[2]
+    floor, length = d.floor_z_mm - d.pocket_mm + foot, mirror.wide_mm * _HALF
+    view = {}
+    for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):
+        first = start + mirror.lip_mm * _HALF
+        view[name] = {
+            "lowest_mm": floor + mirror.lip_mm * _HALF,
+            "highest_mm": floor + length,
+            "from_axis_mm": first,
+            "to_axis_mm": start + length,
+            "share_in_picture": min(1.0, max(0.0, (border - first) / (start + length - first))),
+        }
+    return view

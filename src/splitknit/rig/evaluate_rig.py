@@ -14,11 +14,8 @@ from scipy.spatial import cKDTree
 from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, Camera, FloatArray, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
-from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
-from splitknit.rig.constraints import Finding, Print, examine
-from splitknit.rig.photo import Shot, photograph
-from splitknit.rig.photons import intensity_w_sr
-from splitknit.rig.study import Study
+from splitknit.rig.candidates import BuildSettings, Candidate, Finding, Print, Study, examine, rig_of
+from splitknit.rig.photography import Shot, intensity_w_sr, photograph
 from splitknit.simulator.diffusion import WalkTable, load_walks
 from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody

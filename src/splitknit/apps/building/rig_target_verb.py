@@ -25,8 +25,13 @@ def run(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.targets import check_file  # noqa: PLC0415
     from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
     from splitknit.io import atomic_file  # noqa: PLC0415
-    from splitknit.rig.pdf import PRODUCER  # noqa: PLC0415
-    from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf  # noqa: PLC0415
+    from splitknit.rig.target import (  # noqa: PLC0415
+        PRODUCER,
+        RULER_MM,
+        TargetSettings,
+        dots_mm,
+        target_pdf,
+    )
 
     check_file(options.out, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
     board = Board.named(options.board, options.square_mm)
