@@ -167,7 +167,7 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
 
 
 def test_what_is_outside_a_limit_is_said():
-    kind = PartKind("thing", "Thing", "nowhere", quantity=2)
+    kind = PartKind("thing", "Thing", quantity=2)
     thin = hollow((30, 20, 12), 0.5)
     report = report_part(kind, thin, PrinterSettings(bed_x_mm=25.0))
     assert [report["checks"][name]["ok"] for name in ("watertight", "wall", "bed", "overhang")] == [

@@ -34,8 +34,6 @@ class PartKind:
 
     name: str
     title: str
-    module: str
-    """Of :mod:`splitknit.rig`, with a function ``NAME_part``."""
     quantity: int = 1
     face_down: bool = False
     """Printed with its upper face on the bed."""
@@ -47,23 +45,21 @@ class PartKind:
 
 
 KINDS: tuple[PartKind, ...] = (
-    PartKind("base", "Base with finger groove", "parts"),
+    PartKind("base", "Base with finger groove"),
     PartKind(
         "cylinder",
         "Cylinder with the finger's opening",
-        "parts",
         remedy="The semicircular opening stands in a wall of one thickness: its crown closes over the last few "
         "millimetres as a bridge and needs no support.",
     ),
-    PartKind("frame", "LED and camera frame", "parts"),
-    PartKind("box", "Circuit box", "parts"),
-    PartKind("lid", "Lid", "parts"),
-    PartKind("window_base", "Window base, for the camera below", "parts", needed=False),
-    PartKind("mirror_holder", "Mirror holder at 45 deg (left, right, tip)", "parts", quantity=3, needed=False),
+    PartKind("frame", "LED and camera frame"),
+    PartKind("box", "Circuit box"),
+    PartKind("lid", "Lid"),
+    PartKind("window_base", "Window base, for the camera below", needed=False),
+    PartKind("mirror_holder", "Mirror holder at 45 deg (left, right, tip)", quantity=3, needed=False),
     PartKind(
         "calibration_disc",
         "Calibration disc, recessed dots",
-        "parts",
         face_down=True,
         colour="white",
         remedy="Face on the bed. Either fill the dots with black paint, or print the first layers, up to the dots' "
@@ -72,16 +68,14 @@ KINDS: tuple[PartKind, ...] = (
     PartKind(
         "calibration_disc_flat",
         "Calibration disc, flush dots (with the pegs of calibration_dots)",
-        "parts",
         face_down=True,
         colour="white",
         needed=False,
     ),
-    PartKind("calibration_dots", "Black dots for the flat disc", "parts", needed=False),
+    PartKind("calibration_dots", "Black dots for the flat disc", needed=False),
     PartKind(
         "nail",
         "Nail cone",
-        "parts",
         remedy="Its tip is as thin as the nozzle on purpose. Print with a brim, slowly, beside another part so that "
         "each layer cools.",
     ),
@@ -130,7 +124,7 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
 
 
 def _maker(kind: PartKind) -> Callable[[RigDimensions], Any]:
-    module = importlib.import_module(f"splitknit.rig.{kind.module}")
+    module = importlib.import_module("splitknit.rig.parts")
     maker: Callable[[RigDimensions], Any] = getattr(module, f"{_MAKERS.get(kind.name, kind.name)}_part")
     return maker
 

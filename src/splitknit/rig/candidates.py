@@ -5,18 +5,23 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera, Led, Rig
-from splitknit.rig.photography import PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
+from splitknit.rig.photography import LAMPS, MIN_LEVEL, PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
+from splitknit.settings import Checked, Limits
 
 # --- candidates -------------------------------------------------------------------------------------------------------
 
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""
+_FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
+"""Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
+_LEDS_PER_BAND = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,32 +75,16 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class BuildSettings:
+class BuildSettings(Checked):
     """What all candidates share."""
 
-    leds_per_band: int = 7
-    """LEDs on the circle for each of the bands, 3 to 64."""
-    half_angle_deg: float = 30.0
+    half_angle_deg: Annotated[float, Limits(5, 90)] = 30.0
     """Angle from the beam's axis at which an LED is half as bright: 60 for a bare chip, 30 and less with a lens; 90
     stands for equal light all around."""
-    led_drop_mm: float = 0.0
+    led_drop_mm: Annotated[float, Limits(-100, 100)] = 0.0
     """How far the LEDs stand below the front of the lens; negative is above."""
-    field_mm: tuple[float, float] = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
-    """Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
-    view: str = "perspective"
+    view: Literal["perspective", "orthographic"] = "perspective"
     """Of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes it."""
-
-    def __post_init__(self) -> None:
-        require(3 <= self.leds_per_band <= 64, f"leds_per_band must be 3 to 64, but it is {self.leds_per_band}.")
-        require(
-            5.0 <= self.half_angle_deg <= 90.0, f"half_angle_deg must lie in 5 to 90, but it is {self.half_angle_deg}."
-        )
-        require(abs(self.led_drop_mm) <= 100.0, f"led_drop_mm must lie within 100 mm, but it is {self.led_drop_mm}.")
-        require(min(self.field_mm) >= 15.0, f"field_mm must be at least 15 mm a side, but it is {self.field_mm}.")
-        require(
-            self.view in ("perspective", "orthographic"),
-            f"view must be perspective or orthographic, not '{self.view}'.",
-        )
 
     @property
     def lobe_exponent(self) -> float:
@@ -133,7 +122,7 @@ def grid(
 
 def camera_of(candidate: Candidate, build: BuildSettings, view: str | None = None) -> Camera:
     """The candidate's camera: the field of `build`, seen from the candidate's height."""
-    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in build.field_mm)
+    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in _FIELD_MM)
     matrix = None
     if (view or build.view) == "perspective":
         focal = candidate.px_per_mm * candidate.height_mm
@@ -161,7 +150,7 @@ def rig_of(
     intensities : of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs
     view : of the camera, where it differs from `build.view`
     """
-    count = build.leds_per_band
+    count = _LEDS_PER_BAND
     tilt = np.deg2rad(candidate.beam_deg)
     leds = []
     for band, intensity in intensities.items():
@@ -186,37 +175,26 @@ def rig_of(
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class RigLimits:
-    """How much is too much."""
-
-    led_body_mm: float = 2.5
-    """Radius of an LED's case."""
-    camera_body_mm: float = 17.3
-    """Half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle."""
-    finger_mm: float = 12.0
-    """Half the breadth of the opening that a large finger needs."""
-    wall_mm: float = 8.0
-    """From the circle of the LEDs to the outside of the box."""
-    bed_mm: tuple[float, float] = (220.0, 250.0)
-    """Side of the printer's bed, and its height."""
-    roughness: float = 0.25
-    """GGX alpha of the skin whose glare is judged."""
-    blind_share: float = 0.05
-    """Largest share of the print where fewer than three LEDs are free of glare: three is what a normal needs."""
-    blur_mm: float = 0.11
-    """Disc of defocus that is allowed: a quarter of a ridge period."""
-    albedo: float = 0.6
-    """Of the brightest channel of skin, for the exposure."""
-    beam_share: float = 0.1
-    """Least share of an LED's axial intensity that falls on the middle of the finger plane."""
-
-    def __post_init__(self) -> None:
-        for name in ("led_body_mm", "camera_body_mm", "finger_mm", "wall_mm", "blur_mm", "roughness", "albedo"):
-            value = getattr(self, name)
-            require(bool(np.isfinite(value)) and value > 0, f"limits.{name} must be positive, but it is {value}.")
-        require(min(self.bed_mm) > 0, f"limits.bed_mm must be positive, but it is {self.bed_mm}.")
-        require(0 <= self.blind_share <= 1, f"limits.blind_share must be 0 to 1, but it is {self.blind_share}.")
+_LED_BODY_MM = 2.5
+"""Radius of an LED's case."""
+_CAMERA_BODY_MM = 17.3
+"""Half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle."""
+_FINGER_MM = 12.0
+"""Half the breadth of the opening that a large finger needs."""
+_WALL_MM = 8.0
+"""From the circle of the LEDs to the outside of the box."""
+_BED_MM = (220.0, 250.0)
+"""Side of the printer's bed, and its height."""
+_ROUGHNESS = 0.25
+"""GGX alpha of the skin whose glare is evaluated."""
+_MAX_BLIND = 0.05
+"""Largest fraction of the print where fewer than three LEDs are free of glare: three is what a normal needs."""
+_BLUR_MM = 0.11
+"""Disc of defocus that is allowed: a quarter of a ridge period."""
+_ALBEDO = 0.6
+"""Of the brightest channel of skin, for the exposure."""
+_MIN_BEAM = 0.1
+"""Smallest fraction of an LED's axial intensity that falls on the middle of the finger plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +224,6 @@ def examine(
     candidate: Candidate,
     build: BuildSettings,
     photons: PhotonSettings,
-    limits: RigLimits,
     *,
     finger: Print,
     bands: Sequence[str] = ("white",),
@@ -255,7 +232,7 @@ def examine(
 
     Parameters
     ----------
-    candidate, build, photons, limits : the rig and what is asked of it
+    candidate, build, photons : the rig
     finger : surface of a typical finger
     bands : whose exposure is judged
 
@@ -264,18 +241,18 @@ def examine(
     One finding for every constraint, those that failed included.
     """
     exponent = build.lobe_exponent
-    intensities = {band: intensity_w_sr(candidate.power_w, photons.lamps[band], exponent) for band in bands}
+    intensities = {band: intensity_w_sr(candidate.power_w, LAMPS[band], exponent) for band in bands}
     leds = rig_of(candidate, build, intensities).leds
     white = [led for led in leds if led.band == leds[0].band]
     return (
-        _in_view(white, candidate, build, limits),
+        _in_view(white, candidate, build),
         _into_lens(white, candidate),
-        _room(candidate, limits),
-        _bed(candidate, limits),
-        _beam(candidate, exponent, limits),
-        _glare(white, candidate, build, limits, finger),
-        *(_exposed(band, [led for led in leds if led.band == band], photons, limits) for band in bands),
-        _depth(photons, limits, finger),
+        _room(candidate),
+        _bed(candidate),
+        _beam(candidate, exponent),
+        _glare(white, candidate, build, finger),
+        *(_exposed(band, [led for led in leds if led.band == band], photons) for band in bands),
+        _depth(photons, finger),
     )
 
 
@@ -308,18 +285,18 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings, limits: RigLimits) -> Finding:
+def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings) -> Finding:
     """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
     clear = np.inf
     for led in leds:
         x, y, z = np.asarray(led.position_mm)
-        below = candidate.height_mm - z + limits.led_body_mm  # of the LED's lowest point, from the lens
+        below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
         if below <= 0:
             continue
         share = below / candidate.height_mm if build.view == "perspective" else 1.0
-        half_y, half_x = (0.5 * side * share for side in build.field_mm)
+        half_y, half_x = (0.5 * side * share for side in _FIELD_MM)
         outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
-        clear = min(clear, outside - limits.led_body_mm)
+        clear = min(clear, outside - _LED_BODY_MM)
     clear = float(min(clear, 1e3))
     ok = clear > 0.0
     words = (
@@ -350,9 +327,9 @@ def _into_lens(leds: list[Led], candidate: Candidate) -> Finding:
     return Finding("direct_light", ok, True, worst, words)
 
 
-def _room(candidate: Candidate, limits: RigLimits) -> Finding:
-    inside = candidate.radius_mm - limits.led_body_mm
-    needed = max(limits.camera_body_mm, limits.finger_mm)
+def _room(candidate: Candidate) -> Finding:
+    inside = candidate.radius_mm - _LED_BODY_MM
+    needed = max(_CAMERA_BODY_MM, _FINGER_MM)
     ok = inside >= needed
     words = (
         f"{inside:.1f} mm are free inside the circle."
@@ -362,24 +339,24 @@ def _room(candidate: Candidate, limits: RigLimits) -> Finding:
     return Finding("room", ok, True, inside - needed, words)
 
 
-def _bed(candidate: Candidate, limits: RigLimits) -> Finding:
-    breadth = 2.0 * (candidate.radius_mm + limits.wall_mm)
-    spare = min(limits.bed_mm[0] - breadth, limits.bed_mm[1] - candidate.height_mm)
+def _bed(candidate: Candidate) -> Finding:
+    breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
+    spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
     ok = spare >= 0.0
     words = (
         f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits the printer."
         if ok
         else f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, does not fit a printer of "
-        f"{limits.bed_mm[0]:g} mm and {limits.bed_mm[1]:g} mm of height."
+        f"{_BED_MM[0]:g} mm and {_BED_MM[1]:g} mm of height."
     )
     return Finding("printer", ok, True, spare, words)
 
 
-def _beam(candidate: Candidate, exponent: float, limits: RigLimits) -> Finding:
+def _beam(candidate: Candidate, exponent: float) -> Finding:
     centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
     off = abs(candidate.beam_deg - centre)
     share = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
-    ok = share >= limits.beam_share and off < 75.0
+    ok = share >= _MIN_BEAM and off < 75.0
     words = (
         f"the finger gets {100 * share:.0f} % of the LEDs' axial intensity."
         if ok
@@ -388,11 +365,11 @@ def _beam(candidate: Candidate, exponent: float, limits: RigLimits) -> Finding:
     return Finding("beam", ok, True, share, words)
 
 
-def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, limits: RigLimits, finger: Print) -> Finding:
-    glare = glaring(leds, candidate, build, limits.roughness, finger)
+def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: Print) -> Finding:
+    glare = glaring(leds, candidate, build, _ROUGHNESS, finger)
     free = (~glare.astype(bool)).sum(axis=0)
     blind = float(np.mean(free < 3))
-    ok = blind <= limits.blind_share
+    ok = blind <= _MAX_BLIND
     shares = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
     words = (
         f"{shares}, and {100 * blind:.0f} % of it under all but two."
@@ -402,7 +379,7 @@ def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, limits: 
     return Finding("glare", ok, True, blind, words)
 
 
-def _exposed(band: str, leds: list[Led], photons: PhotonSettings, limits: RigLimits) -> Finding:
+def _exposed(band: str, leds: list[Led], photons: PhotonSettings) -> Finding:
     """Exposure of a facing patch of skin below the middle."""
     brightest = 0.0
     for led in leds:
@@ -412,12 +389,12 @@ def _exposed(band: str, leds: list[Led], photons: PhotonSettings, limits: RigLim
             along = max(-float(led.axis @ towards) / np.sqrt(squared), 0.0)
             irradiance = led.intensity * along**led.lobe_exponent * 1e6 / squared * float(towards[2]) / np.sqrt(squared)
             brightest = max(brightest, irradiance)
-    rate = electrons_per_s(limits.albedo / np.pi * brightest, photons.lamps[band], photons) if brightest else 0.0
+    rate = electrons_per_s(_ALBEDO / np.pi * brightest, LAMPS[band], photons) if brightest else 0.0
     if rate <= 0.0:
         return Finding(f"exposure_{band}", False, True, 0.0, "no light falls on the finger; turn the beams towards it.")
     plan = plan_exposure(rate, photons)
     how = f"{1000 * plan.time_s:.3g} ms at gain {plan.gain:.2g}"
-    dark = plan.level < photons.least_level
+    dark = plan.level < MIN_LEVEL
     ok = not dark and not plan.saturates
     words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
     if dark:
@@ -427,21 +404,25 @@ def _exposed(band: str, leds: list[Led], photons: PhotonSettings, limits: RigLim
     return Finding(f"exposure_{band}", ok, True, plan.level, words)
 
 
-def _depth(photons: PhotonSettings, limits: RigLimits, finger: Print) -> Finding:
+def _depth(photons: PhotonSettings, finger: Print) -> Finding:
     seen = float(np.ptp(finger.points_mm[:, 2]))
-    sharp = photons.depth_of_field_mm(limits.blur_mm)
+    sharp = photons.depth_of_field_mm(_BLUR_MM)
     ok = sharp >= seen
-    words = f"{sharp:.1f} mm of depth are sharp within {limits.blur_mm:g} mm at f/{photons.f_number:g}; the print has "
+    words = f"{sharp:.1f} mm of depth are sharp within {_BLUR_MM:g} mm at f/{photons.f_number:g}; the print has "
     words += f"{seen:.1f} mm." if ok else f"{seen:.1f} mm: stop down."
     return Finding("depth_of_field", ok, False, sharp - seen, words)
 
 
 # --- study ------------------------------------------------------------------------------------------------------------
 
+FIRST_SEED = 400
+"""Of the fingers."""
+TRUTH_PX_PER_MM = 10.0
+"""Density of the points of the true surface."""
 METHODS = {
     "ea": "the thesis's plain photometric stereo: distant lights, Frankot-Chellappa",
     "ea-poisson": "the same normals, integrated over the finger's mask alone",
-    "metric": "ours: near lights, a calibrated perspective camera, glare and scattering undone",
+    "metric": "near lights, a calibrated perspective camera, glare and scattering undone",
 }
 MATERIALS = {"opaque": "an opaque Lambertian finger, as the thesis's sculpture", "skin": "the twin's skin"}
 CAMERAS = {
@@ -451,35 +432,24 @@ CAMERAS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Study:
+class Study(Checked):
     """Everything that a candidate's figures follow from, besides the candidate."""
 
-    method: str = "ea"
-    material: str = "opaque"
-    camera: str = "sensor"
-    fingers: int = 3
-    first_seed: int = 400
-    """Of the fingers; all candidates photograph the same ones, with the same noise."""
-    truth_px_per_mm: float = 10.0
-    """Density of the points of the true surface."""
+    method: Literal["ea", "ea-poisson", "metric"] = "ea"
+    """See :data:`METHODS`."""
+    material: Literal["opaque", "skin"] = "opaque"
+    """See :data:`MATERIALS`."""
+    camera: Literal["sensor", "renderer"] = "sensor"
+    """See :data:`CAMERAS`."""
+    fingers: Annotated[int, Limits(1, 200)] = 3
+    """Number of fingers; all candidates photograph the same ones, with the same noise."""
     build: BuildSettings = field(default_factory=BuildSettings)
     photons: PhotonSettings = field(default_factory=PhotonSettings)
-    limits: RigLimits = field(default_factory=RigLimits)
-
-    def __post_init__(self) -> None:
-        for name, known in (("method", METHODS), ("material", MATERIALS), ("camera", CAMERAS)):
-            value = getattr(self, name)
-            require(value in known, f"the study's {name} must be one of {', '.join(known)}, not '{value}'.")
-        require(
-            1 <= self.fingers <= 200, f"the number of fingers must lie between 1 and 200, but it is {self.fingers}."
-        )
-        require(self.first_seed >= 0, "the study's first_seed must not be negative.")
-        require(4.0 <= self.truth_px_per_mm <= 60.0, "the study's truth_px_per_mm must lie between 4 and 60.")
 
     @property
     def seeds(self) -> tuple[int, ...]:
         """Of the fingers."""
-        return tuple(range(self.first_seed, self.first_seed + self.fingers))
+        return tuple(range(FIRST_SEED, FIRST_SEED + self.fingers))
 
     @property
     def bands(self) -> tuple[str, ...]:

@@ -18,6 +18,38 @@ from splitknit.rig.dimensions import (
     holder_places,
     mirror_profile,
 )
+from splitknit.rig.part_settings import (
+    BOARD_POST_MM,
+    CABLE_HOLE_MM,
+    CAMERA_HOLE_X_MM,
+    CAMERA_HOLE_Y_MM,
+    CAMERA_LENS_TO_HOLES_MM,
+    CAMERA_POST_HOLE_MM,
+    CAMERA_POST_MM,
+    DISC_MM,
+    DOT_SPACING_MM,
+    JOINT_CLEARANCE_MM,
+    JOINT_INSERT_DEPTH_MM,
+    JOINT_LUG_MM,
+    JOINT_RING_MM,
+    LED_TIP_FREE_MM,
+    MIN_WALL_MM,
+    MIRROR_LONG_MM,
+    NAIL_RADIUS_MM,
+    NOZZLE_MM,
+    PCB_HOLE_X_MM,
+    PCB_HOLE_Y_MM,
+    PCB_OVER_PI_MM,
+    PCB_POST_HOLE_MM,
+    PI_HOLE_EDGE_MM,
+    PI_HOLE_X_MM,
+    PI_HOLE_Y_MM,
+    PI_POST_HEIGHT_MM,
+    PI_POST_HOLE_MM,
+    PI_X_MM,
+    SLOT_X_MM,
+    SLOT_Y_MM,
+)
 from splitknit.rig.solids import (
     Shape,
     box,
@@ -79,7 +111,7 @@ def window_base_part(dimensions: RigDimensions) -> Shape:
     wall, half = joint.wall_mm, dimensions.groove_width_mm / 2
     low, floor = d.base_z_mm, d.floor_z_mm
     start = -d.field_mm[1] / 2 - 2.0  # the window begins outside the picture
-    radius = d.opening_radius_mm - joint.clearance_mm
+    radius = d.opening_radius_mm - JOINT_CLEARANCE_MM
     plug = rod(radius, (0.0, d.niche_y_mm - 2.0, floor), (0.0, start, floor))
     plug = cut(plug, [box((-_FAR_MM, _FAR_MM), (-_FAR_MM, _FAR_MM), (-_FAR_MM, floor - 0.2))])
     rails = box((-half - wall, half + wall), (start - 1.0, d.stop_y_mm + wall), (floor - 0.2, -1.0))
@@ -124,15 +156,15 @@ def _plate(dimensions: RigDimensions) -> Shape:
 
 
 def _disc_pocket(dimensions: RigDimensions) -> Shape:
-    d, slack = dimensions, dimensions.settings.joint.clearance_mm
+    d, slack = dimensions, JOINT_CLEARANCE_MM
     inside, outside = d.disc_radius_mm - d.settings.joint.wall_mm - slack, d.disc_radius_mm + slack
     low, high = d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0
     return turned([(inside, low), (outside, low), (outside, high), (inside, high)])
 
 
 def _mirror_pockets(dimensions: RigDimensions) -> list[Shape]:
-    d, slack = dimensions, dimensions.settings.joint.clearance_mm
-    half, z = d.settings.mirror.long_mm / 2 + slack, (d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0)
+    d, slack = dimensions, JOINT_CLEARANCE_MM
+    half, z = MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0)
     near, far = -slack, holder_depth(d.settings) + slack
     (right, middle, _), _, (_, tip, _) = holder_places(d)
     y = (middle - half, middle + half)
@@ -147,14 +179,13 @@ def mirror_holder_part(dimensions: RigDimensions) -> Shape:
     """Return the holder of one mirror, in the place of the right one; left and tip are the same, turned."""
     d = dimensions
     x, y, _ = holder_places(d)[0]
-    foot, half = d.floor_z_mm - d.pocket_mm, d.settings.mirror.long_mm / 2
+    foot, half = d.floor_z_mm - d.pocket_mm, MIRROR_LONG_MM / 2
     outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
     return prism_y(outline, y - half, y + half)
 
 
 # --- tubes: cylinder, LED and camera frame, circuit box, lid ----------------------------------------------------------
 
-_FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _CABLE_DEG = 70.0
 """Azimuth of the cable hole: at the back, on the side of the Pi's power socket, beside lugs and boards."""
 
@@ -167,7 +198,7 @@ def cylinder_part(dimensions: RigDimensions) -> Shape:
     low, high = dimensions.floor_z_mm, dimensions.frame_z_mm
     joint = dimensions.settings.joint
     body = tube(dimensions, low, high)
-    lugs = head_lugs(dimensions, low, joint.lug_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
+    lugs = head_lugs(dimensions, low, JOINT_LUG_MM, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
     niche = common(
         prism_y(_niche(dimensions, joint.wall_mm), -dimensions.outer_mm - 10.0, dimensions.niche_inner_y_mm),
         cylinder(dimensions.outer_mm - 0.3, low, high),
@@ -180,7 +211,7 @@ def cylinder_part(dimensions: RigDimensions) -> Shape:
         (0.0, dimensions.niche_inner_y_mm + 1.0, low),
     )
     holes = head_holes(dimensions, low, SCREWS_A_DEG)
-    holes += insert_holes(dimensions, high, joint.insert_depth_mm, SCREWS_B_DEG)
+    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
     return cut(body, [hand, opening, *holes])
 
 
@@ -208,27 +239,26 @@ def frame_part(dimensions: RigDimensions) -> Shape:
         holes.append(rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
     holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
     holes += head_holes(dimensions, low, SCREWS_B_DEG)
-    holes += insert_holes(dimensions, high, joint.insert_depth_mm, SCREWS_A_DEG)
+    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
     return cut(body, holes)
 
 
 def camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the camera board's four holes; its connector lies on the hand's side (-y)."""
-    camera = dimensions.settings.camera
-    x = camera.hole_x_mm / 2
-    rows = (-camera.lens_to_holes_mm, camera.hole_y_mm - camera.lens_to_holes_mm)
+    x = CAMERA_HOLE_X_MM / 2
+    rows = (-CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM)
     return [(side * x, row) for side in (-1, 1) for row in rows]
 
 
 def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
-    radius = dimensions.settings.camera.post_mm / 2
+    radius = CAMERA_POST_MM / 2
     return [cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in camera_holes(dimensions)]
 
 
 def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + 1.2
-    radius = dimensions.settings.camera.post_hole_mm / 2
+    radius = CAMERA_POST_HOLE_MM / 2
     return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in camera_holes(dimensions)]
 
 
@@ -240,7 +270,7 @@ def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
 
 def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
     """Free the dome of an LED that lies higher than the lowest one; the funnel's roof leans by 45 deg at most."""
-    start = dimensions.settings.led.tip_free_mm
+    start = LED_TIP_FREE_MM
     near = hole.level_mm(dimensions.frame_z_mm) - hole.lean_mm
     if near >= start:
         return []
@@ -259,47 +289,45 @@ def _first_led_mark(dimensions: RigDimensions) -> Shape:
 
 def box_part(dimensions: RigDimensions) -> Shape:
     """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
-    joint, board = dimensions.settings.joint, dimensions.settings.board
+    joint, _board = dimensions.settings.joint, dimensions.settings.board
     low, high = dimensions.box_z_mm, dimensions.lid_z_mm
     floor = low + joint.plate_mm
     body = tube(dimensions, low, high, joint.plate_mm)
     lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
     posts, screws = [], []
     sets = (
-        (pi_holes(dimensions), floor + board.pi_post_height_mm, board.pi_post_hole_mm),
-        (pcb_holes(dimensions), floor + board.pi_post_height_mm + 1.5 + board.pcb_over_pi_mm, board.pcb_post_hole_mm),
+        (pi_holes(dimensions), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
+        (pcb_holes(dimensions), floor + PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM, PCB_POST_HOLE_MM),
     )
     for places, top, hole in sets:
         for x, y in places:
-            posts.append(cylinder(board.post_mm / 2, floor - 0.5, top, x, y))
+            posts.append(cylinder(BOARD_POST_MM / 2, floor - 0.5, top, x, y))
             screws.append(cylinder(hole / 2, max(floor - joint.plate_mm + 1.2, top - 12.0), top + 1.0, x, y))
     body = fused(body, [*lugs, *posts])
-    x, y = board.slot_x_mm / 2, board.slot_y_mm / 2
+    x, y = SLOT_X_MM / 2, SLOT_Y_MM / 2
     slots = [box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
     holes = head_holes(dimensions, low, SCREWS_A_DEG)
-    holes += insert_holes(dimensions, high, joint.insert_depth_mm, SCREWS_B_DEG)
+    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
     return cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
 
 
 def pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the Raspberry Pi's holes: the board in the middle, USB sockets at -x, power socket at +y."""
-    board = dimensions.settings.board
-    first = board.pi_x_mm / 2 - board.pi_hole_edge_mm
-    y = board.pi_hole_y_mm / 2
-    return [(x, side * y) for x in (first, first - board.pi_hole_x_mm) for side in (-1, 1)]
+    first = PI_X_MM / 2 - PI_HOLE_EDGE_MM
+    y = PI_HOLE_Y_MM / 2
+    return [(x, side * y) for x in (first, first - PI_HOLE_X_MM) for side in (-1, 1)]
 
 
 def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the holes of the circuit's board."""
-    board = dimensions.settings.board
-    x, y = board.pcb_hole_x_mm / 2, board.pcb_hole_y_mm / 2
+    x, y = PCB_HOLE_X_MM / 2, PCB_HOLE_Y_MM / 2
     return [(sx * x, sy * y) for sx in (-1, 1) for sy in (-1, 1)]
 
 
 def _cable_hole(dimensions: RigDimensions) -> Shape:
     """A hole through the wall near the top, round below and pointed above, so that it prints without support."""
-    joint, radius = dimensions.settings.joint, dimensions.settings.board.cable_hole_mm / 2
-    z = dimensions.lid_z_mm - 2 * joint.ring_mm - 1.0 - radius * math.sqrt(2.0)
+    _joint, radius = dimensions.settings.joint, CABLE_HOLE_MM / 2
+    z = dimensions.lid_z_mm - 2 * JOINT_RING_MM - 1.0 - radius * math.sqrt(2.0)
     near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
     half = radius * math.sqrt(0.5)
     point = prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
@@ -323,7 +351,7 @@ _PEG_SLACK_MM = 0.1
 
 def disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the disc's dots: multiples of the spacing, one of them in the middle."""
-    step = dimensions.settings.calibration.dot_spacing_mm
+    step = DOT_SPACING_MM
     wall = dimensions.settings.joint.wall_mm
     reach = dimensions.disc_radius_mm - wall - dimensions.settings.calibration.dot_mm / 2 - _BORDER_MM
     count = int(reach // step)
@@ -340,14 +368,14 @@ def disc_part(dimensions: RigDimensions) -> Shape:
 def flat_disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc whose dots are the pegs of another part, flush with its face."""
     calibration = dimensions.settings.calibration
-    return cut(_cup(dimensions), _dots(dimensions, calibration.disc_mm + 1.0, calibration.dot_mm / 2))
+    return cut(_cup(dimensions), _dots(dimensions, DISC_MM + 1.0, calibration.dot_mm / 2))
 
 
 def dots_part(dimensions: RigDimensions) -> Shape:
     """Return a sheet with pegs that are pushed into the flat disc from behind."""
     d, calibration = dimensions, dimensions.settings.calibration
-    low, high = -calibration.disc_mm - d.settings.printer.least_wall_mm, -calibration.disc_mm
-    radius = d.disc_radius_mm - d.settings.joint.wall_mm - d.settings.joint.clearance_mm
+    low, high = -DISC_MM - MIN_WALL_MM, -DISC_MM
+    radius = d.disc_radius_mm - d.settings.joint.wall_mm - JOINT_CLEARANCE_MM
     peg = calibration.dot_mm / 2 - _PEG_SLACK_MM
     return fused(cylinder(radius, low, high), [cylinder(peg, high - 0.3, 0.0, x, y) for x, y in disc_dots(d)])
 
@@ -359,16 +387,16 @@ def _dots(dimensions: RigDimensions, depth: float, radius: float) -> list[Shape]
 def _cup(dimensions: RigDimensions) -> Shape:
     """Disc and skirt; a notch lets the groove's block through."""
     d, wall = dimensions, dimensions.settings.joint.wall_mm
-    outside, thick = d.disc_radius_mm, d.settings.calibration.disc_mm
+    outside, thick = d.disc_radius_mm, DISC_MM
     foot = d.floor_z_mm - d.pocket_mm
     inside = outside - wall
     body = turned([(0.0, 0.0), (outside, 0.0), (outside, foot), (inside, foot), (inside, -thick), (0.0, -thick)])
-    half = d.block_mm + 2 * d.settings.joint.clearance_mm
+    half = d.block_mm + 2 * JOINT_CLEARANCE_MM
     rim = d.groove_z_mm + d.settings.finger.groove_depth_mm
     return cut(body, [box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
 
 
 def nail_part(dimensions: RigDimensions) -> Shape:
     """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
-    tip = dimensions.settings.printer.nozzle_mm / 2
-    return cone(dimensions.settings.calibration.nail_radius_mm, tip, 0.0, dimensions.nail_mm)
+    tip = NOZZLE_MM / 2
+    return cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)

@@ -123,6 +123,14 @@ def _file(objects: Sequence[str]) -> bytes:
 # --- target -----------------------------------------------------------------------------------------------------------
 
 RULER_MM = 100.0
+DOT_MM = 1.5
+"""Diameter of a dot of the disc."""
+_DISC_RADIUS_MM = 45.0
+"""Where the disc is cut out."""
+_CARD_MARGIN_MM = 4.0
+"""White paper around a board, within the line along which it is cut out."""
+_PAGE_MARGIN_MM = 12.0
+"""Which printers leave free."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,16 +143,8 @@ class TargetSettings:
     """And along its height."""
     square_mm: float = 3.0
     """Side of a square: 9 x 6 inner corners of 3 mm are 30 x 21 mm, in a field of view of about 42 x 29 mm."""
-    dot_mm: float = 1.5
-    """Diameter of a dot of the disc."""
     spacing_mm: float = 10.0
-    """Of the dots."""
-    disc_radius_mm: float = 45.0
-    """Where the disc is cut out."""
-    card_margin_mm: float = 4.0
-    """White paper around a board, within the line along which it is cut out."""
-    page_margin_mm: float = 12.0
-    """Which printers leave free."""
+    """Of the dots of the disc."""
 
     def __post_init__(self) -> None:
         require(
@@ -156,16 +156,16 @@ class TargetSettings:
             f"squares to print must have 0.5 to 40 mm a side, but it is {self.square_mm:g}.",
         )
         require(
-            0.5 <= self.dot_mm < 0.6 * self.spacing_mm,
-            f"dots must be 0.5 mm wide at least and less than 0.6 of their spacing, but they are {self.dot_mm:g} mm at "
-            f"every {self.spacing_mm:g} mm.",
+            0.6 * self.spacing_mm > DOT_MM,
+            f"dots of {DOT_MM:g} mm must be less than 0.6 of their spacing, but that is {self.spacing_mm:g} mm.",
         )
         require(
-            self.spacing_mm + self.dot_mm <= self.disc_radius_mm <= 60,
-            f"the disc's radius must hold two dots and be at most 60 mm, but it is {self.disc_radius_mm:g} mm.",
+            self.spacing_mm + DOT_MM <= _DISC_RADIUS_MM,
+            f"the disc's radius of {_DISC_RADIUS_MM:g} mm must hold two dots, but they are at every "
+            f"{self.spacing_mm:g} mm.",
         )
         width, height = self.card_mm
-        free = A4_MM[0] - 2 * self.page_margin_mm
+        free = A4_MM[0] - 2 * _PAGE_MARGIN_MM
         require(
             width <= free and height <= self.boards_height_mm,
             f"a card of {width:g} x {height:g} mm does not fit on the sheet beside the disc ({free:g} x "
@@ -181,28 +181,28 @@ class TargetSettings:
     def card_mm(self) -> tuple[float, float]:
         """Width and height of what is cut out."""
         width, height = self.board_mm
-        return width + 2 * self.card_margin_mm, height + 2 * self.card_margin_mm
+        return width + 2 * _CARD_MARGIN_MM, height + 2 * _CARD_MARGIN_MM
 
     @property
     def boards_height_mm(self) -> float:
         """Height of the sheet that is left for the boards, between ruler and disc."""
-        return self.ruler_y_mm - 10 - (self.page_margin_mm + 2 * self.disc_radius_mm + 4)
+        return self.ruler_y_mm - 10 - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
 
     @property
     def ruler_y_mm(self) -> float:
         """Of the ruler's line."""
-        return A4_MM[1] - self.page_margin_mm - 18
+        return A4_MM[1] - _PAGE_MARGIN_MM - 18
 
     @property
     def disc_centre_mm(self) -> tuple[float, float]:
         """On the sheet."""
-        return A4_MM[0] / 2, self.page_margin_mm + self.disc_radius_mm
+        return A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM
 
     @property
     def copies(self) -> tuple[int, int]:
         """Boards across and down the sheet."""
         width, height = self.card_mm
-        across = int((A4_MM[0] - 2 * self.page_margin_mm + 3) // (width + 3))
+        across = int((A4_MM[0] - 2 * _PAGE_MARGIN_MM + 3) // (width + 3))
         return min(across, 6), min(int((self.boards_height_mm + 3) // (height + 3)), 6)
 
 
@@ -225,16 +225,16 @@ def target_pdf(settings: TargetSettings | None = None) -> bytes:
 
 def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
     """Centres of the disc's dots about its middle, those that lie wholly on it with 1 mm to spare."""
-    most = int(settings.disc_radius_mm // settings.spacing_mm)
+    most = int(_DISC_RADIUS_MM // settings.spacing_mm)
     steps = [settings.spacing_mm * k for k in range(-most, most + 1)]
-    reach = settings.disc_radius_mm - settings.dot_mm / 2 - 1
+    reach = _DISC_RADIUS_MM - DOT_MM / 2 - 1
     return [(x, y) for y in steps for x in steps if math.hypot(x, y) <= reach]
 
 
 def _words(page: Page, settings: TargetSettings) -> None:
-    x, y = settings.page_margin_mm, A4_MM[1] - settings.page_margin_mm - 4
+    x, y = _PAGE_MARGIN_MM, A4_MM[1] - _PAGE_MARGIN_MM - 4
     board = f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm"
-    disc = f"disc with dots of {settings.dot_mm:g} mm every {settings.spacing_mm:g} mm"
+    disc = f"disc with dots of {DOT_MM:g} mm every {settings.spacing_mm:g} mm"
     page.text(f"splitknit: {board}; {disc}.", x, y)
     page.text(
         f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply --square-mm and "
@@ -271,14 +271,14 @@ def _boards(page: Page, settings: TargetSettings) -> None:
             x = free * (column + 1) / (across + 1) + column * card_width
             y = top - (row + 1) * card_height - 3 * row
             page.outline(rectangles([(0, 0, card_width, card_height)]), x, y, 0.05, 0.6)
-            page.place("Board", x + settings.card_margin_mm, y + settings.card_margin_mm)
+            page.place("Board", x + _CARD_MARGIN_MM, y + _CARD_MARGIN_MM)
 
 
 def _disc(page: Page, settings: TargetSettings) -> None:
     x, y = settings.disc_centre_mm
-    radius = settings.dot_mm / 2
+    radius = DOT_MM / 2
     box = radius + 0.1
     page.shape("Dot", circle(radius), (-box, -box, box, box))
-    page.outline(circle(settings.disc_radius_mm), x, y, 0.05, 0.6)
+    page.outline(circle(_DISC_RADIUS_MM), x, y, 0.05, 0.6)
     for across, up in dots_mm(settings):
         page.place("Dot", x + across, y + up)

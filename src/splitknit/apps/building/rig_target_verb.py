@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> Outcome:
     from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
     from splitknit.io import atomic_file  # noqa: PLC0415
     from splitknit.rig.target import (  # noqa: PLC0415
+        DOT_MM,
         PRODUCER,
         RULER_MM,
         TargetSettings,
@@ -48,7 +49,7 @@ def run(options: argparse.Namespace) -> Outcome:
         "board": {"inner_corners": [board.columns, board.rows], "square_mm": options.square_mm},
         "board_mm": [width, height],
         "copies": across * down,
-        "disc": {"dots": len(dots_mm(settings)), "dot_mm": settings.dot_mm, "spacing_mm": settings.spacing_mm},
+        "disc": {"dots": len(dots_mm(settings)), "dot_mm": DOT_MM, "spacing_mm": settings.spacing_mm},
         "ruler_mm": RULER_MM,
     }
     lines = [
