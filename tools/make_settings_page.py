@@ -22,7 +22,7 @@ from typing import Any
 from splitknit.apps.calibration.bench_photos import BenchPhotos
 from splitknit.apps.calibration.calibrated_lights import LightSettings
 from splitknit.apps.printing_folder import PrintingSettings
-from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.pi import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.matching.search import SearchSettings
 from splitknit.pipeline import PRESETS

@@ -17,7 +17,7 @@ from splitknit.apps import capture_verb
 from splitknit.apps.cli import main
 from splitknit.capture import pi_camera, pi_lights
 from splitknit.capture.enrolment import Place
-from splitknit.capture.focus import Focus, FocusWatch
+from splitknit.capture.exposure import Focus, FocusWatch
 from splitknit.io import read_capture, write_rig
 from splitknit.simulator.rig import default_rig
 

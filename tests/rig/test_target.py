@@ -10,8 +10,8 @@ from page_raster import draw, objects_of
 
 from splitknit.apps.cli import main
 from splitknit.calibration import Board, find_board
-from splitknit.calibration.disc import find_disc
 from splitknit.calibration.plane import plane_scale
+from splitknit.calibration.targets import find_disc
 from splitknit.errors import BadInput
 from splitknit.rig.target import (
     _CARD_MARGIN_MM,

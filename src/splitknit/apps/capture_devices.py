@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.apps.commands import twin_settings
-from splitknit.capture.pi import open_pi
-from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.pi import PiCameraSettings, open_pi
 from splitknit.capture.session import SessionSettings
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import require

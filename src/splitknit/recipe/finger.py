@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.drift import drift_words, led_drift
 from splitknit.errors import BadInput, require
 from splitknit.finger import (
     Upright,
@@ -26,6 +25,7 @@ from splitknit.finger import (
     quality_warnings,
     shot_motion,
 )
+from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.finger.phalange import Crease
 from splitknit.imaging import (
     Window,

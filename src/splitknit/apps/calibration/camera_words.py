@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from splitknit.calibration.lens_model import TERMS
+from splitknit.calibration.camera import TERMS
 
 
 def lines_of(facts: Mapping[str, Any]) -> list[str]:

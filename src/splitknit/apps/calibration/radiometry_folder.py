@@ -20,7 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from splitknit.calibration.response import ResponseSettings
+from splitknit.calibration.sensor import ResponseSettings
 from splitknit.errors import require
 from splitknit.io.fields import Fields, inside, read_json
 
