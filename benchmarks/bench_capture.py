@@ -17,8 +17,8 @@ from statistics import median
 import numpy as np
 
 from bench_reconstruct import OUT, run_process, splitknit
-from splitknit.capture.checks import CheckSettings, Examiner
-from splitknit.capture.focus import grey_light, measure_focus
+from splitknit.capture.exposure import grey_light, measure_focus
+from splitknit.capture.shots import CheckSettings, Examiner
 from splitknit.devices import Frame
 from splitknit.io import read_capture
 from splitknit.io.images import encode_image

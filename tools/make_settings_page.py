@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.calibration.lights_found import LightSettings
-from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.pi import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.matching.search import SearchSettings
 from splitknit.matching.surface import MatchingSettings

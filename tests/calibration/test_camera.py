@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from camera_views import BOARD, MATRIX, SIZE, seen, turned, views
 
-from splitknit.calibration.camera import CameraSettings, calibrate_camera
-from splitknit.calibration.lens_model import LensSettings, fit_lens
+from splitknit.calibration.camera import CameraSettings, LensSettings, calibrate_camera, fit_lens
 from splitknit.errors import BadInput
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.depth_of_field import depth_of_field
+from splitknit.calibration.plane import depth_of_field
 from splitknit.errors import BadInput
 
 

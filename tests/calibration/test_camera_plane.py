@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from camera_views import BOARD, MATRIX, seen, turned
 
-from splitknit.calibration.disc import find_disc, find_dots, number_dots
 from splitknit.calibration.plane import mean_pose, plane_pose, plane_scale
+from splitknit.calibration.targets import find_disc, find_dots, number_dots
 from splitknit.errors import BadInput
 
 MARKS = BOARD.points_mm - BOARD.points_mm.mean(axis=0)

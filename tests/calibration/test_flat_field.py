@@ -7,8 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.calibration.card_light import CardPlane, card_light, lens_fall_off, squared_radius
-from splitknit.calibration.card_model import LADDER, Answer, CardModel
+from splitknit.calibration.card_model import (
+    LADDER,
+    Answer,
+    CardModel,
+    CardPlane,
+    card_light,
+    lens_fall_off,
+    squared_radius,
+)
 from splitknit.calibration.flat_field import FlatFieldSettings, fit_flat_field, fit_order
 from splitknit.errors import BadInput
 from splitknit.imaging import lens_shading

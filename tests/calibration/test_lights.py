@@ -8,8 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.calibration.light_table import BANDS, COLUMNS, Tip, check_tips, read_tips, write_tips
-from splitknit.calibration.light_verdicts import LightLimits, check_nails, copied_leds, judge, refusal
+from splitknit.calibration.light_table import (
+    BANDS,
+    COLUMNS,
+    LightLimits,
+    Tip,
+    check_nails,
+    check_tips,
+    copied_leds,
+    judge,
+    read_tips,
+    refusal,
+    write_tips,
+)
 from splitknit.calibration.lights import Circle, by_circle, largest_angle_deg
 from splitknit.errors import BadInput
 from splitknit.imaging.view import plane_points

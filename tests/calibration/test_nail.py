@@ -9,8 +9,7 @@ import pytest
 
 from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle
-from splitknit.calibration.nail import by_joint_fit, radius_95
-from splitknit.calibration.nail_model import NailModel, NailSettings
+from splitknit.calibration.nail import NailModel, NailSettings, by_joint_fit, radius_95
 from splitknit.errors import BadInput
 from splitknit.model import Camera
 from splitknit.simulator.lens import pixels_of_points

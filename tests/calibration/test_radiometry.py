@@ -7,10 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.calibration.card_check import check_card, check_facts
 from splitknit.calibration.card_images import CellSettings, card_images, cells_of, led_name, median_blocks
-from splitknit.calibration.card_light import CardPlane, card_light
-from splitknit.calibration.radiometry import PROVENANCE, RadiometrySettings, calibrate_radiometry
+from splitknit.calibration.card_model import CardPlane, card_light
+from splitknit.calibration.radiometry import (
+    PROVENANCE,
+    RadiometrySettings,
+    calibrate_radiometry,
+    check_card,
+    check_facts,
+)
 from splitknit.errors import BadInput
 from splitknit.io.provenance import canonical_json
 from splitknit.io.rig import rig_from_json, rig_to_json

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.sensor_noise import dark_frames, noise_model, noise_samples
+from splitknit.calibration.sensor import dark_frames, noise_model, noise_samples
 from splitknit.errors import BadInput
 from splitknit.simulator.sensor import SensorSettings, record
 

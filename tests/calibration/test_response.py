@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.response import ResponseSettings, fit_response
+from splitknit.calibration.sensor import ResponseSettings, fit_response
 from splitknit.errors import BadInput
 from splitknit.simulator.sensor import SensorSettings, record
 

@@ -82,7 +82,7 @@ class FakeRequest:
 
 
 class FakePicamera2:
-    """What :mod:`splitknit.capture.pi_camera` uses of ``picamera2.Picamera2``."""
+    """What :mod:`splitknit.capture.pi` uses of ``picamera2.Picamera2``."""
 
     cameras = 1
     world = World()

@@ -10,8 +10,7 @@ from contract import CameraContract, LightContract
 from fake_picamera2 import FakePicamera2, World
 from gpiozero.pins.mock import MockFactory
 
-from splitknit.capture.pi_camera import PiCamera, PiCameraSettings
-from splitknit.capture.pi_lights import PiLightBank
+from splitknit.capture.pi import PiCamera, PiCameraSettings, PiLightBank
 from splitknit.capture.pins import NIR_PINS, WHITE_PINS
 
 PINS = WHITE_PINS + NIR_PINS
@@ -58,6 +57,7 @@ def recording_line(world: World):
 class TestPiLights(LightContract):
     making = """
 from test_contract_pi import PINS, mock_pins
+from splitknit.capture.pi import PiLightBank
 import gpiozero
 factory = mock_pins()
 bank = PiLightBank(PINS, gpiozero.DigitalOutputDevice)

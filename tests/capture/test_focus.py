@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.capture.focus import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
+from splitknit.capture.exposure import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
 from splitknit.errors import BadInput
 
 PX = 40.0

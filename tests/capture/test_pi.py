@@ -14,8 +14,7 @@ from fake_picamera2 import FakePicamera2, World, tuning
 from gpiozero.pins.mock import MockFactory
 from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
-from splitknit.capture.pi import open_camera, open_lights, open_pi
-from splitknit.capture.pi_camera import PiCamera, PiCameraSettings, developed, linear_tuning
+from splitknit.capture.pi import PiCamera, PiCameraSettings, developed, linear_tuning, open_camera, open_lights, open_pi
 from splitknit.errors import BadInput
 from splitknit.simulator.rig import default_rig
 

@@ -15,7 +15,7 @@ from test_contract_pi import PINS, mock_pins
 
 from splitknit.capture import pi_camera, pi_lights
 from splitknit.capture.enrolment import Place
-from splitknit.capture.focus import Focus, FocusWatch
+from splitknit.capture.exposure import Focus, FocusWatch
 from splitknit.cli import capture as capture_verb
 from splitknit.cli.main import main
 from splitknit.io import read_capture, write_rig

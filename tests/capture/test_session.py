@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from twin_bench import twin_devices
 
-from splitknit.capture.checks import CheckSettings
 from splitknit.capture.exposure import ExposureSettings
 from splitknit.capture.session import SessionSettings, check_fit, run_session
+from splitknit.capture.shots import CheckSettings
 from splitknit.errors import BadInput
 from splitknit.imaging import linear_stack
 from splitknit.simulator.device import TwinDeviceSettings

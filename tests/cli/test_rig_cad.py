@@ -47,7 +47,7 @@ def test_impossible_rigs_and_settings_are_refused_before_anything_is_drawn(tmp_p
     assert "there is no setting 'finger.reech_mm'; did you mean" in refused(
         capsys, "--out", out, "--set", "finger.reech_mm=3"
     )
-    assert "thinner than the least wall" in refused(capsys, "--out", out, "--set", "joint.wall_mm=0.8")
+    assert "thinner than the minimum" in refused(capsys, "--out", out, "--set", "joint.wall_mm=0.8")
     assert "nowhere.json" in refused(capsys, "--out", out, "--rig", str(tmp_path / "nowhere.json"))
     assert not (tmp_path / "parts").exists()
 
@@ -61,8 +61,8 @@ def hashes(folder):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default::DeprecationWarning")
 def test_the_folder_is_complete_and_the_same_every_time(tmp_path, capsys):
+    from splitknit.rig.assembly import read_stl
     from splitknit.rig.part_reports import check_soundness
-    from splitknit.rig.stl import read_stl
 
     rig = default_rig()
     six = replace(rig, leds=rig.leds[:6])

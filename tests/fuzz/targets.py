@@ -107,10 +107,9 @@ from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import preset_settings
 from splitknit.prints.sources import read_source
-from splitknit.rig.candidates import Candidate
+from splitknit.rig.assembly import read_stl, write_stl
+from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.optimise import SweepFolder
-from splitknit.rig.stl import read_stl, write_stl
-from splitknit.rig.study import Study
 from splitknit.separation.folder import read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override

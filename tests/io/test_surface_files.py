@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.io import surface_mesh
 from splitknit.io.glb import glb_chunks, read_glb, write_glb
 from splitknit.io.stl import stl_chunks, stl_size, write_mesh_stl
-from splitknit.rig.stl import read_stl, unit_normals
+from splitknit.rig.assembly import read_stl, unit_normals
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_a_glb_whose_document_does_not_fit_is_refused(mesh, tmp_path: Path, chan
 def test_text_stl_is_read_up_to_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.stl").write_text("solid x\n" + "vertex 1 2 3\n" * 3)
     assert read_stl(tmp_path / "a.stl").shape == (1, 3, 3)
-    monkeypatch.setattr("splitknit.rig.stl._MAX_TEXT_BYTES", 20)
+    monkeypatch.setattr("splitknit.rig.assembly._MAX_TEXT_BYTES", 20)
     with pytest.raises(BadInput, match="save it as binary STL"):
         read_stl(tmp_path / "a.stl")
     with pytest.raises(BadInput, match="is not a file"):

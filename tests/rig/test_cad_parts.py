@@ -10,12 +10,19 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
-from splitknit.rig import assembly, part_files
+from splitknit.rig import assembly
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
-from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of
-from splitknit.rig.mirror_shape import holder_places, mirror_front
+from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of, holder_places, mirror_front
 from splitknit.rig.part_reports import check_soundness, first_hits, report_part
-from splitknit.rig.part_settings import PartSettings
+from splitknit.rig.part_settings import (
+    CAMERA_LENS_TO_CONNECTOR_MM,
+    MIRROR_LONG_MM,
+    MIRROR_THICK_MM,
+    PCB_OVER_PI_MM,
+    PCB_PARTS_MM,
+    PI_POST_HEIGHT_MM,
+    PartSettings,
+)
 from splitknit.settings import override
 from splitknit.simulator.rig import default_rig
 
@@ -59,7 +66,7 @@ def test_each_part_is_one_valid_solid_and_prints(rig):
     for name, part in parts.items():
         assert part.solid.is_valid, name
         assert len(part.solid.solids()) == 1
-        triangles = part_files.as_printed(part, part_files.triangles_of(part))
+        triangles = assembly.as_printed(part, assembly.triangles_of(part))
         sound = check_soundness(triangles)
         assert sound.watertight, name
         assert sound.volume_mm3 == pytest.approx(part.solid.volume, rel=1e-2)
@@ -72,7 +79,7 @@ def test_each_part_is_one_valid_solid_and_prints(rig):
 
 def test_holes_of_the_step_file_look_at_the_finger(rig, tmp_path):
     dimensions, parts = rig
-    part_files.write_step(tmp_path / "frame.step", parts["frame"])
+    assembly.write_step(tmp_path / "frame.step", parts["frame"])
     frame = build123d.import_step(tmp_path / "frame.step")
     cylinders = [face for face in frame.faces() if face.geom_type == build123d.GeomType.CYLINDER]
     found = set()
@@ -157,15 +164,15 @@ def test_only_one_turn_fits():
 
 def test_boards_and_cable_fit(rig):
     dimensions, parts = rig
-    board, camera = dimensions.settings.board, dimensions.settings.camera
+    _board, _camera = dimensions.settings.board, dimensions.settings.camera
     floor = dimensions.box_z_mm + dimensions.settings.joint.plate_mm
-    low = floor + board.pi_post_height_mm
+    low = floor + PI_POST_HEIGHT_MM
     pi = build123d.Pos(-42.5 - 3, -28, low) * build123d.Solid.make_box(3 + 85, 56, 1.5 + 16)
     plug = build123d.Rot(0, 0, 70) * build123d.Pos(40, 0, dimensions.lid_z_mm - 20.3)
     plug = plug * build123d.Rot(0, 90, 0) * build123d.Solid.make_cylinder(6.3, 60)  # 12.4 mm wide, through the wall
-    over = low + 1.5 + board.pcb_over_pi_mm
-    pcb = build123d.Pos(-45, -35, over) * build123d.Solid.make_box(90, 70, 1.6 + board.pcb_parts_mm - 0.1)
-    y = -camera.lens_to_connector_mm
+    over = low + 1.5 + PCB_OVER_PI_MM
+    pcb = build123d.Pos(-45, -35, over) * build123d.Solid.make_box(90, 70, 1.6 + PCB_PARTS_MM - 0.1)
+    y = -CAMERA_LENS_TO_CONNECTOR_MM
     eye = build123d.Pos(-12.5, y, dimensions.board_z_mm) * build123d.Solid.make_box(25, 24, 8)
     lens = build123d.Pos(0, 0, dimensions.frame_z_mm - 12) * build123d.Solid.make_cylinder(7.0, 30)
     for thing in (pi, pcb, eye, lens, plug):
@@ -217,11 +224,11 @@ def test_mirrors_stand_beside_the_finger_at_45_deg(rig):
     mirror = dimensions.settings.mirror
     u, v = mirror_front(dimensions.settings)
     foot = dimensions.floor_z_mm - dimensions.pocket_mm
-    glass = build123d.Solid.make_box(mirror.wide_mm, mirror.long_mm, mirror.thick_mm)
+    glass = build123d.Solid.make_box(mirror.wide_mm, MIRROR_LONG_MM, MIRROR_THICK_MM)
     glass = (
-        build123d.Pos(x + u, y - mirror.long_mm / 2, foot + v)
+        build123d.Pos(x + u, y - MIRROR_LONG_MM / 2, foot + v)
         * build123d.Rot(0, -45, 0)
-        * (build123d.Pos(0, 0, -mirror.thick_mm) * glass)
+        * (build123d.Pos(0, 0, -MIRROR_THICK_MM) * glass)
     )
     assert shared_volume(glass, holder) < 1e-6
     pressed = build123d.Pos(0.5, 0, -0.5) * glass
@@ -257,7 +264,7 @@ def test_every_led_lights_the_whole_pad(rig):
     pad = np.column_stack([places, np.zeros(len(places))])
     for base in ("base", "window_base"):
         names = (base, "cylinder", "frame")
-        mesh = np.concatenate([part_files.triangles_of(parts[name]) for name in names]).astype(float)
+        mesh = np.concatenate([assembly.triangles_of(parts[name]) for name in names]).astype(float)
         for hole in dimensions.holes:
             way = hole.light_mm - pad
             length = np.linalg.norm(way, axis=1)
@@ -270,9 +277,9 @@ def test_files_are_the_same_every_time(tmp_path):
     for run in ("a", "b"):
         (tmp_path / run).mkdir()
         parts = {part.kind.name: part for part in build_parts(dimensions)}
-        part_files.write_assembly(tmp_path / run / "up.step", [parts[name] for name in STACK])
-        part_files.write_assembly(tmp_path / run / "down.step", [parts[name] for name in STACK_BELOW], below=True)
-        part_files.write_step(tmp_path / run / "nail.step", parts["nail"])
+        assembly.write_assembly(tmp_path / run / "up.step", [parts[name] for name in STACK])
+        assembly.write_assembly(tmp_path / run / "down.step", [parts[name] for name in STACK_BELOW], below=True)
+        assembly.write_step(tmp_path / run / "nail.step", parts["nail"])
     for name in ("up.step", "down.step", "nail.step"):
         first, second = ((tmp_path / run / name).read_bytes() for run in ("a", "b"))
         assert first == second, name

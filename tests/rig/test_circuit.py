@@ -13,7 +13,17 @@ from scipy.optimize import brentq
 from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS
 from splitknit.errors import BadInput
 from splitknit.model import Led
-from splitknit.rig.circuit import BC337, E24, RATINGS_W, CircuitSettings, Stage, design_stage, preferred, rating_for
+from splitknit.rig.circuit import (
+    BC337,
+    E24,
+    RASPBERRY_PI,
+    RATINGS_W,
+    CircuitSettings,
+    Stage,
+    design_stage,
+    preferred,
+    rating_for,
+)
 from splitknit.rig.netlist import (
     GROUND_PINS,
     HEADER_OF_GPIO,
@@ -82,10 +92,10 @@ def test_currents_are_those_of_the_solved_circuit(band: str, topology: str) -> N
     assert into_base <= stage.gpio_a
     rng = np.random.default_rng(0)
     for _ in range(40):  # any board that can be built lies within the stated corners
-        t, s = settings.transistor, settings
+        t = settings.transistor
         current, into_base = solved(
             stage,
-            high_v=rng.uniform(*s.gpio.high_v),
+            high_v=rng.uniform(*RASPBERRY_PI.high_v),
             supply_v=9.0 * rng.uniform(0.95, 1.05),
             forward_v=forward + rng.uniform(-1, 1) * stage.led.spread_v,
             base_v=rng.uniform(*t.base_v),
@@ -115,7 +125,7 @@ def test_margins_are_kept() -> None:
             assert stage.current_a[0] >= 0.7 * stage.led.current_a
             assert stage.current_a[2] <= stage.led.limit_a
             assert stage.transistor_w <= 0.6 * settings.transistor.limit_w
-            assert max(stage.gpio_a, stage.gpio_fault_a) <= settings.gpio.limit_a
+            assert max(stage.gpio_a, stage.gpio_fault_a) <= RASPBERRY_PI.limit_a
             for r in stage.resistors:
                 assert r.heat_w <= 0.6 * r.rating_w
                 assert r.rating_w in RATINGS_W
@@ -146,7 +156,7 @@ def test_the_supply_that_is_named_is_enough() -> None:
 
 
 def test_settings_are_checked() -> None:
-    for bad in ({"topology": "bridge"}, {"supply_v": 48.0}, {"power_margin": 0.0}, {"pull_down_ohm": 10.0}):
+    for bad in ({"topology": "bridge"}, {"supply_v": 48.0}, {"supply_spread": 0.5}, {"resistor_spread": 0.3}):
         with pytest.raises(BadInput, match=r"circuit\."):
             CircuitSettings(**bad)  # type: ignore[arg-type]
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.rig.assembly import PartKind
+from splitknit.rig.assembly import PartKind, read_stl, write_stl
 from splitknit.rig.part_reports import check_soundness, first_hits, overhang, report_part, slice_mask, thinnest_wall
-from splitknit.rig.print_settings import PrinterSettings
-from splitknit.rig.stl import read_stl, write_stl
+from splitknit.rig.part_settings import PrinterSettings
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -168,7 +167,7 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
 
 
 def test_what_is_outside_a_limit_is_said():
-    kind = PartKind("thing", "Thing", "nowhere", quantity=2)
+    kind = PartKind("thing", "Thing", quantity=2)
     thin = hollow((30, 20, 12), 0.5)
     report = report_part(kind, thin, PrinterSettings(bed_x_mm=25.0))
     assert [report["checks"][name]["ok"] for name in ("watertight", "wall", "bed", "overhang")] == [

@@ -8,9 +8,20 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.rig.candidates import BuildSettings, Candidate, grid, rig_of
-from splitknit.rig.constraints import Limits, Print, examine, glare_lobe_rad, glaring
-from splitknit.rig.photons import (
+from splitknit.rig.candidates import (
+    BuildSettings,
+    Candidate,
+    Print,
+    examine,
+    glare_lobe_rad,
+    glaring,
+    grid,
+    rig_of,
+)
+from splitknit.rig.photography import (
+    FULL_WELL_E,
+    LAMPS,
+    TARGET_LEVEL,
     PhotonSettings,
     electrons_per_s,
     intensity_w_sr,
@@ -27,8 +38,8 @@ ORTHOGRAPHIC = BuildSettings(view="orthographic")
 THESIS = Candidate(140.0, 52.5, 1.0)
 
 
-def _found(candidate, build=ORTHOGRAPHIC, photons=None, limits=None, finger=DOME):
-    findings = examine(candidate, build, photons or PhotonSettings(), limits or Limits(), finger=finger)
+def _found(candidate, build=ORTHOGRAPHIC, photons=None, finger=DOME):
+    findings = examine(candidate, build, photons or PhotonSettings(), finger=finger)
     return {one.name: one for one in findings}
 
 
@@ -116,13 +127,13 @@ def test_exposure_follows_from_photons():
     # by hand: flux, intensity, irradiance under one LED at the finger, radiance, sensor, electrons
     m = np.log(0.5) / np.log(np.cos(np.deg2rad(30.0)))
     intensity = 1.0 * 0.31 * (m + 1) / (2 * np.pi)
-    assert intensity_w_sr(1.0, photons.white, m) == pytest.approx(intensity)
+    assert intensity_w_sr(1.0, LAMPS["white"], m) == pytest.approx(intensity)
     squared = 0.14**2 + 0.0525**2
     radiance = 0.6 / np.pi * intensity / squared * 0.14 / np.sqrt(squared)
     working = 4.0 * (1.0 + 1.12e-3 * 75.7)
     watts = np.pi * radiance * 0.9 / (4.0 * working**2) * (1.12e-6) ** 2
     rate = watts / (6.62607e-34 * 2.99792e8 / 560e-9) * 0.22
-    assert electrons_per_s(radiance, photons.white, photons) == pytest.approx(rate, rel=1e-4)
+    assert electrons_per_s(radiance, LAMPS["white"], photons) == pytest.approx(rate, rel=1e-4)
     assert found.value == pytest.approx(0.7)
     assert 0.7 * 4700 / rate == pytest.approx(0.05, rel=0.2), "about a twentieth of a second at 1 W"
     assert "ms at gain 1 " in found.words
@@ -134,7 +145,7 @@ def test_exposure_follows_from_photons():
 
 def test_shutter_before_gain_before_darkness():
     photons = PhotonSettings()
-    full = photons.target * photons.full_well_e
+    full = TARGET_LEVEL * FULL_WELL_E
     assert plan_exposure(full / 0.1, photons).time_s == pytest.approx(0.1)
     assert plan_exposure(full / 0.1, photons).gain == 1.0
     amplified = plan_exposure(full / 0.8, photons)

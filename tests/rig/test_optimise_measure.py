@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.model import Reconstruction
-from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
+from splitknit.rig.candidates import FIRST_SEED, BuildSettings, Candidate, Study, rig_of
 from splitknit.rig.evaluate_rig import (
     compare_surfaces,
     evaluate,
@@ -20,14 +20,12 @@ from splitknit.rig.evaluate_rig import (
     truth,
     view_of,
 )
-from splitknit.rig.photo import photograph
-from splitknit.rig.photons import PhotonSettings, intensity_w_sr
-from splitknit.rig.study import Study
+from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph
 from splitknit.simulator.diffusion import load_walks
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)
 STUDY = Study(fingers=1)
-SEED = STUDY.first_seed
+SEED = FIRST_SEED
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +40,7 @@ def _shot(seen, candidate=RIG, seed=1, photons=None, rendered=False):
     photons = photons or PhotonSettings()
     build = BuildSettings(half_angle_deg=90.0) if rendered else BuildSettings()
     power = candidate.power_w / (4 * np.pi)
-    intensity = power if rendered else intensity_w_sr(candidate.power_w, photons.white, build.lobe_exponent)
+    intensity = power if rendered else intensity_w_sr(candidate.power_w, LAMPS["white"], build.lobe_exponent)
     rig = rig_of(candidate, build, {"white": intensity})
     return photograph(
         surface,

@@ -9,9 +9,8 @@ import pytest
 
 import splitknit.rig.optimise as module
 from splitknit.errors import BadInput
-from splitknit.rig.candidates import Candidate, grid
+from splitknit.rig.candidates import Candidate, Study, grid
 from splitknit.rig.optimise import summarise, sweep
-from splitknit.rig.study import Study
 
 STUDY = Study(fingers=2)
 RIGS = grid((100.0, 140.0), (52.5, 80.0), (1.0,), (None,), (6.0,))

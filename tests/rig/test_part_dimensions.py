@@ -11,11 +11,9 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
 from splitknit.rig.dimension_checks import check_dimensions
-from splitknit.rig.dimension_table import dimension_table
-from splitknit.rig.dimensions import dimensions_of
-from splitknit.rig.mirror_shape import mirror_front, mirror_profile, mirror_view
-from splitknit.rig.nail import nail_height, shadow_tips
-from splitknit.rig.part_settings import PartSettings
+from splitknit.rig.dimensions import dimensions_of, mirror_front, mirror_profile, mirror_view, nail_height, shadow_tips
+from splitknit.rig.part_reports import dimension_table
+from splitknit.rig.part_settings import JOINT_CLEARANCE_MM, MIRROR_THICK_MM, WIRE_ROOM_MM, PartSettings
 from splitknit.settings import override
 from splitknit.simulator.built_rig import built_rig
 from splitknit.simulator.rig import default_rig
@@ -71,7 +69,7 @@ def test_the_stack_puts_lights_and_camera_at_their_heights():
     assert dimensions.board_z_mm == 140 + dimensions.settings.camera.board_above_lens_mm
     assert dimensions.groove_z_mm == -dimensions.settings.finger.pad_height_mm
     assert dimensions.cylinder_mm == dimensions.frame_z_mm - dimensions.floor_z_mm
-    assert dimensions.box_z_mm >= dimensions.board_z_mm + dimensions.settings.board.wire_room_mm
+    assert dimensions.box_z_mm >= dimensions.board_z_mm + WIRE_ROOM_MM
     assert dimensions.lid_z_mm - dimensions.box_z_mm - joint.plate_mm > 40
     other = dimensions_of(ring(radius=40, height=120))
     assert dimensions.cylinder_mm - other.cylinder_mm == pytest.approx(20, abs=0.2)
@@ -144,7 +142,7 @@ def test_a_mirror_leans_by_45_deg_and_fits_its_holder():
     profile = np.array(mirror_profile(parts))
     along, behind = np.array([1, 1]) / math.sqrt(2), np.array([1, -1]) / math.sqrt(2)
     shares = (profile - front) @ np.stack([along, behind], axis=1)
-    ramp = shares[np.isclose(shares[:, 1], parts.mirror.thick_mm + parts.joint.clearance_mm)]
+    ramp = shares[np.isclose(shares[:, 1], MIRROR_THICK_MM + JOINT_CLEARANCE_MM)]
     assert len(ramp) == 2
     assert np.ptp(ramp[:, 0]) == pytest.approx(parts.mirror.wide_mm)
     signed = 0.5 * np.sum(profile[:, 0] * np.roll(profile[:, 1], -1) - profile[:, 1] * np.roll(profile[:, 0], -1))
@@ -192,14 +190,13 @@ def test_impossible_settings_are_refused():
     refused("LED 0 at 140.0 mm would rest on 0.0 mm of plastic", rig, led__white_flange_to_light_mm=1.5)
     refused("no room under the calibration disc", rig, finger__stop_height_mm=12.0)
     for name, value, words in (
-        ("joint__wall_mm", 1.0, "thinner than the least wall"),
+        ("joint__wall_mm", 1.0, "thinner than the minimum"),
         ("joint__plate_mm", 3.0, "set it to 4.1 or more"),
         ("joint__ridge_height_mm", 2.2, "1.6 mm high at most"),
         ("calibration__dot_depth_mm", 2.0, "1.2 mm at most"),
         ("finger__stop_height_mm", 15.0, "below the finger plane"),
         ("finger__groove_depth_mm", 9.5, "the stop is only 9 mm high"),
-        ("led__white_diameter_mm", float("nan"), "led.white_diameter_mm must be a number"),
-        ("printer__overhang_deg", 90.0, "between 20 and 80"),
+        ("led__white_diameter_mm", float("nan"), "led.white_diameter_mm must be from 0.05 to 1000, but it is nan"),
     ):
         with pytest.raises(BadInput, match=words):
             settings(**{name: value})

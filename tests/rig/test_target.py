@@ -9,12 +9,20 @@ import pytest
 from page_raster import draw, objects_of
 
 from splitknit.calibration import Board, find_board
-from splitknit.calibration.disc import find_disc
 from splitknit.calibration.plane import plane_scale
+from splitknit.calibration.targets import find_disc
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.rig.pdf import POINTS_PER_MM, Page
-from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf
+from splitknit.rig.target import (
+    _CARD_MARGIN_MM,
+    _DISC_RADIUS_MM,
+    POINTS_PER_MM,
+    RULER_MM,
+    Page,
+    TargetSettings,
+    dots_mm,
+    target_pdf,
+)
 
 PX_PER_MM = 12.0
 
@@ -45,7 +53,7 @@ def test_every_board_is_found_at_true_scale(sheet):
         picture = card(sheet[0], settings, column, row)
         rows, columns = (np.flatnonzero((picture < 128).any(axis=axis)) for axis in (1, 0))
         rims = [rows[0], picture.shape[0] - 1 - rows[-1], columns[0], picture.shape[1] - 1 - columns[-1]]
-        assert np.abs(np.array(rims) / PX_PER_MM - (settings.card_margin_mm - 0.5)).max() < 0.15
+        assert np.abs(np.array(rims) / PX_PER_MM - (_CARD_MARGIN_MM - 0.5)).max() < 0.15
         corners = find_board(picture, board)
         assert corners is not None
         scale = plane_scale(board.points_mm, corners)
@@ -57,7 +65,7 @@ def test_every_board_is_found_at_true_scale(sheet):
 def test_the_disc_is_found_at_true_scale(sheet):
     settings = TargetSettings()
     x, y = settings.disc_centre_mm
-    r = settings.disc_radius_mm - 1
+    r = _DISC_RADIUS_MM - 1
     half = 31  # what stands outside a square inside the circle is cut off, as in a picture of the disc
     assert half < r / np.sqrt(2) + 0.1
     top, left = round((297 - y - half) * PX_PER_MM), round((x - half) * PX_PER_MM)

@@ -11,9 +11,15 @@ from scipy.spatial import cKDTree
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Mirror
-from splitknit.rig.dimensions import dimensions_of
-from splitknit.rig.mirror_shape import holder_depth, holder_places, mirror_front, mirror_profile, mirror_view
-from splitknit.rig.part_settings import MirrorSettings, PartSettings
+from splitknit.rig.dimensions import (
+    dimensions_of,
+    holder_depth,
+    holder_places,
+    mirror_front,
+    mirror_profile,
+    mirror_view,
+)
+from splitknit.rig.part_settings import MIRROR_GAP_MM, MIRROR_LIP_MM, MIRROR_LONG_MM, MIRROR_THICK_MM, PartSettings
 from splitknit.settings import override
 from splitknit.simulator.diffusion import fresnel
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
@@ -94,7 +100,7 @@ def test_the_mirrors_stand_where_rig_cad_draws_them(parts, changes):
         assert [heights.min(), heights.max()] == pytest.approx([kind["lowest_mm"], kind["highest_mm"]], abs=1e-9)
         place = places[("right", "left", "tip").index(name)]
         assert corners[name][:, 1 - away].mean() == pytest.approx(place[1 - away], abs=1e-9)
-        assert np.ptp(corners[name][:, 1 - away]) == pytest.approx(drawn.settings.mirror.long_mm)
+        assert np.ptp(corners[name][:, 1 - away]) == pytest.approx(MIRROR_LONG_MM)
     profile, outline = HolderProfile(parts), np.array(mirror_profile(drawn.settings))
     assert profile.front == pytest.approx(mirror_front(drawn.settings))
     assert profile.back[1][0] == pytest.approx(holder_depth(drawn.settings))
@@ -109,9 +115,8 @@ def test_the_default_mirrors_fit_the_picture_and_the_drawn_sizes_are_the_same():
         column, row = pixels_of_points(rig.camera, *np.array(mirror.corners_mm).T)
         assert column.min() > 0 and column.max() < columns - 1
         assert row.min() > 0 and row.max() < rows - 1
-    drawn, own = MirrorSettings(), MirrorParts()
-    for name in ("long_mm", "thick_mm", "gap_mm", "lip_mm"):
-        assert getattr(drawn, name) == getattr(own, name)
+    drawn, own = (MIRROR_LONG_MM, MIRROR_THICK_MM, MIRROR_GAP_MM, MIRROR_LIP_MM), MirrorParts()
+    assert drawn == (own.long_mm, own.thick_mm, own.gap_mm, own.lip_mm)
 
 
 def test_a_reflection_is_its_own_inverse_and_keeps_the_plane():

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from splitknit.calibration import Board, find_board
-from splitknit.calibration.camera import CameraCalibration, calibrate_camera
-from splitknit.calibration.disc import find_disc
-from splitknit.calibration.lens_model import fit_lens
+from splitknit.calibration.camera import CameraCalibration, calibrate_camera, fit_lens
 from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
+from splitknit.calibration.targets import find_disc
 from splitknit.model import Rig
 from splitknit.simulator import bench
 from splitknit.simulator.built_rig import built_rig

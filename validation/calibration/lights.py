@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import BANDS, Tip
 from splitknit.calibration.lights import Circle, by_circle
-from splitknit.calibration.nail import by_joint_fit
-from splitknit.calibration.nail_model import NailSettings
+from splitknit.calibration.nail import NailSettings, by_joint_fit
 from splitknit.calibration.shadow import find_nail
 from splitknit.model import Rig
 from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed

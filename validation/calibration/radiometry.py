@@ -83,7 +83,7 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
     """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
     from radiometry_cards import Card, as_placed, photograph  # noqa: PLC0415
 
-    from splitknit.calibration.card_light import CardPlane  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane  # noqa: PLC0415
     from splitknit.calibration.radiometry import calibrate_radiometry  # noqa: PLC0415
     from splitknit.simulator.built_rig import built_rig  # noqa: PLC0415
 
@@ -155,7 +155,7 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
     """Gains of LEDs by captures of fingers: false alarms, and what becomes of a single LED that drifts."""
     import numpy as np  # noqa: PLC0415
 
-    from splitknit.calibration.drift import drift_words, led_drift  # noqa: PLC0415
+    from splitknit.finger.led_drift import drift_words, led_drift  # noqa: PLC0415
     from splitknit.imaging import linear_stack  # noqa: PLC0415
     from splitknit.simulator.twin import TwinSettings, simulate_capture  # noqa: PLC0415
 
@@ -206,7 +206,7 @@ def _light(card: Any) -> Any:
 def _model(rig: Any, height_mm: float) -> Any:
     import numpy as np  # noqa: PLC0415
 
-    from splitknit.calibration.card_light import CardPlane, card_light  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane, card_light  # noqa: PLC0415
 
     return np.stack([card_light(rig.camera, led, _pixels(rig), CardPlane(height_mm)) for led in rig.leds])
 
@@ -215,7 +215,7 @@ def _directions(rig: Any, height_mm: float) -> Any:
     """(14, N, 3) true directions to the LEDs from what the pixels see at a height."""
     import numpy as np  # noqa: PLC0415
 
-    from splitknit.calibration.card_light import CardPlane, rays_to_led  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane, rays_to_led  # noqa: PLC0415
 
     points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
     return np.stack([rays_to_led(led, points)[0] for led in rig.leds])
@@ -225,7 +225,7 @@ def _directions_weight(rig: Any, height_mm: float) -> Any:
     """(14, N) inverse squares of the true distances: LEDs all alike, without beams, and no lens."""
     import numpy as np  # noqa: PLC0415
 
-    from splitknit.calibration.card_light import CardPlane, rays_to_led  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane, rays_to_led  # noqa: PLC0415
 
     points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
     return np.stack([1e4 / np.pi / rays_to_led(led, points)[1] ** 2 for led in rig.leds])

@@ -23,9 +23,13 @@ RESULTS = HERE / "optimise.json"
 
 sys.path.insert(0, str(HERE))
 
-from splitknit.rig.candidates import BuildSettings, Candidate, grid  # noqa: E402
+from splitknit.rig.candidates import (  # noqa: E402
+    BuildSettings,
+    Candidate,
+    Study,
+    grid,
+)
 from splitknit.rig.optimise import summarise, sweep  # noqa: E402
-from splitknit.rig.study import Study  # noqa: E402
 
 HEIGHTS = (100.0, 120.0, 140.0, 170.0, 200.0)
 RADII = (35.0, 45.0, 52.5, 65.0, 80.0, 100.0)

@@ -1,9 +1,8 @@
 """Measuring a rig: its camera, its lights, its sensor."""
 
-from splitknit.calibration.board import Board, BoardSettings, find_board, size_in_view
 from splitknit.calibration.camera import CameraCalibration, CameraSettings, calibrate_camera
-from splitknit.calibration.disc import find_disc
 from splitknit.calibration.plane import PlanePose, plane_pose
+from splitknit.calibration.targets import Board, BoardSettings, find_board, find_disc, size_in_view
 
 __all__ = [
     "Board",

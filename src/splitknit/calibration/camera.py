@@ -1,19 +1,255 @@
-"""Camera calibration from views of one checkerboard: what is fitted, what is rejected, what the views cannot tell."""
+"""Camera calibration from views of one checkerboard: what is fitted, what is rejected, what views cannot determine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.board import Board
-from splitknit.calibration.lens_model import LensFit, LensSettings, fit_lens
+from splitknit.calibration.targets import Board
 from splitknit.errors import BadInput, require
 
+# --- Zhang's fit, with as many terms of distortion as the views determine ---------------------------------------------
+
 Points = NDArray[np.float64]
+TERMS = ("k1", "k2", "p1", "p2", "k3")
+"""Of the distortion, in OpenCV's order."""
+_STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
+"""Terms are tried in this order, each beside those that were kept; k3 only beside k2."""
+
+
+_NO_CAMERA = "no camera fits them, as when all boards lie parallel to the sensor"
+_LONGEST = 40.0
+"""Focal lengths above this many image sides are the sign of a fit that ran away."""
+
+
+@dataclass(frozen=True, slots=True)
+class LensSettings:
+    """What a term must be to be kept."""
+
+    significance: float = 4.0
+    """A term is kept where it differs from nothing by more than this many standard deviations."""
+    principal_limit: float = 0.05
+    """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
+    longer side."""
+
+    gross_aspect: float = 0.015
+    """A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
+
+    def __post_init__(self) -> None:
+        require(self.significance > 0, "LensSettings: significance must be positive.")
+        require(self.principal_limit > 0, "LensSettings: principal_limit must be positive.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensFit:
+    """A camera matrix with distortion, and where the board stood in each view."""
+
+    matrix: Points
+    """(3, 3) in pixels."""
+    distortion: tuple[float, ...]
+    """k1, k2, p1, p2, k3."""
+    deviations: dict[str, float]
+    """Standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted."""
+    rms_px: float
+    """Root of the mean squared distance between corners and their prediction."""
+    view_rms_px: NDArray[np.float64]
+    """(V,) the same for each view."""
+    normals: Points
+    """(V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera."""
+    fitted: tuple[str, ...]
+    """What was fitted beside the focal length."""
+    fixed: Mapping[str, str] = field(default_factory=dict)
+    """What was held, and why, in words."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Views:
+    boards: list[NDArray[np.float32]]
+    corners: list[NDArray[np.float32]]
+    size: tuple[int, int]
+    """Columns, rows of the images."""
+
+
+def fit_lens(
+    board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int], settings: LensSettings | None = None
+) -> LensFit:
+    """Fit matrix and distortion; each term only where the views tell it from nothing.
+
+    Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
+    its value differs from zero by more than `settings.significance` of the standard deviations that the fit itself
+    gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
+    cannot be told. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
+    the Jacobian promises more than those show, theirs is taken.
+
+    Parameters
+    ----------
+    board_mm : (N, 2) the board's corners in its plane
+    corner_sets : V arrays (N, 2), column and row of the corners in each view
+    image_size : rows, columns
+    settings : LensSettings
+
+    Raises
+    ------
+    BadInput
+        If the views do not determine a camera at all.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms of the distortion as in
+    OpenCV's ``calibrateCameraExtended``, whose standard deviations come from the Jacobian at the solution.
+    """
+    settings = settings or LensSettings()
+    board = np.asarray(board_mm, dtype=np.float64)
+    flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
+    corners = [np.asarray(one, dtype=np.float32).reshape(-1, 1, 2) for one in corner_sets]
+    views = _Views([flat] * len(corners), corners, (image_size[1], image_size[0]))
+    kept: tuple[str, ...] = ("cx", "cy")
+    fixed: dict[str, str] = {}
+    best = _fit(views, kept)
+    if max(best.deviations["cx"], best.deviations["cy"]) > settings.principal_limit * max(image_size):
+        words = "{0:.0f} px of standard deviation are too much; it was held in the middle of the image"
+        fixed["principal point"] = words.format(max(best.deviations["cx"], best.deviations["cy"]))
+        kept = ()
+        best = _fit(views, kept)
+    for step in (("aspect",), *_STEPS, ("aspect",)):
+        if step == ("k3",) and "k2" not in kept:
+            fixed["k3"] = "0: not tried, as even k2 cannot be told"
+            continue
+        if step[0] in kept:
+            continue
+        try:
+            trial = _fit(views, kept + step, best)
+        except BadInput:
+            fixed[_called(step)] = "the photographs do not tell it at all"
+            continue
+        values = {
+            **dict(zip(TERMS, trial.distortion, strict=True)),
+            "aspect": trial.matrix[0, 0] / trial.matrix[1, 1] - 1,
+        }
+        deviations = {**trial.deviations, "aspect": _aspect_deviation(values["aspect"], best, trial, views)}
+        ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
+        gross = step != ("aspect",) or abs(values["aspect"]) > settings.gross_aspect or "k1" in fixed or "k1" in kept
+        if ratio > settings.significance and gross:
+            kept, best = kept + step, trial
+            fixed.pop(_called(step), None)
+        elif step == ("aspect",):
+            fixed[_called(step)] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
+        else:
+            told = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
+            fixed[_called(step)] = f"0: the photographs give {told}"
+    best.deviations.update(_focal_deviations(views, kept, best))
+    return LensFit(
+        best.matrix,
+        best.distortion,
+        best.deviations,
+        best.rms_px,
+        best.view_rms_px,
+        best.normals,
+        tuple(term for term in (*TERMS, "cx", "cy", "aspect") if term in kept),
+        fixed,
+    )
+
+
+def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> LensFit:
+    """One fit with the terms `kept` free."""
+    flags = _flags(kept)
+    columns, rows = views.size
+    matrix = np.eye(3)
+    if start is not None or "cx" not in kept:
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+        matrix = _guess(views) if start is None else start.matrix.copy()
+    if "cx" not in kept:
+        matrix[:2, 2] = (columns - 1) / 2, (rows - 1) / 2
+    distortion = np.zeros(5) if start is None else np.array(start.distortion)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-7)
+    try:
+        found = cv2.calibrateCameraExtended(
+            views.boards, views.corners, views.size, matrix, distortion, flags=flags, criteria=criteria
+        )
+    except cv2.error as error:
+        raise BadInput(_undetermined(_NO_CAMERA)) from error
+    rms, turns = float(found[0]), found[3]
+    matrix, distortion, deviations, each = (np.asarray(found[k], dtype=np.float64) for k in (1, 2, 5, 7))
+    sound = bool(np.isfinite(matrix).all() and np.isfinite(deviations).all())
+    longest = _LONGEST * max(views.size)
+    sound = sound and min(matrix[0, 0], matrix[1, 1]) > 0 and max(matrix[0, 0], matrix[1, 1]) < longest
+    require(sound, _undetermined(_NO_CAMERA))
+    names = ("fx", "fy", "cx", "cy", *TERMS)
+    spread = dict(zip(names, deviations.ravel()[: len(names)].tolist(), strict=True))
+    if "aspect" not in kept:
+        spread["fx"] = spread["fy"]  # OpenCV counts one of the two
+    normals = np.array([-cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
+    normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
+    given = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
+    return LensFit(matrix, tuple(distortion.ravel()[:5].tolist()), given, rms, each.ravel(), normals, kept)
+
+
+def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views) -> float:
+    """Standard deviation of fx / fy, which OpenCV does not give: how much worse the fit is without it says it.
+
+    The sum of squares falls by the variance of one coordinate times (value / deviation)^2.
+    """
+    coordinates = 2 * len(views.corners) * len(views.boards[0])
+    fall = coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12)
+    return abs(value) / float(np.sqrt(fall))
+
+
+def _focal_deviations(views: _Views, kept: tuple[str, ...], best: LensFit) -> dict[str, float]:
+    """Standard deviations of fx and fy, not less than fits with other focal lengths show."""
+    shown = []
+    for factor in (0.97, 1.03):
+        matrix = best.matrix.copy()
+        matrix[0, 0] *= factor
+        matrix[1, 1] *= factor
+        try:
+            other = _fit(views, (*kept, "no focal"), replace(best, matrix=matrix))
+        except BadInput:
+            continue
+        coordinates = 2 * len(views.corners) * len(views.boards[0])
+        rise = coordinates * max(other.rms_px**2 / max(best.rms_px, 1e-12) ** 2 - 1, 1e-12)
+        shown.append(abs(factor - 1) * best.matrix[0, 0] / float(np.sqrt(rise)))
+    largest = max(shown, default=float("inf"))
+    doubtful = largest > 2 * best.deviations["fx"]
+    return {name: largest if doubtful else best.deviations[name] for name in ("fx", "fy")}
+
+
+def _called(step: tuple[str, ...]) -> str:
+    return "fx / fy" if step == ("aspect",) else " and ".join(step)
+
+
+def _flags(kept: tuple[str, ...]) -> int:
+    flags = 0
+    flags |= 0 if "k1" in kept else cv2.CALIB_FIX_K1
+    flags |= 0 if "k2" in kept else cv2.CALIB_FIX_K2
+    flags |= 0 if "k3" in kept else cv2.CALIB_FIX_K3
+    flags |= 0 if "p1" in kept else cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= 0 if "cx" in kept else cv2.CALIB_FIX_PRINCIPAL_POINT
+    flags |= 0 if "aspect" in kept else cv2.CALIB_FIX_ASPECT_RATIO
+    flags |= cv2.CALIB_FIX_FOCAL_LENGTH if "no focal" in kept else 0
+    return flags
+
+
+def _guess(views: _Views) -> Points:
+    """A camera matrix to start from."""
+    guess = np.asarray(cv2.initCameraMatrix2D(views.boards, views.corners, views.size, 1.0), dtype=np.float64)
+    if not (np.isfinite(guess).all() and guess[0, 0] > 0):
+        guess = np.diag([2.0 * max(views.size)] * 2 + [1.0])
+    return guess
+
+
+def _undetermined(why: str) -> str:
+    return (
+        f"the photographs do not determine the camera ({why}); tilt the board by 20 to 40 deg to several sides, "
+        "and let it fill the picture."
+    )
+
+
+# --- calibration ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

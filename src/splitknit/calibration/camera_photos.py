@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 
 from splitknit.calibration import Board, find_board, size_in_view
 from splitknit.calibration.camera import CameraCalibration, CameraSettings, calibrate_camera
-from splitknit.calibration.depth_of_field import DepthOfField, depth_of_field
-from splitknit.calibration.disc import find_disc
-from splitknit.calibration.plane import PlanePose, PlaneScale, mean_pose, plane_pose, plane_scale
+from splitknit.calibration.plane import (
+    DepthOfField,
+    PlanePose,
+    PlaneScale,
+    depth_of_field,
+    mean_pose,
+    plane_pose,
+    plane_scale,
+)
+from splitknit.calibration.targets import find_disc
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import file_hash, provenance, read_rig, write_rig
 from splitknit.io.images import DEFAULTS, decode_image

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.card_light import CardPlane, rays_to_led
-from splitknit.calibration.card_model import LADDER, Answer, CardModel, Order
+from splitknit.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
 from splitknit.errors import require
 from splitknit.model import Camera, Led
 
@@ -222,7 +221,7 @@ class FlatField:
     leds: tuple[Led, ...]
     """With intensity (the mean is one), lobe_exponent and aim."""
     card_level: float
-    """Brightness of the card: the images are this times :func:`splitknit.calibration.card_light.card_light`."""
+    """Brightness of the card: the images are this times :func:`splitknit.calibration.card_model.card_light`."""
     order: Order
     orders: tuple[tuple[str, int, float], ...]
     """Every model tried: name, number of parameters, rms of its residuals in per cent."""

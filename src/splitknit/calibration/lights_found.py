@@ -8,11 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, check_tips
-from splitknit.calibration.light_verdicts import Judged, LightLimits, check_nails, copied_leds, judge, refusal
+from splitknit.calibration.light_table import (
+    BANDS,
+    LEDS_PER_BAND,
+    Judged,
+    LightLimits,
+    Tip,
+    check_nails,
+    check_tips,
+    copied_leds,
+    judge,
+    refusal,
+)
 from splitknit.calibration.lights import Circle, LedEstimate, by_circle
-from splitknit.calibration.nail import JointFit, by_joint_fit
-from splitknit.calibration.nail_model import NailSettings
+from splitknit.calibration.nail import JointFit, NailSettings, by_joint_fit
 from splitknit.errors import BadInput, require
 from splitknit.model import Camera, Led, Rig
 

@@ -1,5 +1,8 @@
 """The LEDs from nail and shadow tips by least squares: all rows at once, the nail's height unknown.
 
+The unknowns in one vector: the LEDs (L, 3), the places of the nail on the finger plane (P, 2), its height, and how far
+the LED circle is from where it was measured: its centre (2), radius and height. All in mm.
+
 Seen from above, an LED at (p, z), a nail that stands at n with its tip at the height h, and the tip t of its shadow on
 the finger plane obey
 
@@ -28,14 +31,204 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from splitknit.calibration.light_table import Tip
+from splitknit.calibration.light_table import Tip, pixels
 from splitknit.calibration.lights import Circle, LedEstimate, by_circle, combine, nail_points
-from splitknit.calibration.nail_model import NailModel, NailSettings
 from splitknit.errors import require
-from splitknit.imaging.view import plane_points
+from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Camera
 
+# --- model: residuals of all rows, and how they depend on the unknowns ------------------------------------------------
+
 Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class NailSettings:
+    """How well everything is known beforehand: standard deviations, and what counts as astray."""
+
+    tip_sd_px: float = 1.0
+    """A shadow tip in the image, each way."""
+    nail_sd_mm: float = 0.1
+    """The nail in the image, on the finger plane, each way, the same in all rows of one position."""
+    led_sd_mm: float = 1.0
+    """Each LED about the circle, outwards and in height."""
+    centre_sd_mm: float = 1.0
+    """The circle's centre, each way."""
+    radius_sd_mm: float = 1.0
+    """The circle's radius."""
+    height_sd_mm: float = 1.0
+    """The circle's height."""
+    nail_height_mm: float | None = None
+    """Where it is known. Then the LEDs' places follow from it, and the circle only guards against nonsense."""
+    nail_height_sd_mm: float = 1.0
+    """Of the known height."""
+    free_sd_mm: float = 30.0
+    """Takes the place of all deviations of LEDs and circle where the nail's height is known."""
+    nail_seen: str = "tip"
+    """What the nail's pixel is: its ``tip``, which a perspective camera sees further out than the ``base``."""
+    outlier: float = 4.0
+    """A tip this many standard deviations from its place is named, and has lost most of its weight."""
+    stray_mm: float = 10.0
+    """An LED further than this off the fitted circle is refused."""
+
+    def __post_init__(self) -> None:
+        for name in ("tip_sd_px", "nail_sd_mm", "led_sd_mm", "centre_sd_mm", "radius_sd_mm", "height_sd_mm"):
+            require(1e-6 <= getattr(self, name) <= 1e4, f"NailSettings: {name} must be a positive number.")
+        for name in ("nail_height_sd_mm", "free_sd_mm", "outlier", "stray_mm"):
+            require(1e-6 <= getattr(self, name) <= 1e4, f"NailSettings: {name} must be a positive number.")
+        require(self.nail_seen in ("tip", "base"), f"nail_seen must be tip or base, but it is '{self.nail_seen}'.")
+        height = self.nail_height_mm
+        require(height is None or 0.5 <= height <= 500, f"the nail's height must be 0.5 to 500 mm, not {height}.")
+
+
+class NailModel:
+    """The rows of a table as equations."""
+
+    def __init__(  # noqa: D107 - the class says it
+        self, tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings
+    ) -> None:
+        self.tips, self.camera, self.circle, self.settings = tuple(tips), camera, circle, settings
+        nail_px, self.tip_px = pixels(tips)
+        self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
+        """Band and number of the L LEDs."""
+        self.led_of = np.array([self.names.index((tip.band, tip.led)) for tip in tips])
+        """(N,) which of them a row is of."""
+        self.place_of, self.places_px = _places(tips, camera, nail_px)
+        """(N,) which place of the nail a row is of, and the places' mean pixels (P, 2)."""
+        self.known = settings.nail_height_mm is not None
+        self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
+        """Where in the vector the nail's height is."""
+        self.size = self.at_height + 5
+
+    def parts(self, x: Points) -> tuple[Points, Points, float, Points]:
+        """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
+        leds = 3 * len(self.names)
+        return x[:leds].reshape(-1, 3), x[leds : self.at_height].reshape(-1, 2), float(x[self.at_height]), x[-4:]
+
+    def tip_residuals(self, x: Points) -> Points:
+        """(N, 2) pixels, found minus expected."""
+        return self.tip_px - self._pixels(self._ends(x), 0.0)
+
+    def residuals(self, x: Points, weights: Points) -> Points:
+        """All residuals in standard deviations; `weights` (N,) are the tips'."""
+        settings, circle = self.settings, self.circle
+        leds, places, height, offsets = self.parts(x)
+        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / settings.tip_sd_px
+        nail = (self._pixels(places, self._seen(height)) - self.places_px) / self._nail_sd_px
+        arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
+        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self._led_sd
+        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self._led_sd
+        known = [(height - (settings.nail_height_mm or 0.0)) / settings.nail_height_sd_mm] if self.known else []
+        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self._offset_sd, known])
+
+    def jacobian(self, x: Points, weights: Points) -> Points:
+        """(M, size) derivatives of :meth:`residuals`."""
+        leds, places, height, offsets = self.parts(x)
+        rows, number, at = len(self.tips), len(leds), self.at_height
+        total = np.zeros((2 * rows + 2 * len(places) + 2 * number + 4 + self.known, self.size))
+        # tips: t = n + (n - p) g, g = h / (z - h); then the camera
+        below = leds[self.led_of, 2] - height
+        g = height / below
+        lever = places[self.place_of] - leds[self.led_of, :2]
+        lens = self._pixel_slopes(self._ends(x), 0.0) * (np.sqrt(weights) / self.settings.tip_sd_px)[:, None, None]
+        k = np.arange(rows)
+        by_z = np.einsum("nij,nj->ni", lens, -lever * (g / below)[:, None])
+        by_h = np.einsum("nij,nj->ni", lens, lever * (leds[self.led_of, 2] / below**2)[:, None])
+        for way in (0, 1):
+            for axis in (0, 1):
+                total[2 * k + way, 3 * self.led_of + axis] = -g * lens[:, way, axis]
+                total[2 * k + way, 3 * number + 2 * self.place_of + axis] = (1.0 + g) * lens[:, way, axis]
+            total[2 * k + way, 3 * self.led_of + 2] = by_z[:, way]
+            total[2 * k + way, at] = by_h[:, way]
+        # nail
+        top, seen = 2 * rows, self._seen(height)
+        lens = self._pixel_slopes(places, seen) / self._nail_sd_px
+        for j in range(len(places)):
+            total[top + 2 * j : top + 2 * j + 2, 3 * number + 2 * j : 3 * number + 2 * j + 2] = lens[j]
+        if self.settings.nail_seen == "tip":
+            step = 1e-4
+            change = self._pixels(places, seen + step) - self._pixels(places, seen - step)
+            total[top : top + 2 * len(places), at] = change.ravel() / (2.0 * step) / self._nail_sd_px
+        # circle
+        top += 2 * len(places)
+        arms = leds[:, :2] - np.asarray(self.circle.centre_mm) - offsets[:2]
+        units = arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)
+        k = np.arange(number)
+        for axis in (0, 1):
+            total[top + k, 3 * k + axis] = units[:, axis] / self._led_sd
+            total[top + k, at + 1 + axis] = -units[:, axis] / self._led_sd
+        total[top + k, at + 3] = -1.0 / self._led_sd
+        total[top + number + k, 3 * k + 2] = 1.0 / self._led_sd
+        total[top + number + k, at + 4] = -1.0 / self._led_sd
+        top += 2 * number
+        total[top + np.arange(4), at + 1 + np.arange(4)] = 1.0 / self._offset_sd
+        if self.known:
+            total[-1, at] = 1.0 / self.settings.nail_height_sd_mm
+        return total
+
+    @property
+    def _led_sd(self) -> float:
+        return self.settings.free_sd_mm if self.known else self.settings.led_sd_mm
+
+    @property
+    def _nail_sd_px(self) -> float:
+        return self.settings.nail_sd_mm * self.camera.px_per_mm
+
+    @property
+    def _offset_sd(self) -> Points:
+        one = self.settings
+        if self.known:
+            return np.full(4, one.free_sd_mm)
+        return np.array([one.centre_sd_mm, one.centre_sd_mm, one.radius_sd_mm, one.height_sd_mm])
+
+    def _seen(self, height: float) -> float:
+        """Height of what the nail's pixel is of."""
+        return height if self.settings.nail_seen == "tip" else 0.0
+
+    def _ends(self, x: Points) -> Points:
+        """(N, 2) where the shadows' tips should be on the finger plane."""
+        leds, places, height, _ = self.parts(x)
+        nail, led = places[self.place_of], leds[self.led_of]
+        return np.asarray(nail + (nail - led[:, :2]) * (height / (led[:, 2] - height))[:, None])
+
+    def _pixels(self, places: Points, height: float) -> Points:
+        return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
+
+    def _pixel_slopes(self, places: Points, height: float) -> Points:
+        """(N, 2, 2) pixels per mm: column and row by x and y."""
+        step = 1e-3
+        slopes = [
+            (self._pixels(places + shift, height) - self._pixels(places - shift, height)) / (2.0 * step)
+            for shift in step * np.eye(2)
+        ]
+        return np.stack(slopes, axis=2)
+
+
+def _places(tips: Sequence[Tip], camera: Camera, nail_px: Points) -> tuple[NDArray[np.intp], Points]:
+    """Which place of the nail each row belongs to (N,), and the places' mean pixels (P, 2).
+
+    A nail number is one place, but where it stood elsewhere under the other band, more than a millimetre, it is two.
+    """
+    middles: dict[tuple[int, str], Points] = {}
+    for tip in tips:
+        rows = [one.nail == tip.nail and one.band == tip.band for one in tips]
+        middles.setdefault((tip.nail, tip.band), nail_px[rows].mean(axis=0))
+    keys = []
+    for tip in tips:
+        here = middles[tip.nail, tip.band]
+        near = [
+            key
+            for key, middle in middles.items()
+            if key[0] == tip.nail and np.linalg.norm(middle - here) <= camera.px_per_mm
+        ]
+        keys.append(near[0])
+    names = list(dict.fromkeys(keys))
+    place_of = np.array([names.index(key) for key in keys], dtype=np.intp)
+    return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
+
+
+# --- fit --------------------------------------------------------------------------------------------------------------
+
 HIGHEST = 0.6
 """A nail is taken to be lower than this part of the LEDs' height."""
 

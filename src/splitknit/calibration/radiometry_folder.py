@@ -12,16 +12,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.card_check import check_card, check_facts
-from splitknit.calibration.card_light import CardPlane
+from splitknit.calibration.card_model import CardPlane
 from splitknit.calibration.radiometry import (
     PROVENANCE,
     RadiometricCalibration,
     RadiometrySettings,
     calibrate_radiometry,
+    check_card,
+    check_facts,
 )
-from splitknit.calibration.response import Response, ResponseSettings, fit_response
-from splitknit.calibration.sensor_noise import Dark, NoiseModel, dark_frames, noise_model, noise_samples
+from splitknit.calibration.sensor import (
+    Dark,
+    NoiseModel,
+    Response,
+    ResponseSettings,
+    dark_frames,
+    fit_response,
+    noise_model,
+    noise_samples,
+)
 from splitknit.errors import BadInput, require
 from splitknit.io import file_hash, provenance, read_capture, read_image, read_rig, write_image, write_rig
 from splitknit.io.fields import Fields, inside, read_json

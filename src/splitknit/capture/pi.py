@@ -1,16 +1,370 @@
-"""The Raspberry Pi: its camera and its LEDs, opened together. The only place that loads their libraries."""
+"""The Raspberry Pi: camera v2 (Sony IMX219, NoIR) by picamera2, LEDs by gpiozero; both are imported here alone.
+
+What makes a frame trustworthy is its metadata. A new exposure takes effect some frames after it was asked for, and
+frames that were exposed before an LED was switched may still wait in the pipeline. So frames are thrown away until one
+says that it was taken with the locked exposure time, gain and colour gains, *and* that its exposure began after the
+call: its sensor timestamp less its exposure time lies after it. (A sensor exposes its first row before the timestamp.)
+"""
 
 from __future__ import annotations
 
+import time
 import warnings
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
-from splitknit.capture.pi_camera import PiCamera, PiCameraSettings
-from splitknit.capture.pi_lights import PiLightBank
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from splitknit.capture.pins import pins_of
-from splitknit.errors import BadInput
+from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
+from splitknit.errors import BadInput, require
 from splitknit.model import Rig
+
+# --- LEDs -------------------------------------------------------------------------------------------------------------
+
+SETTLE_S = 0.02
+"""Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
+
+
+class PiLightBank(GuardedLights):
+    """LEDs on GPIO lines, active high, off from the moment on which the lines become outputs."""
+
+    def __init__(
+        self,
+        pins: Sequence[int],
+        make_line: Callable[..., Any],
+        *,
+        settle_s: float = SETTLE_S,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Take the lines.
+
+        Parameters
+        ----------
+        pins : BCM numbers in the order of the rig file's LEDs
+        make_line : ``gpiozero.DigitalOutputDevice``, or what behaves like it
+        settle_s : time from the switch to full brightness
+        sleep : lets time pass
+        """
+        self._lines: list[Any] = []
+        self._sleep = sleep
+        try:
+            for pin in pins:
+                self._lines.append(make_line(pin, active_high=True, initial_value=False))
+            super().__init__(len(self._lines), settle_s)
+        except BaseException:
+            self._release()
+            raise
+
+    def _switch(self, led: int, lit: bool) -> None:
+        if lit:
+            self._lines[led].on()
+        else:
+            self._lines[led].off()
+
+    def _wait(self, seconds: float) -> None:
+        self._sleep(seconds)
+
+    def _release(self) -> None:
+        lines, self._lines = self._lines, []
+        for line in lines:
+            line.close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
+
+
+# --- camera -----------------------------------------------------------------------------------------------------------
+
+SENSOR_SIZE = (2464, 3280)
+"""Rows, columns of the IMX219."""
+LINE_S = 18.904e-6
+"""Time in which the sensor reads one row at full resolution: exposures are whole numbers of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class PiCameraSettings:
+    """How the camera module is driven."""
+
+    image_size: tuple[int, int] = (2200, 3200)
+    """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32."""
+    raw: bool = False
+    """Raw 10-bit images, demosaiced here to 16 bits, instead of 8-bit ones from the Pi's image processor."""
+    white_gains: tuple[float, float] = (1.11, 2.13)
+    """Gains of red and blue that make a white card white under the white LEDs (5000 K)."""
+    nir_gains: tuple[float, float] = (1.0, 1.0)
+    """The same under NIR, where the colour filters are transparent."""
+    longest_s: float = 0.2
+    """Longest exposure time that the camera is asked for, 0.001 to 5 s."""
+    highest_gain: float = 10.6
+    """Largest analogue gain of the IMX219."""
+    most_frames: int = 30
+    """Frames that are thrown away, at most, while waiting for a good one."""
+    preview_columns: int = 800
+    """Width of a preview, about."""
+    tuning_file: str = "imx219_noir.json"
+    """Libcamera's tuning of the sensor, by file name; what would bend light (tone curve, colours, shading) is left
+    out of it."""
+
+    def __post_init__(self) -> None:
+        rows, columns = self.image_size
+        require(
+            0 < rows <= SENSOR_SIZE[0] and 0 < columns <= SENSOR_SIZE[1] and rows % 2 == 0 and columns % 32 == 0,
+            f"pi.image_size must be even rows up to {SENSOR_SIZE[0]} and columns up to {SENSOR_SIZE[1]} that are a "
+            f"multiple of 32, but it is {list(self.image_size)}.",
+        )
+        for name in ("white_gains", "nir_gains"):
+            require(all(0.1 <= gain <= 16 for gain in getattr(self, name)), f"pi.{name} must be two gains, 0.1 to 16.")
+        require(0.001 <= self.longest_s <= 5, "pi.longest_s must be 0.001 to 5 s.")
+        require(1 <= self.highest_gain <= 10.67, "pi.highest_gain must be 1 to 10.67.")
+        require(self.most_frames >= 5, "pi.most_frames must be at least 5.")
+        require(self.preview_columns >= 100, "pi.preview_columns must be at least 100.")
+
+
+class PiCamera(Closing):
+    """A :class:`splitknit.devices.Camera` on picamera2."""
+
+    def __init__(
+        self,
+        picamera2: Any,
+        settings: PiCameraSettings | None = None,
+        *,
+        now_ns: Callable[[], int] | None = None,
+    ) -> None:
+        """Open and start the camera.
+
+        Parameters
+        ----------
+        picamera2 : the class ``picamera2.Picamera2``
+        settings : of the camera
+        now_ns : the clock of the sensor's timestamps (CLOCK_BOOTTIME)
+
+        Raises
+        ------
+        BadInput
+            If there is no camera, or it is in use.
+        """
+        self._settings = settings or PiCameraSettings()
+        self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
+        self._wanted: tuple[int, float, tuple[float, float]] | None = None
+        self._camera: Any = None
+        require(
+            len(picamera2.global_camera_info()) > 0,
+            "no camera was found; switch the Pi off, reseat the camera's ribbon cable, and look for the camera with "
+            "'rpicam-hello --list-cameras'.",
+        )
+        try:
+            tuning = linear_tuning(picamera2.load_tuning_file(self._settings.tuning_file))
+            self._camera = picamera2(tuning=tuning)
+            self._camera.configure(self._configuration())
+            self._camera.start()
+        except Exception as error:
+            self.close()
+            if isinstance(error, (BadInput, MemoryError)):
+                raise
+            raise BadInput(
+                f"the camera could not be started ({' '.join(str(error).split())}); close other programs that use it."
+            ) from error
+        self.lock(0.01, 1.0)
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """See :class:`splitknit.devices.Camera`."""
+        return self._settings.image_size
+
+    @property
+    def exposures(self) -> ExposureRange:
+        """See :class:`splitknit.devices.Camera`."""
+        return ExposureRange(4 * LINE_S, self._settings.longest_s, 1.0, self._settings.highest_gain)
+
+    def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
+        """See :class:`splitknit.devices.Camera`."""
+        self.exposures.check(exposure_s, gain)
+        gains = {"white": self._settings.white_gains, "nir": self._settings.nir_gains}.get(band)
+        require(gains is not None, f"the bands are white and nir, not '{band}'.")
+        assert gains is not None
+        exposure_us = round(exposure_s * 1e6)
+        frame_us = max(exposure_us + 1000, 47_700)  # as fast as exposure and reading of the sensor allow
+        self._opened().set_controls(
+            {
+                "ExposureTime": exposure_us,
+                "AnalogueGain": float(gain),
+                "ColourGains": gains,
+                "FrameDurationLimits": (frame_us, frame_us),
+            }
+        )
+        self._wanted = (exposure_us, float(gain), gains)
+
+    def capture(self) -> Frame:
+        """See :class:`splitknit.devices.Camera`."""
+        return self._frame(whole=True)
+
+    def preview(self) -> Frame:
+        """See :class:`splitknit.devices.Camera`."""
+        return self._frame(whole=False)
+
+    def close(self) -> None:
+        """See :class:`splitknit.devices.Camera`."""
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            try:
+                camera.stop()
+            finally:
+                camera.close()
+
+    def _opened(self) -> Any:
+        require(self._camera is not None, "the camera is closed; open it again.")
+        return self._camera
+
+    def _configuration(self) -> Any:
+        rows, columns = self._settings.image_size
+        crop = ((SENSOR_SIZE[1] - columns) // 4 * 2, (SENSOR_SIZE[0] - rows) // 4 * 2, columns, rows)
+        return self._camera.create_still_configuration(
+            # "BGR888" of libcamera lies in memory as red, green, blue
+            main={"size": (columns, rows), "format": "BGR888"},
+            raw={"size": SENSOR_SIZE[::-1], "format": "SBGGR10"},
+            buffer_count=3,
+            queue=False,  # a request that waits in a queue is stale
+            display=None,
+            encode=None,
+            controls={
+                "AeEnable": False,
+                "AwbEnable": False,
+                "NoiseReductionMode": 0,
+                "Sharpness": 0.0,
+                "Contrast": 1.0,
+                "Saturation": 1.0,
+                "Brightness": 0.0,
+                "ScalerCrop": crop,
+            },
+        )
+
+    def _frame(self, *, whole: bool) -> Frame:
+        """Wait for a frame that was exposed after now and as locked."""
+        camera, since_ns = self._opened(), self._now_ns()
+        metadata: Mapping[str, Any] = {}
+        for discarded in range(self._settings.most_frames):
+            request = camera.capture_request()
+            try:
+                metadata = request.get_metadata()
+                if self._as_locked(metadata) and _began_ns(metadata) >= since_ns:
+                    return self._read(request, metadata, discarded, whole=whole)
+            finally:
+                request.release()
+        wanted = self._wanted or (0, 0.0, (0.0, 0.0))
+        raise BadInput(
+            f"the camera did not take its settings: {wanted[0]} us at gain {wanted[1]:g} were asked for, but after "
+            f"{self._settings.most_frames} frames it reports {metadata.get('ExposureTime')} us at gain "
+            f"{metadata.get('AnalogueGain')}; restart the Pi, and use the IMX219 module."
+        )
+
+    def _as_locked(self, metadata: Mapping[str, Any]) -> bool:
+        """Whether a frame was taken as asked, within the sensor's steps."""
+        if self._wanted is None:
+            return False
+        exposure_us, gain, gains = self._wanted
+        colours = metadata.get("ColourGains", (0.0, 0.0))
+        return (
+            abs(float(metadata.get("ExposureTime", 0)) - exposure_us) <= max(1.5e6 * LINE_S, 0.005 * exposure_us)
+            # the gain is 256 / (256 - code): steps grow with its square
+            and abs(float(metadata.get("AnalogueGain", 0.0)) - gain) <= 0.005 * gain + gain**2 / 256
+            and abs(float(metadata.get("DigitalGain", 1.0)) - 1.0) <= 0.02
+            and all(abs(float(a) - b) <= 0.01 * b + 0.005 for a, b in zip(colours, gains, strict=True))
+        )
+
+    def _read(self, request: Any, metadata: Mapping[str, Any], discarded: int, *, whole: bool) -> Frame:
+        if self._settings.raw:
+            assert self._wanted is not None
+            pixels: Any = developed(self._raw(request), self._wanted[2])
+            black = float(RAW_BLACK << (16 - RAW_BITS))
+        else:
+            pixels, black = np.ascontiguousarray(request.make_array("main")), 0.0
+        if not whole:
+            factor = max(1, round(pixels.shape[1] / self._settings.preview_columns))
+            size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+        return Frame(
+            pixels=pixels,
+            exposure_s=float(metadata["ExposureTime"]) * 1e-6,
+            gain=float(metadata["AnalogueGain"]) * float(metadata.get("DigitalGain", 1.0)),
+            black_level=black,
+            at_s=float(metadata["SensorTimestamp"]) * 1e-9 + SENSOR_SIZE[0] * LINE_S,
+            discarded=discarded,
+        )
+
+    def _raw(self, request: Any) -> NDArray[np.uint16]:
+        """(H, W) raw values of the middle of the sensor; the colours' order stays as at the sensor's corner."""
+        rows, columns = self._settings.image_size
+        values = np.ascontiguousarray(request.make_array("raw")).view(np.uint16)
+        top, left = (SENSOR_SIZE[0] - rows) // 4 * 2, (SENSOR_SIZE[1] - columns) // 4 * 2
+        return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16)
+
+
+def _began_ns(metadata: Mapping[str, Any]) -> int:
+    """When the exposure of the frame's first row began, at the earliest."""
+    return int(metadata.get("SensorTimestamp", 0)) - 1000 * int(metadata.get("ExposureTime", 0))
+
+
+# Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
+
+RAW_BLACK = 64
+"""Stored value of no light, of 1023."""
+RAW_BITS = 10
+
+
+def linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a tuning of the Pi's image processor without what bends light: tone curve, colour mixing, shading.
+
+    Tuning files are lists of algorithms (version 2). The tone curve becomes the identity, the colour matrix the unit
+    matrix, and the correction of lens shading, which would differ between captures, goes: the rig file has the lens's
+    fall-off.
+    """
+    algorithms: list[dict[str, Any]] = []
+    for entry in tuning.get("algorithms", []):
+        kept: dict[str, Any] = {}
+        for name, values in entry.items():
+            if name == "rpi.contrast":
+                kept[name] = {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]}
+            elif name == "rpi.ccm":
+                kept[name] = {"ccms": [{"ct": 5000, "ccm": [1, 0, 0, 0, 1, 0, 0, 0, 1]}]}
+            elif name != "rpi.alsc":
+                kept[name] = values
+        if kept:
+            algorithms.append(kept)
+    names = {name for entry in algorithms for name in entry}
+    require(
+        "rpi.contrast" in names,
+        "the camera's tuning file is of an unknown version; update libcamera (apt full-upgrade).",
+    )
+    return {**tuning, "algorithms": algorithms}
+
+
+def developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[np.uint16]:
+    """White-balanced colours from raw values.
+
+    Parameters
+    ----------
+    raw : (H, W) 10-bit values, blue green / green red
+    gains : of red and blue
+
+    Returns
+    -------
+    (H, W, 3) uint16, linear: red, green, blue; no light is at 64 of 1023 still, so that noise is not clipped
+    """
+    # OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
+    colours = np.asarray(cv2.cvtColor(np.ascontiguousarray(raw), cv2.COLOR_BayerRG2RGB), dtype=np.uint16)
+    levels = np.arange(1 << RAW_BITS, dtype=np.float64) - RAW_BLACK
+    step = 1 << (16 - RAW_BITS)
+    result = np.empty_like(colours)
+    for c, gain in enumerate((gains[0], 1.0, gains[1])):
+        table = np.clip(np.rint((levels * gain + RAW_BLACK) * step), 0, 65535)
+        table[-1] = 65535  # what the sensor clips is clipped in every channel
+        result[..., c] = table.astype(np.uint16)[np.minimum(colours[..., c], (1 << RAW_BITS) - 1)]
+    return result
+
+
+# --- both, opened together --------------------------------------------------------------------------------------------
 
 INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment "
 INSTALL += "with --system-site-packages"

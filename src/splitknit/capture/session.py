@@ -11,20 +11,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splitknit.capture.checks import CheckSettings, Examiner, shrink_region
 from splitknit.capture.exposure import (
     BRIGHT,
     MEDIAN,
     Exposure,
     ExposureSettings,
+    Focus,
+    FocusSettings,
+    FocusWatch,
     Survey,
     find_exposure,
+    grey_light,
+    measure_focus,
     survey,
     typical_level,
 )
-from splitknit.capture.focus import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
 from splitknit.capture.pins import led_names
-from splitknit.capture.shots import Shooting, Shot
+from splitknit.capture.shots import CheckSettings, Examiner, Shooting, Shot, shrink_region
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger import finger_mask

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from splitknit.calibration.camera import TERMS
 from splitknit.cli.verb import Outcome, Progress, new_verb
 
 
@@ -96,7 +97,6 @@ def _lines_of(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
-    from splitknit.calibration.lens_model import TERMS  # noqa: PLC0415 - only this verb pays
 
     fit = facts["fit"]
     per_image, deviations = fit["per_image_px"], fit["deviations"]

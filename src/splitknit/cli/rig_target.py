@@ -25,8 +25,14 @@ def _run(options: argparse.Namespace) -> Outcome:
     from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
     from splitknit.io import atomic_file  # noqa: PLC0415
     from splitknit.io.targets import check_file  # noqa: PLC0415
-    from splitknit.rig.pdf import PRODUCER  # noqa: PLC0415
-    from splitknit.rig.target import RULER_MM, TargetSettings, dots_mm, target_pdf  # noqa: PLC0415
+    from splitknit.rig.target import (  # noqa: PLC0415  # noqa: PLC0415
+        DOT_MM,
+        PRODUCER,
+        RULER_MM,
+        TargetSettings,
+        dots_mm,
+        target_pdf,
+    )
 
     check_file(options.out, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
     board = Board.named(options.board, options.square_mm)
@@ -43,7 +49,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         "board": {"inner_corners": [board.columns, board.rows], "square_mm": options.square_mm},
         "board_mm": [width, height],
         "copies": across * down,
-        "disc": {"dots": len(dots_mm(settings)), "dot_mm": settings.dot_mm, "spacing_mm": settings.spacing_mm},
+        "disc": {"dots": len(dots_mm(settings)), "dot_mm": DOT_MM, "spacing_mm": settings.spacing_mm},
         "ruler_mm": RULER_MM,
     }
     lines = [

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.drift import drift_words, led_drift
 from splitknit.errors import BadInput, require
+from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, find_upright

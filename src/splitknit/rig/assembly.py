@@ -1,15 +1,26 @@
-"""All parts of a rig: what they are called, how often they are printed and which way up, and how they go together."""
+"""All parts of a rig, how they go together, and their files: triangles (STL) and STEP."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+import itertools
+import os
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from splitknit.errors import BadInput
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, read_bytes, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.stl import HEADER_BYTES, RECORD
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import RigDimensions
+
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 STACK = ("base", "cylinder", "frame", "box", "lid")
 """The rig with the camera above, from below upwards."""
@@ -23,8 +34,6 @@ class PartKind:
 
     name: str
     title: str
-    module: str
-    """Of :mod:`splitknit.rig`, with a function ``NAME_part``."""
     quantity: int = 1
     face_down: bool = False
     """Printed with its upper face on the bed."""
@@ -36,23 +45,21 @@ class PartKind:
 
 
 KINDS: tuple[PartKind, ...] = (
-    PartKind("base", "Base with finger groove", "parts_base"),
+    PartKind("base", "Base with finger groove"),
     PartKind(
         "cylinder",
         "Cylinder with the finger's opening",
-        "parts_tube",
         remedy="The semicircular opening stands in a wall of one thickness: its crown closes over the last few "
         "millimetres as a bridge and needs no support.",
     ),
-    PartKind("frame", "LED and camera frame", "parts_tube"),
-    PartKind("box", "Circuit box", "parts_tube"),
-    PartKind("lid", "Lid", "parts_tube"),
-    PartKind("window_base", "Window base, for the camera below", "parts_base", needed=False),
-    PartKind("mirror_holder", "Mirror holder at 45 deg (left, right, tip)", "parts_base", quantity=3, needed=False),
+    PartKind("frame", "LED and camera frame"),
+    PartKind("box", "Circuit box"),
+    PartKind("lid", "Lid"),
+    PartKind("window_base", "Window base, for the camera below", needed=False),
+    PartKind("mirror_holder", "Mirror holder at 45 deg (left, right, tip)", quantity=3, needed=False),
     PartKind(
         "calibration_disc",
         "Calibration disc, recessed dots",
-        "parts_calibration",
         face_down=True,
         colour="white",
         remedy="Face on the bed. Either fill the dots with black paint, or print the first layers, up to the dots' "
@@ -61,16 +68,14 @@ KINDS: tuple[PartKind, ...] = (
     PartKind(
         "calibration_disc_flat",
         "Calibration disc, flush dots (with the pegs of calibration_dots)",
-        "parts_calibration",
         face_down=True,
         colour="white",
         needed=False,
     ),
-    PartKind("calibration_dots", "Black dots for the flat disc", "parts_calibration", needed=False),
+    PartKind("calibration_dots", "Black dots for the flat disc", needed=False),
     PartKind(
         "nail",
         "Nail cone",
-        "parts_calibration",
         remedy="Its tip is as thin as the nozzle on purpose. Print with a brim, slowly, beside another part so that "
         "each layer cools.",
     ),
@@ -119,6 +124,154 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
 
 
 def _maker(kind: PartKind) -> Callable[[RigDimensions], Any]:
-    module = importlib.import_module(f"splitknit.rig.{kind.module}")
+    module = importlib.import_module("splitknit.rig.parts")
     maker: Callable[[RigDimensions], Any] = getattr(module, f"{_MAKERS.get(kind.name, kind.name)}_part")
     return maker
+
+
+# --- STL files --------------------------------------------------------------------------------------------------------
+
+Triangles = NDArray[np.float32]
+"""(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
+_MAX_BYTES = 700_000_000
+"""A mesh of fourteen million triangles."""
+_MAX_TEXT_BYTES = 50_000_000
+"""Read line by line, at ten times the memory."""
+
+
+def write_stl(path: str | os.PathLike[str], triangles: Triangles, title: str = "") -> None:
+    """Write a binary STL file; equal triangles give equal bytes."""
+    corners = np.asarray(triangles, dtype=np.float32)
+    require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
+    records = np.zeros(len(corners), dtype=RECORD)
+    records["corners"] = corners
+    records["normal"] = unit_normals(corners)
+    header = f"splitknit {title}".encode("ascii", "replace")[:HEADER_BYTES].ljust(HEADER_BYTES, b" ")
+    with atomic_file(path) as stream:
+        stream.write(header)
+        stream.write(np.uint32(len(corners)).astype("<u4").tobytes())
+        stream.write(records.tobytes())
+
+
+def read_stl(path: str | os.PathLike[str]) -> Triangles:
+    """Read an STL file, binary or text.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read or is not STL.
+    """
+    data = read_bytes(path, _MAX_BYTES)
+    if len(data) >= HEADER_BYTES + 4:
+        count = int(np.frombuffer(data, dtype="<u4", count=1, offset=HEADER_BYTES)[0])
+        if len(data) == HEADER_BYTES + 4 + count * RECORD.itemsize:
+            records = np.frombuffer(data, dtype=RECORD, offset=HEADER_BYTES + 4)
+            corners = np.array(records["corners"], dtype=np.float32)
+            require(bool(np.isfinite(corners).all()), f"'{path}' holds corners that are not numbers.")
+            return corners
+    require(data.lstrip().startswith(b"solid"), f"'{path}' is not an STL file, or it is cut short.")
+    require(len(data) <= _MAX_TEXT_BYTES, f"'{path}' is a long text file; save it as binary STL.")
+    return _text(data, str(path))
+
+
+def _text(data: bytes, name: str) -> Triangles:
+    rows: list[Any] = [line.split()[1:] for line in data.splitlines() if line.strip().startswith(b"vertex")]
+    try:
+        corners = np.array(rows, dtype=np.float32)
+    except ValueError:
+        corners = np.empty((0, 0), dtype=np.float32)
+    sound = (
+        len(rows) > 0 and corners.shape == (len(rows), 3) and len(rows) % 3 == 0 and bool(np.isfinite(corners).all())
+    )
+    require(sound, f"'{name}' is not a sound STL file: its vertices do not make triangles.")
+    return corners.reshape(-1, 3, 3)
+
+
+def unit_normals(triangles: Triangles) -> NDArray[np.float64]:
+    """Return (N, 3) unit normals of triangles; zero where a triangle has no area."""
+    corners = np.asarray(triangles, dtype=np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
+
+
+# --- triangles and STEP files -----------------------------------------------------------------------------------------
+
+TOLERANCE_MM = 0.01
+"""Between a curved face and its triangles: far below what a printer holds."""
+TOLERANCE_RAD = 0.2
+_TIMESTAMP = "2000-01-01T00:00:00"
+"""In the header of every STEP file, so that the same rig gives the same bytes."""
+
+
+def triangles_of(part: RigPart) -> Triangles:
+    """Return the part's surface in the rig's frame, (N, 3, 3) float32."""
+    vertices, faces = part.solid.tessellate(TOLERANCE_MM, TOLERANCE_RAD)
+    points = np.array([(point.X, point.Y, point.Z) for point in vertices], dtype=np.float64)
+    points = np.round(points, 5).astype(np.float32)  # faces meet at the same numbers
+    corners = points[np.array(faces, dtype=np.int64)]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    whole = ~((a == b).all(axis=1) | (b == c).all(axis=1) | (c == a).all(axis=1))
+    return np.asarray(corners[whole], dtype=np.float32)
+
+
+def as_printed(part: RigPart, triangles: Triangles) -> Triangles:
+    """Return the triangles as they lie on the bed: middle at x = y = 0, lowest point at z = 0."""
+    turned = triangles * np.array([1.0, -1.0, -1.0], dtype=np.float32) if part.kind.face_down else triangles
+    low, high = turned.reshape(-1, 3).min(axis=0), turned.reshape(-1, 3).max(axis=0)
+    origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], dtype=np.float32)
+    return np.asarray(turned - origin, dtype=np.float32)
+
+
+def write_step(path: Path, part: RigPart) -> None:
+    """Write one part, in the rig's frame."""
+    from build123d import export_step  # noqa: PLC0415 - large, and only parts need it
+
+    export_step(_labelled(part), str(path), timestamp=_TIMESTAMP)
+    _renumber(path)
+
+
+def write_assembly(path: Path, parts: Sequence[RigPart], *, below: bool = False) -> None:
+    """Write parts in their places; `below` turns the whole rig over, camera lowest."""
+    from build123d import Compound, Rot, export_step  # noqa: PLC0415 - large, and only parts need it
+
+    placed = [_labelled(part) for part in parts]
+    if below:
+        placed = [_relabelled(Rot(180, 0, 0) * shape, shape) for shape in placed]
+    assembly = Compound(label="rig", children=placed)
+    export_step(assembly, str(path), timestamp=_TIMESTAMP)
+    _renumber(path)
+
+
+def _renumber(path: Path) -> None:
+    """Number the uses of parts from 1: the writer goes on counting for as long as the program runs."""
+    count = itertools.count(1)
+
+    def numbered(found: re.Match[bytes]) -> bytes:
+        rest = b"".join(line.strip() for line in found.group(2).splitlines())
+        return found.group(1) + str(next(count)).encode("ascii") + rest
+
+    text = path.read_bytes()
+    use = re.compile(rb"(= NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(',.*?;)", re.DOTALL)
+    path.write_bytes(use.sub(numbered, text))
+
+
+def _labelled(part: RigPart) -> Any:
+    """The solid under its name; without a colour, as colours are written in an order that changes."""
+    part.solid.label = part.kind.name
+    return part.solid
+
+
+def _relabelled(shape: Any, source: Any) -> Any:
+    shape.label = source.label
+    return shape
+
+
+def half_of(part: RigPart) -> Triangles:
+    """Return the part without its half at x > 0, to look into it, (N, 3, 3) float32."""
+    from build123d import Pos, Solid  # noqa: PLC0415 - large, and only parts need it
+
+    size = 2000.0
+    rest = part.solid.cut(Pos(0.0, -size / 2, -size / 2) * Solid.make_box(size, size, size))
+    pieces = [triangles_of(RigPart(part.kind, solid)) for solid in rest.solids()]
+    return np.concatenate(pieces)

@@ -21,14 +21,25 @@ from splitknit.io import atomic_folder, file_hash, plain_json, provenance, read_
 from splitknit.io.pictures import ColourArray
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
-from splitknit.rig.assembly import STACK, STACK_BELOW, RigPart, build_parts, require_build123d
+from splitknit.rig.assembly import (
+    STACK,
+    STACK_BELOW,
+    RigPart,
+    Triangles,
+    as_printed,
+    build_parts,
+    half_of,
+    read_stl,
+    require_build123d,
+    triangles_of,
+    write_assembly,
+    write_step,
+    write_stl,
+)
 from splitknit.rig.dimension_checks import check_dimensions
-from splitknit.rig.dimension_table import dimension_table
 from splitknit.rig.dimensions import dimensions_of
-from splitknit.rig.part_files import as_printed, half_of, triangles_of, write_assembly, write_step
-from splitknit.rig.part_reports import report_part
+from splitknit.rig.part_reports import dimension_table, report_part
 from splitknit.rig.part_settings import PartSettings
-from splitknit.rig.stl import Triangles, read_stl, write_stl
 from splitknit.settings import override
 from splitknit.simulator.rig import default_rig
 

@@ -1,18 +1,27 @@
-"""Rigs that are compared: what changes from one to the next, and what all of them share."""
+"""Rigs that are compared: what changes from one to the next, what a rig must satisfy, and the study of all of them."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera, Led, Rig
+from splitknit.rig.photography import LAMPS, MIN_LEVEL, PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
+from splitknit.settings import Checked, Limits
+
+# --- candidates -------------------------------------------------------------------------------------------------------
 
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""
+_FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
+"""Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
+_LEDS_PER_BAND = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,32 +75,16 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class BuildSettings:
+class BuildSettings(Checked):
     """What all candidates share."""
 
-    leds_per_band: int = 7
-    """LEDs on the circle for each of the bands, 3 to 64."""
-    half_angle_deg: float = 30.0
+    half_angle_deg: Annotated[float, Limits(5, 90)] = 30.0
     """Angle from the beam's axis at which an LED is half as bright: 60 for a bare chip, 30 and less with a lens; 90
     stands for equal light all around."""
-    led_drop_mm: float = 0.0
+    led_drop_mm: Annotated[float, Limits(-100, 100)] = 0.0
     """How far the LEDs stand below the front of the lens; negative is above."""
-    field_mm: tuple[float, float] = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
-    """Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
-    view: str = "perspective"
+    view: Literal["perspective", "orthographic"] = "perspective"
     """Of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes it."""
-
-    def __post_init__(self) -> None:
-        require(3 <= self.leds_per_band <= 64, f"leds_per_band must be 3 to 64, but it is {self.leds_per_band}.")
-        require(
-            5.0 <= self.half_angle_deg <= 90.0, f"half_angle_deg must lie in 5 to 90, but it is {self.half_angle_deg}."
-        )
-        require(abs(self.led_drop_mm) <= 100.0, f"led_drop_mm must lie within 100 mm, but it is {self.led_drop_mm}.")
-        require(min(self.field_mm) >= 15.0, f"field_mm must be at least 15 mm a side, but it is {self.field_mm}.")
-        require(
-            self.view in ("perspective", "orthographic"),
-            f"view must be perspective or orthographic, not '{self.view}'.",
-        )
 
     @property
     def lobe_exponent(self) -> float:
@@ -129,7 +122,7 @@ def grid(
 
 def camera_of(candidate: Candidate, build: BuildSettings, view: str | None = None) -> Camera:
     """The candidate's camera: the field of `build`, seen from the candidate's height."""
-    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in build.field_mm)
+    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in _FIELD_MM)
     matrix = None
     if (view or build.view) == "perspective":
         focal = candidate.px_per_mm * candidate.height_mm
@@ -157,7 +150,7 @@ def rig_of(
     intensities : of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs
     view : of the camera, where it differs from `build.view`
     """
-    count = build.leds_per_band
+    count = _LEDS_PER_BAND
     tilt = np.deg2rad(candidate.beam_deg)
     leds = []
     for band, intensity in intensities.items():
@@ -175,3 +168,290 @@ def rig_of(
                 )
             )
     return Rig(camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
+
+
+# --- constraints, by geometry alone -----------------------------------------------------------------------------------
+
+Array = NDArray[np.float64]
+
+
+_LED_BODY_MM = 2.5
+"""Radius of an LED's case."""
+_CAMERA_BODY_MM = 17.3
+"""Half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle."""
+_FINGER_MM = 12.0
+"""Half the breadth of the opening that a large finger needs."""
+_WALL_MM = 8.0
+"""From the circle of the LEDs to the outside of the box."""
+_BED_MM = (220.0, 250.0)
+"""Side of the printer's bed, and its height."""
+_ROUGHNESS = 0.25
+"""GGX alpha of the skin whose glare is evaluated."""
+_MAX_BLIND = 0.05
+"""Largest fraction of the print where fewer than three LEDs are free of glare: three is what a normal needs."""
+_BLUR_MM = 0.11
+"""Disc of defocus that is allowed: a quarter of a ridge period."""
+_ALBEDO = 0.6
+"""Of the brightest channel of skin, for the exposure."""
+_MIN_BEAM = 0.1
+"""Smallest fraction of an LED's axial intensity that falls on the middle of the finger plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One constraint and what a rig makes of it."""
+
+    name: str
+    ok: bool
+    hard: bool
+    """Whether a rig that fails is left out; otherwise it is only said."""
+    value: float
+    words: str
+    """One sentence."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print:
+    """Where on a finger glare is looked for."""
+
+    points_mm: Array
+    """(N, 3)."""
+    normals: Array
+    """(N, 3) of the finger's shape, towards the camera."""
+
+
+def examine(
+    candidate: Candidate,
+    build: BuildSettings,
+    photons: PhotonSettings,
+    *,
+    finger: Print,
+    bands: Sequence[str] = ("white",),
+) -> tuple[Finding, ...]:
+    """Judge one candidate.
+
+    Parameters
+    ----------
+    candidate, build, photons : the rig
+    finger : surface of a typical finger
+    bands : whose exposure is judged
+
+    Returns
+    -------
+    One finding for every constraint, those that failed included.
+    """
+    exponent = build.lobe_exponent
+    intensities = {band: intensity_w_sr(candidate.power_w, LAMPS[band], exponent) for band in bands}
+    leds = rig_of(candidate, build, intensities).leds
+    white = [led for led in leds if led.band == leds[0].band]
+    return (
+        _in_view(white, candidate, build),
+        _into_lens(white, candidate),
+        _room(candidate),
+        _bed(candidate),
+        _beam(candidate, exponent),
+        _glare(white, candidate, build, finger),
+        *(_exposed(band, [led for led in leds if led.band == band], photons) for band in bands),
+        _depth(photons, finger),
+    )
+
+
+def glare_lobe_rad(roughness: float) -> float:
+    """Angle between normal and half vector at which a GGX surface's glare has fallen to half.
+
+    References
+    ----------
+    Walter et al. 2007, equation (33): D is half its largest value where tan^2 = a^2 (sqrt 2 - 1) / (1 - sqrt 2 a^2).
+    """
+    squared = min(roughness**2, 0.6)
+    return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
+
+
+def glaring(leds: list[Led], candidate: Candidate, build: BuildSettings, roughness: float, finger: Print) -> Array:
+    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
+    points = finger.points_mm
+    view = np.array([0.0, 0.0, 1.0])
+    if build.view == "perspective":
+        view = _unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
+    limit = np.cos(glare_lobe_rad(roughness))
+    rows = []
+    for led in leds:
+        half = _unit(_unit(np.asarray(led.position_mm) - points) + view)
+        rows.append(np.sum(half * finger.normals, axis=1) > limit)
+    return np.array(rows)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings) -> Finding:
+    """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
+    clear = np.inf
+    for led in leds:
+        x, y, z = np.asarray(led.position_mm)
+        below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
+        if below <= 0:
+            continue
+        share = below / candidate.height_mm if build.view == "perspective" else 1.0
+        half_y, half_x = (0.5 * side * share for side in _FIELD_MM)
+        outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
+        clear = min(clear, outside - _LED_BODY_MM)
+    clear = float(min(clear, 1e3))
+    ok = clear > 0.0
+    words = (
+        f"the LEDs stand {clear:.1f} mm beside what the camera sees."
+        if ok
+        else f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture; widen the circle or raise it."
+    )
+    return Finding("leds_in_view", ok, True, clear, words)
+
+
+def _into_lens(leds: list[Led], candidate: Candidate) -> Finding:
+    """Share of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
+    worst = 0.0
+    for led in leds:
+        to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
+        distance = float(np.linalg.norm(to_lens))
+        if distance == 0.0:
+            continue
+        meets = max(float(to_lens[2]) / distance, 0.0)  # the lens looks down: only light from below meets it
+        leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
+        worst = max(worst, meets * leaves**led.lobe_exponent if meets > 0 else 0.0)
+    ok = worst < 1e-3
+    words = (
+        "no LED shines into the lens."
+        if ok
+        else f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light); raise or shade them."
+    )
+    return Finding("direct_light", ok, True, worst, words)
+
+
+def _room(candidate: Candidate) -> Finding:
+    inside = candidate.radius_mm - _LED_BODY_MM
+    needed = max(_CAMERA_BODY_MM, _FINGER_MM)
+    ok = inside >= needed
+    words = (
+        f"{inside:.1f} mm are free inside the circle."
+        if ok
+        else f"inside the circle only {inside:.1f} mm are free, but camera and finger need {needed:.1f} mm; widen it."
+    )
+    return Finding("room", ok, True, inside - needed, words)
+
+
+def _bed(candidate: Candidate) -> Finding:
+    breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
+    spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
+    ok = spare >= 0.0
+    words = (
+        f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits the printer."
+        if ok
+        else f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, does not fit a printer of "
+        f"{_BED_MM[0]:g} mm and {_BED_MM[1]:g} mm of height."
+    )
+    return Finding("printer", ok, True, spare, words)
+
+
+def _beam(candidate: Candidate, exponent: float) -> Finding:
+    centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
+    off = abs(candidate.beam_deg - centre)
+    share = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
+    ok = share >= _MIN_BEAM and off < 75.0
+    words = (
+        f"the finger gets {100 * share:.0f} % of the LEDs' axial intensity."
+        if ok
+        else f"beams {off:.0f} deg off the finger give it {100 * share:.0f} % of it; tilt them by {centre:.0f} deg."
+    )
+    return Finding("beam", ok, True, share, words)
+
+
+def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: Print) -> Finding:
+    glare = glaring(leds, candidate, build, _ROUGHNESS, finger)
+    free = (~glare.astype(bool)).sum(axis=0)
+    blind = float(np.mean(free < 3))
+    ok = blind <= _MAX_BLIND
+    shares = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
+    words = (
+        f"{shares}, and {100 * blind:.0f} % of it under all but two."
+        if ok
+        else f"{shares}; on {100 * blind:.0f} % of it fewer than three LEDs are free of it; widen or lower the circle."
+    )
+    return Finding("glare", ok, True, blind, words)
+
+
+def _exposed(band: str, leds: list[Led], photons: PhotonSettings) -> Finding:
+    """Exposure of a facing patch of skin below the middle."""
+    brightest = 0.0
+    for led in leds:
+        for x, y in ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0)):
+            towards = np.asarray(led.position_mm) - np.array([x, y, 0.0])
+            squared = float(towards @ towards)
+            along = max(-float(led.axis @ towards) / np.sqrt(squared), 0.0)
+            irradiance = led.intensity * along**led.lobe_exponent * 1e6 / squared * float(towards[2]) / np.sqrt(squared)
+            brightest = max(brightest, irradiance)
+    rate = electrons_per_s(_ALBEDO / np.pi * brightest, LAMPS[band], photons) if brightest else 0.0
+    if rate <= 0.0:
+        return Finding(f"exposure_{band}", False, True, 0.0, "no light falls on the finger; turn the beams towards it.")
+    plan = plan_exposure(rate, photons)
+    how = f"{1000 * plan.time_s:.3g} ms at gain {plan.gain:.2g}"
+    dark = plan.level < MIN_LEVEL
+    ok = not dark and not plan.saturates
+    words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
+    if dark:
+        words = f"the {band} band is too dark: {how} give {100 * plan.level:.2g} % of full scale; use more power."
+    elif plan.saturates:
+        words = f"the {band} band is too bright: {how} give {100 * plan.level:.0f} % of full scale; use less power."
+    return Finding(f"exposure_{band}", ok, True, plan.level, words)
+
+
+def _depth(photons: PhotonSettings, finger: Print) -> Finding:
+    seen = float(np.ptp(finger.points_mm[:, 2]))
+    sharp = photons.depth_of_field_mm(_BLUR_MM)
+    ok = sharp >= seen
+    words = f"{sharp:.1f} mm of depth are sharp within {_BLUR_MM:g} mm at f/{photons.f_number:g}; the print has "
+    words += f"{seen:.1f} mm." if ok else f"{seen:.1f} mm: stop down."
+    return Finding("depth_of_field", ok, False, sharp - seen, words)
+
+
+# --- study ------------------------------------------------------------------------------------------------------------
+
+FIRST_SEED = 400
+"""Of the fingers."""
+TRUTH_PX_PER_MM = 10.0
+"""Density of the points of the true surface."""
+METHODS = {
+    "ea": "the thesis's plain photometric stereo: distant lights, Frankot-Chellappa",
+    "ea-poisson": "the same normals, integrated over the finger's mask alone",
+    "metric": "near lights, a calibrated perspective camera, glare and scattering undone",
+}
+MATERIALS = {"opaque": "an opaque Lambertian finger, as the thesis's sculpture", "skin": "the twin's skin"}
+CAMERAS = {
+    "sensor": "the rig's: photons, noise, defocus, exposure chosen within the shutter's range",
+    "renderer": "a rendering program's: pin-hole, no noise, one fixed exposure, bare isotropic lamps, 8 bits sRGB",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Study(Checked):
+    """Everything that a candidate's figures follow from, besides the candidate."""
+
+    method: Literal["ea", "ea-poisson", "metric"] = "ea"
+    """See :data:`METHODS`."""
+    material: Literal["opaque", "skin"] = "opaque"
+    """See :data:`MATERIALS`."""
+    camera: Literal["sensor", "renderer"] = "sensor"
+    """See :data:`CAMERAS`."""
+    fingers: Annotated[int, Limits(1, 200)] = 3
+    """Number of fingers; all candidates photograph the same ones, with the same noise."""
+    build: BuildSettings = field(default_factory=BuildSettings)
+    photons: PhotonSettings = field(default_factory=PhotonSettings)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Of the fingers."""
+        return tuple(range(FIRST_SEED, FIRST_SEED + self.fingers))
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Bands that the method looks at."""
+        return ("white", "nir") if self.method == "metric" else ("white",)

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Annotated, Literal
 
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.settings import Checked, Limits, check_fields
 
 # Data of the circuit's parts, as their data sheets give it, and the values that resistors are sold in.
 
@@ -143,37 +145,34 @@ FORCED_GAIN = 20.0
 """A switching transistor gets this share of its collector current in the base, far more than its gain asks for."""
 
 
+_MAX_HEAT = 0.6
+"""Fraction of its rating that a part may turn into heat when its LED stays on for ever."""
+_MIN_CURRENT = 0.7
+"""Smallest current in the worst corner, over the wanted one."""
+_PULL_DOWN_OHM = 100_000.0
+"""From every line to ground: LEDs are off while no Pi is connected or none has been started."""
+
+
 @dataclass(frozen=True, slots=True)
-class CircuitSettings:
+class CircuitSettings(Checked):
     """What the circuit is built from."""
 
-    topology: str = "sink"
+    topology: Literal["sink", "switch"] = "sink"
     """``sink`` (the emitter resistor sets the current) or ``switch`` (the thesis's: a resistor beside the LED does)."""
-    supply_v: float = 9.0
+    supply_v: Annotated[float, Limits(1, 24)] = 9.0
     """Of the LEDs: a wall adapter; the Pi has its own."""
-    supply_spread: float = 0.05
+    supply_spread: Annotated[float, Limits(0, 0.5)] = 0.05
     """Relative, half the range."""
-    resistor_spread: float = 0.01
+    resistor_spread: Annotated[float, Limits(0, 0.3)] = 0.01
     """Relative, half the range: metal film."""
     white: LedPart = field(default_factory=lambda: WHITE_LED)
     nir: LedPart = field(default_factory=lambda: NIR_LED)
     transistor: Transistor = field(default_factory=lambda: BC337)
-    gpio: Gpio = field(default_factory=lambda: RASPBERRY_PI)
-    power_margin: float = 0.6
-    """Share of its rating that a part may turn into heat when its LED stays on for ever."""
-    least_current: float = 0.7
-    """Smallest current in the worst corner, over the wanted one."""
-    pull_down_ohm: float = 100_000.0
-    """From every line to ground: LEDs are off while no Pi is connected or none has been started."""
 
     def __post_init__(self) -> None:
-        require(self.topology in ("sink", "switch"), f"circuit.topology must be sink or switch, not '{self.topology}'.")
-        require(1.0 <= self.supply_v <= 24.0, f"circuit.supply_v must lie between 1 and 24, but it is {self.supply_v}.")
-        require(0 <= self.supply_spread < 0.5, "circuit.supply_spread must lie between 0 and 0.5.")
-        require(0 <= self.resistor_spread < 0.3, "circuit.resistor_spread must lie between 0 and 0.3.")
-        require(0.1 <= self.power_margin <= 1.0, "circuit.power_margin must lie between 0.1 and 1.")
-        require(0.1 <= self.least_current <= 1.0, "circuit.least_current must lie between 0.1 and 1.")
-        require(self.pull_down_ohm >= 10_000, "circuit.pull_down_ohm must be at least 10,000.")
+        check_fields(self)
+        require(self.supply_spread < 0.5, "circuit.supply_spread must be below 0.5.")
+        require(self.resistor_spread < 0.3, "circuit.resistor_spread must be below 0.3.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,10 +234,10 @@ def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
 
 
 def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
-    t, high = s.transistor, s.gpio.high_v
+    t, high = s.transistor, RASPBERRY_PI.high_v
     # with the supply missing, the base feeds the emitter resistor: the base resistor limits what the line gives
     typical_drop = sum(high) / 2 - sum(t.base_v) / 2
-    least_total = (high[1] - t.base_v[0]) / (0.9 * s.gpio.limit_a)
+    least_total = (high[1] - t.base_v[0]) / (0.9 * RASPBERRY_PI.limit_a)
     base = preferred(max(least_total - typical_drop / led.current_a, 47.0))
     emitter = preferred(typical_drop / led.current_a - base / (sum(t.gain) / 2))
     least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
@@ -265,14 +264,14 @@ def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     resistors = [_resistor("base", base, 0.0, s), _resistor("emitter", emitter, top * top * emitter, s)]
     if series:
         resistors.append(_resistor("series", series, top * top * series, s))
-    resistors.append(_resistor("pull_down", s.pull_down_ohm, 0.0, s))
-    line = max(c / g for c in (top,) for g in t.gain) + high[1] / s.pull_down_ohm
+    resistors.append(_resistor("pull_down", _PULL_DOWN_OHM, 0.0, s))
+    line = max(c / g for c in (top,) for g in t.gain) + high[1] / _PULL_DOWN_OHM
     fault = (high[1] - t.base_v[0]) / ((base + emitter) * (1 - s.resistor_spread))
     return Stage(band, led, tuple(resistors), (low, middle, top), line, fault, heat)
 
 
 def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
-    t, high = s.transistor, s.gpio.high_v
+    t, high = s.transistor, RASPBERRY_PI.high_v
     least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
     saturated = sum(t.saturation_v) / 2
     headroom = s.supply_v - led.forward_v - saturated
@@ -290,18 +289,18 @@ def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     spreads = (-s.resistor_spread, s.resistor_spread)
     corners = [current(*c) for c in product((least_v, most_v), voltages, t.saturation_v, spreads)]
     top = max(corners)
-    line = (high[1] - t.base_v[0]) / (base * (1 - s.resistor_spread)) + high[1] / s.pull_down_ohm
+    line = (high[1] - t.base_v[0]) / (base * (1 - s.resistor_spread)) + high[1] / _PULL_DOWN_OHM
     resistors = (
         _resistor("base", base, line * line * base, s),
         _resistor("series", series, top * top * series, s),
-        _resistor("pull_down", s.pull_down_ohm, 0.0, s),
+        _resistor("pull_down", _PULL_DOWN_OHM, 0.0, s),
     )
     heat = top * t.saturation_v[1] + line * t.base_v[1]
     return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat)
 
 
 def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> Resistor:
-    return Resistor(role, ohm, rating_for(heat_w, s.power_margin), heat_w)
+    return Resistor(role, ohm, rating_for(heat_w, _MAX_HEAT), heat_w)
 
 
 def _check(stage: Stage, s: CircuitSettings) -> None:
@@ -318,20 +317,20 @@ def _check(stage: Stage, s: CircuitSettings) -> None:
         f"{which} would drive up to {1000 * top:.0f} mA through an LED of {1000 * led.limit_a:.0f} mA: " + _remedy(s),
     )
     require(
-        low >= s.least_current * led.current_a,
+        low >= _MIN_CURRENT * led.current_a,
         f"{which} would fall to {1000 * low:.0f} mA where {1000 * led.current_a:.0f} are wanted: " + _remedy(s),
     )
     require(top <= 0.5 * t.limit_a, f"{which} needs a transistor for at least {2000 * top:.0f} mA.")
     require(
-        stage.transistor_w <= s.power_margin * t.limit_w,
-        f"{which} would heat its transistor with {stage.transistor_w:.2f} W, more than {s.power_margin:.0%} of the "
+        stage.transistor_w <= _MAX_HEAT * t.limit_w,
+        f"{which} would heat its transistor with {stage.transistor_w:.2f} W, more than {_MAX_HEAT:.0%} of the "
         f"{t.limit_w:g} W it stands; lower circuit.supply_v or take a larger transistor.",
     )
     for name, amperes in (("", stage.gpio_a), (" while the LED supply is missing", stage.gpio_fault_a)):
         require(
-            amperes <= s.gpio.limit_a,
+            amperes <= RASPBERRY_PI.limit_a,
             f"{which} would draw {1000 * amperes:.1f} mA from a GPIO line{name}, which gives "
-            f"{1000 * s.gpio.limit_a:.0f} mA; take a transistor with more gain.",
+            f"{1000 * RASPBERRY_PI.limit_a:.0f} mA; take a transistor with more gain.",
         )
 
 

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.capture.folder import Opened
-from splitknit.capture.pi import open_pi
-from splitknit.capture.pi_camera import PiCameraSettings
+from splitknit.capture.pi import PiCameraSettings, open_pi
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
 from splitknit.io import read_rig

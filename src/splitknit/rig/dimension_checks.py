@@ -9,8 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.rig.dimensions import RigDimensions
-from splitknit.rig.led_holes import LedHole
+from splitknit.rig.dimensions import LedHole, RigDimensions
+from splitknit.rig.part_settings import (
+    CAMERA_BOARD_X_MM,
+    CAMERA_HOLE_X_MM,
+    CAMERA_HOLE_Y_MM,
+    CAMERA_LENS_TO_CONNECTOR_MM,
+    CAMERA_LENS_TO_HOLES_MM,
+    CAMERA_POST_HOLE_MM,
+    DISC_MM,
+    FINGER_PHALANX_MM,
+    JOINT_LUG_RADIUS_MM,
+    LED_TIP_FREE_MM,
+    MIN_WALL_MM,
+)
 
 _SAMPLES = 400
 _LEAST_SEAT_MM = 0.6
@@ -62,9 +74,8 @@ def _check_height(dimensions: RigDimensions) -> None:
         f"{least - 1.0:.1f} mm; set camera.board_above_lens_mm to {least - dimensions.camera_height_mm:.1f} or more, "
         f"or lower the LEDs against the camera.",
     )
-    camera = dimensions.settings.camera
-    nearest = math.hypot(camera.hole_x_mm / 2, min(camera.lens_to_holes_mm, camera.hole_y_mm - camera.lens_to_holes_mm))
-    room = nearest - camera.post_hole_mm / 2 - dimensions.settings.printer.least_wall_mm
+    nearest = math.hypot(CAMERA_HOLE_X_MM / 2, min(CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM))
+    room = nearest - CAMERA_POST_HOLE_MM / 2 - MIN_WALL_MM
     behind = dimensions.camera_height_mm > dimensions.frame_z_mm
     require(
         dimensions.lens_hole_mm <= room,
@@ -81,7 +92,7 @@ def _check_height(dimensions: RigDimensions) -> None:
 
 
 def _check_pair(first: LedHole, second: LedHole, dimensions: RigDimensions) -> None:
-    least = dimensions.settings.printer.least_wall_mm
+    least = MIN_WALL_MM
     for place, radius in (("shoulder_mm", "pocket_radius_mm"), ("back_mm", "pocket_radius_mm")):
         gap = float(np.linalg.norm(first.at(getattr(first, place)) - second.at(getattr(second, place))))
         needed = getattr(first, radius) + getattr(second, radius) + least
@@ -104,7 +115,7 @@ def _check_hole(hole: LedHole, dimensions: RigDimensions) -> None:
         f"LED {hole.index} is tilted by {hole.tilt_deg:.0f} deg, but its hole can be printed up to 45 deg; raise the "
         f"LEDs, bring them nearer to the axis, or give them another aim.",
     )
-    start = max(hole.level_mm(dimensions.frame_z_mm) + hole.lean_mm, dimensions.settings.led.tip_free_mm)
+    start = max(hole.level_mm(dimensions.frame_z_mm) + hole.lean_mm, LED_TIP_FREE_MM)
     land = hole.shoulder_mm - start
     require(
         land >= _LEAST_SEAT_MM,
@@ -119,8 +130,8 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
     camera = dimensions.settings.camera
     own = hole.pocket_radius_mm + dimensions.settings.joint.wall_mm
     away = min(float(np.hypot(*hole.at(s)[:2])) for s in (0.0, hole.back_mm))
-    ends = camera.lens_to_connector_mm, camera.board_y_mm - camera.lens_to_connector_mm, camera.hole_y_mm + 4.0
-    board = math.hypot(camera.board_x_mm / 2, max(ends))
+    ends = CAMERA_LENS_TO_CONNECTOR_MM, camera.board_y_mm - CAMERA_LENS_TO_CONNECTOR_MM, CAMERA_HOLE_Y_MM + 4.0
+    board = math.hypot(CAMERA_BOARD_X_MM / 2, max(ends))
     needed = max(dimensions.lens_hole_mm, board) + own
     require(
         away >= needed,
@@ -132,7 +143,7 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
 def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
     """Nothing may stand between the LED and the last phalanx, as far as the picture shows it."""
     half = min(dimensions.field_mm[0] / 2, dimensions.disc_radius_mm)
-    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - dimensions.settings.finger.phalanx_mm)
+    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - FINGER_PHALANX_MM)
     ends = (start, (start + dimensions.stop_y_mm) / 2, dimensions.field_mm[1] / 2)
     corners = np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
     share = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
@@ -169,9 +180,9 @@ def _check_finger(dimensions: RigDimensions) -> None:
         f"{2 * dimensions.opening_radius_mm:.0f} or more.",
     )
     require(
-        half < dimensions.screw_mm * math.sin(math.radians(90.0 - 35.0)) - joint.lug_radius_mm,
+        half < dimensions.screw_mm * math.sin(math.radians(90.0 - 35.0)) - JOINT_LUG_RADIUS_MM,
         f"the niche of {finger.hand_width_mm:g} mm would cut the screws' lugs beside it; set finger.hand_width_mm to "
-        f"{2 * (dimensions.screw_mm * math.sin(math.radians(55.0)) - joint.lug_radius_mm - joint.wall_mm) - 1:.0f} "
+        f"{2 * (dimensions.screw_mm * math.sin(math.radians(55.0)) - JOINT_LUG_RADIUS_MM - joint.wall_mm) - 1:.0f} "
         f"or less.",
     )
     require(
@@ -186,7 +197,7 @@ def _check_finger(dimensions: RigDimensions) -> None:
         f"the axis: the tube of {dimensions.bore_mm:g} mm radius is narrower there; set finger.reach_mm to "
         f"{finger.reach_mm - (-dimensions.niche_y_mm - chord):.0f} or less.",
     )
-    least = dimensions.settings.calibration.disc_mm + dimensions.settings.printer.least_wall_mm + 0.3
+    least = DISC_MM + MIN_WALL_MM + 0.3
     require(
         finger.pad_height_mm - finger.stop_height_mm >= least,
         f"the finger's stop of {finger.stop_height_mm:g} mm leaves no room under the calibration disc; set "

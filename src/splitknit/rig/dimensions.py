@@ -7,16 +7,197 @@ whole stack is turned over.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Rig
-from splitknit.rig.led_holes import LedHole, led_hole
-from splitknit.rig.nail import nail_height
-from splitknit.rig.part_settings import PartSettings
+from splitknit.model import Led, Rig
+from splitknit.rig.part_settings import (
+    FINGER_CLEARANCE_MM,
+    FINGER_PHALANX_MM,
+    FINGER_THICKEST_MM,
+    JOINT_CLEARANCE_MM,
+    JOINT_INSERT_DEPTH_MM,
+    JOINT_LUG_MM,
+    JOINT_LUG_RADIUS_MM,
+    JOINT_RIDGE_MM,
+    JOINT_RING_MM,
+    LED_CLEARANCE_MM,
+    LED_POCKET_MM,
+    LED_TIP_FREE_MM,
+    MIRROR_GAP_MM,
+    MIRROR_LIP_MM,
+    MIRROR_LONG_MM,
+    MIRROR_THICK_MM,
+    NAIL_MARGIN_MM,
+    NAIL_OFFSET_MM,
+    NAIL_RADIUS_MM,
+    PCB_OVER_PI_MM,
+    PCB_PARTS_MM,
+    PI_OVERHANG_MM,
+    PI_POST_HEIGHT_MM,
+    PI_X_MM,
+    PI_Y_MM,
+    WIRE_ROOM_MM,
+    LedSettings,
+    PartSettings,
+)
+
+# --- calibration nail -------------------------------------------------------------------------------------------------
+
+_STEP_MM = 0.5
+
+
+def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+    """Return (L, 2): where each LED throws the shadow of a nail's tip onto the finger plane, in mm.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the places of its LEDs.
+    nail_mm : height of the tip over the plane, below the lowest LED
+    place_mm : x and y of the nail
+
+    Examples
+    --------
+    >>> from splitknit.simulator.rig import default_rig
+    >>> shadow_tips(default_rig(), 14.0)[0].round(2).tolist()  # the LED on the right throws it to the left
+    [-5.83, 0.0]
+    """
+    leds = _places(rig)
+    stretch = nail_mm / (leds[:, 2] - nail_mm)
+    place = np.asarray(place_mm, dtype=np.float64)
+    return np.asarray(place + (place - leds[:, :2]) * stretch[:, None])
+
+
+def nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
+    """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
+
+    Parameters
+    ----------
+    rig : Rig
+    offset_mm : how far from the middle the nail may stand, along x and along y
+    margin_mm : between a shadow's tip and the border of the picture
+    radius_mm : of the nail's foot; a shadow's tip must come out from under it
+
+    Raises
+    ------
+    BadInput
+        If the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
+    """
+    camera = rig.camera
+    half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
+    leds = _places(rig)
+    best = float(leds[:, 2].min()) / 3
+    for place in itertools.product((-offset_mm, 0.0, offset_mm), repeat=2):
+        away = np.asarray(place) - leds[:, :2]  # (L, 2) the way of the shadow
+        room = np.where(away >= 0, half - place, half + place)
+        stretch = (room / np.maximum(np.abs(away), 1e-9)).min(axis=1)
+        if not (stretch > 0).all():
+            best = 0.0
+            break
+        best = min(best, float((leds[:, 2] * stretch / (1 + stretch)).min()))
+    height = math.floor(best / _STEP_MM + 1e-9) * _STEP_MM
+    require(
+        height >= 4.0,
+        f"the picture of {2 * (half[0] + margin_mm):.0f} x {2 * (half[1] + margin_mm):.0f} mm is too small for the "
+        f"shadows of a nail up to {offset_mm:g} mm from its middle; take a rig with a larger picture.",
+    )
+    nearest = float(np.hypot(*shadow_tips(rig, height).T).min())
+    require(
+        nearest >= radius_mm + 0.5,
+        f"a nail of {height:g} mm hides the shadow of an LED under its foot of {radius_mm:g} mm radius, as "
+        "that LED stands nearly above it.",
+    )
+    return height
+
+
+def _places(rig: Rig) -> NDArray[np.float64]:
+    places = [led.position_mm for led in rig.leds]
+    require(None not in places, "the nail's height needs the place of every LED (position_mm).")
+    return np.asarray(places, dtype=np.float64)
+
+
+# --- holes of the LEDs ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LedHole:
+    """A tilted hole for one LED; distances along its axis count from the light, away from the finger."""
+
+    index: int
+    band: str
+    light_mm: NDArray[np.float64]
+    """(3,) the LED's place in the rig file: the middle of its dome."""
+    back: NDArray[np.float64]
+    """(3,) unit vector along the hole, away from the finger."""
+    radius_mm: float
+    pocket_radius_mm: float
+    """Behind the shoulder, where the flange rests."""
+    shoulder_mm: float
+    back_mm: float
+    """Where the pocket ends."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the hole and the camera's axis."""
+        return math.degrees(math.acos(min(1.0, float(self.back[2]))))
+
+    def at(self, distance_mm: float) -> NDArray[np.float64]:
+        """(3,) point on the axis."""
+        return np.asarray(self.light_mm + distance_mm * self.back)
+
+    @property
+    def lean_mm(self) -> float:
+        """How much farther along the axis a level face meets the hole's one side than its axis."""
+        return self.radius_mm * math.tan(math.radians(self.tilt_deg))
+
+    def level_mm(self, z: float) -> float:
+        """Where the axis meets a level face at the height `z`."""
+        return (z - float(self.light_mm[2])) / float(self.back[2])
+
+    @property
+    def radius_taken_mm(self) -> float:
+        """How far from the camera's axis the LED reaches while it is pushed in from behind."""
+        tilted = self.pocket_radius_mm * float(self.back[2])
+        waiting = self.at(self.back_mm + self.shoulder_mm + self.radius_mm)  # its dome is at the pocket's end
+        outside = float(np.hypot(*waiting[:2])) + tilted
+        return max(outside, float(np.hypot(*self.light_mm[:2])) + self.radius_mm)
+
+
+def led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
+    """Return the hole of one LED.
+
+    Raises
+    ------
+    BadInput
+        If the LED has no place.
+    """
+    require(
+        led.position_mm is not None and not led.also,
+        f"LED {index} of the rig has no position_mm (it is distant light or a group), but parts need its place.",
+    )
+    white = led.band == "white"
+    diameter = settings.white_diameter_mm if white else settings.nir_diameter_mm
+    flange = settings.white_flange_mm if white else settings.nir_flange_mm
+    shoulder = settings.white_flange_to_light_mm if white else settings.nir_flange_to_light_mm
+    return LedHole(
+        index=index,
+        band=led.band,
+        light_mm=np.asarray(led.position_mm, dtype=np.float64),
+        back=-led.axis,
+        radius_mm=diameter / 2 + LED_CLEARANCE_MM,
+        pocket_radius_mm=flange / 2 + LED_CLEARANCE_MM,
+        shoulder_mm=shoulder,
+        back_mm=shoulder + LED_POCKET_MM,
+    )
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 """Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that parts fit one way."""
@@ -62,18 +243,17 @@ class RigDimensions:
     @property
     def ring_mm(self) -> float:
         """Outer radius of floors and of the tubes' ends."""
-        return self.outer_mm + self.settings.joint.ring_mm
+        return self.outer_mm + JOINT_RING_MM
 
     @property
     def screw_mm(self) -> float:
         """Radius of the circle of screws."""
-        joint = self.settings.joint
-        return self.bore_mm + joint.ridge_mm + joint.lug_radius_mm + 0.1
+        return self.bore_mm + JOINT_RIDGE_MM + JOINT_LUG_RADIUS_MM + 0.1
 
     @property
     def outside_mm(self) -> float:
         """Radius that everything fits into."""
-        return self.screw_mm + self.settings.joint.lug_radius_mm
+        return self.screw_mm + JOINT_LUG_RADIUS_MM
 
     @property
     def base_z_mm(self) -> float:
@@ -109,7 +289,7 @@ class RigDimensions:
     @property
     def groove_width_mm(self) -> float:
         """Width of the finger's groove at its rim."""
-        return self.settings.finger.widest_mm + self.settings.finger.clearance_mm
+        return self.settings.finger.widest_mm + FINGER_CLEARANCE_MM
 
     @property
     def groove_radius_mm(self) -> float:
@@ -167,22 +347,22 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     20.6
     """
     settings = settings or PartSettings()
-    camera, finger, joint, nail = rig.camera, settings.finger, settings.joint, settings.calibration
+    camera, finger, joint = rig.camera, settings.finger, settings.joint
     rows, columns = camera.image_size
     field = (columns / camera.px_per_mm, rows / camera.px_per_mm)
     holes = tuple(led_hole(index, led, settings.led) for index, led in enumerate(rig.leds))
     require(len(holes) > 0, "the rig has no LEDs; parts cannot be drawn for it.")
     frame_z = min(  # the lowest LED's dome stands free below the frame, those of higher ones in funnels
-        float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + settings.led.tip_free_mm
+        float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + LED_TIP_FREE_MM
         for hole in holes
     )
     board_z = camera.height_mm + settings.camera.board_above_lens_mm
     plate_top = frame_z + joint.plate_mm
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
-    lug_room = 2 * joint.lug_mm + joint.insert_depth_mm + _gusset(settings)
-    box_z = max(highest + settings.board.wire_room_mm, frame_z + lug_room)
+    lug_room = 2 * JOINT_LUG_MM + JOINT_INSERT_DEPTH_MM + _gusset(settings)
+    box_z = max(highest + WIRE_ROOM_MM, frame_z + lug_room)
     lid_z = max(box_z + joint.plate_mm + _boards_high(settings), box_z + lug_room)
-    stop_y = min(field[1] / 2 - finger.tip_margin_mm, finger.phalanx_mm / 2)
+    stop_y = min(field[1] / 2 - finger.tip_margin_mm, FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),
@@ -197,7 +377,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         stop_y_mm=stop_y,
         niche_y_mm=stop_y - finger.reach_mm,
         opening_radius_mm=_opening(settings),
-        nail_mm=nail_height(rig, nail.nail_offset_mm, nail.nail_margin_mm, nail.nail_radius_mm),
+        nail_mm=nail_height(rig, NAIL_OFFSET_MM, NAIL_MARGIN_MM, NAIL_RADIUS_MM),
     )
 
 
@@ -207,7 +387,7 @@ def _bore(holes: tuple[LedHole, ...], settings: PartSettings, field: tuple[float
     wanted = [
         max(hole.radius_taken_mm for hole in holes) + 0.5,
         math.hypot(*field) / 2 + 3.0,
-        math.hypot(board.pi_x_mm / 2 + board.pi_overhang_mm, board.pi_y_mm / 2) + 1.0,
+        math.hypot(PI_X_MM / 2 + PI_OVERHANG_MM, PI_Y_MM / 2) + 1.0,
         math.hypot(board.pcb_x_mm, board.pcb_y_mm) / 2 + 0.8,
     ]
     return math.ceil(2 * max(wanted)) / 2
@@ -217,16 +397,80 @@ def _opening(settings: PartSettings) -> float:
     """Return the radius of the semicircle that passes the thickest finger, an ellipse that lies on the floor."""
     angle = np.linspace(0.0, np.pi, 361)
     x = settings.finger.widest_mm / 2 * np.cos(angle)
-    z = settings.finger.thickest_mm / 2 * (1 + np.sin(angle))
-    return float(np.hypot(x, z).max()) + settings.finger.clearance_mm
+    z = FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
+    return float(np.hypot(x, z).max()) + FINGER_CLEARANCE_MM
 
 
 def _gusset(settings: PartSettings) -> float:
     """Height of the 45 deg support under a lug."""
     joint = settings.joint
-    return joint.ridge_mm + 2 * joint.lug_radius_mm + 0.1 - joint.wall_mm
+    return JOINT_RIDGE_MM + 2 * JOINT_LUG_RADIUS_MM + 0.1 - joint.wall_mm
 
 
 def _boards_high(settings: PartSettings) -> float:
-    board = settings.board
-    return board.pi_post_height_mm + 1.5 + board.pcb_over_pi_mm + 1.6 + board.pcb_parts_mm
+    return PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM + 1.6 + PCB_PARTS_MM
+
+
+# --- mirror holders ---------------------------------------------------------------------------------------------------
+
+_LIP_WALL_MM = 1.2
+
+
+def mirror_front(settings: PartSettings) -> tuple[float, float]:
+    """Return the lower front edge of a mirror: distance from its holder's front, height over the holder's foot, mm."""
+    slack = JOINT_CLEARANCE_MM
+    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (MIRROR_THICK_MM + slack) * _HALF + _LIP_WALL_MM
+
+
+def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
+    """Return the outline of a mirror holder: distance from its front, height over its foot, mm.
+
+    The mirror's reflecting face starts at :func:`mirror_front` and leans by 45 deg away from the finger; a lip holds
+    its lower edge.
+    """
+    mirror, slack, wall = settings.mirror, JOINT_CLEARANCE_MM, settings.joint.wall_mm
+    front = np.array(mirror_front(settings))
+    along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    low = front + (MIRROR_THICK_MM + slack) * behind
+    high = low + mirror.wide_mm * along
+    lip_inside, lip_outside = front - slack * behind, front - (slack + _LIP_WALL_MM) * behind
+    start = lip_outside[1] - lip_outside[0]  # where the lip's outer face, at 45 deg, meets the holder's front
+    corners = [high, low, lip_inside, lip_inside + MIRROR_LIP_MM * along, lip_outside + MIRROR_LIP_MM * along]
+    back = float(high[0]) + wall
+    outline = [(0.0, 0.0), (back, 0.0), (back, float(high[1])), *((float(u), float(v)) for u, v in corners)]
+    return [*outline, (0.0, float(start))]
+
+
+def holder_depth(settings: PartSettings) -> float:
+    """Return the depth of a mirror holder, away from the finger, mm."""
+    return mirror_profile(settings)[1][0]
+
+
+def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]:
+    """Return for the right, left and tip holder: x, y of the middle of its front edge, and its turn in degrees."""
+    d = dimensions
+    side = d.block_mm + MIRROR_GAP_MM
+    middle = d.stop_y_mm + 1.0 - MIRROR_LONG_MM / 2
+    tip = d.stop_y_mm + d.settings.joint.wall_mm + MIRROR_GAP_MM
+    return [(side, middle, 0.0), (-side, middle, 180.0), (0.0, tip, 90.0)]
+
+
+def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
+    """Return what the mirrors show: heights of the finger over the plane (mm), and the share of it in the picture.
+
+    A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
+    """
+    d, mirror = dimensions, dimensions.settings.mirror
+    (front, foot), (side, _, _), (_, tip, _) = mirror_front(d.settings), holder_places(d)[0], holder_places(d)[2]
+    floor, length = d.floor_z_mm - d.pocket_mm + foot, mirror.wide_mm * _HALF
+    view = {}
+    for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):
+        first = start + MIRROR_LIP_MM * _HALF
+        view[name] = {
+            "lowest_mm": floor + MIRROR_LIP_MM * _HALF,
+            "highest_mm": floor + length,
+            "from_axis_mm": first,
+            "to_axis_mm": start + length,
+            "share_in_picture": min(1.0, max(0.0, (border - first) / (start + length - first))),
+        }
+    return view

@@ -14,11 +14,18 @@ from scipy.spatial import cKDTree
 from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, Camera, FloatArray, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
-from splitknit.rig.candidates import BuildSettings, Candidate, rig_of
-from splitknit.rig.constraints import Finding, Print, examine
-from splitknit.rig.photo import Shot, photograph
-from splitknit.rig.photons import intensity_w_sr
-from splitknit.rig.study import Study
+from splitknit.rig.candidates import (
+    FIRST_SEED,
+    TRUTH_PX_PER_MM,
+    BuildSettings,
+    Candidate,
+    Finding,
+    Print,
+    Study,
+    examine,
+    rig_of,
+)
+from splitknit.rig.photography import LAMPS, Shot, intensity_w_sr, photograph
 from splitknit.simulator.diffusion import WalkTable, load_walks
 from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger_shape import FingerBody
@@ -151,8 +158,8 @@ def evaluate(candidate: Candidate, study: Study) -> dict[str, Any]:
 
 def judge(candidate: Candidate, study: Study) -> tuple[Finding, ...]:
     """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
-    finger = typical(study.first_seed)
-    found = examine(candidate, study.build, study.photons, study.limits, finger=finger, bands=study.bands)
+    finger = typical(FIRST_SEED)
+    found = examine(candidate, study.build, study.photons, finger=finger, bands=study.bands)
     if study.camera == "renderer":
         return tuple(finding for finding in found if not finding.name.startswith(("exposure", "depth")))
     return found
@@ -187,18 +194,18 @@ def measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
     preset = "metric" if study.method == "metric" else "ea"
     changes = {"height.method": "poisson"} if study.method == "ea-poisson" else {}
     result = reconstruct(shot.capture, preset, changes)
-    return {**_exposed(shot), **compare_surfaces(result, surface, whole, seed, study.truth_px_per_mm)}
+    return {**_exposed(shot), **compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
 def rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
     """The rig that photographs, and what the reconstruction is told: the thesis's methods see in parallel rays."""
-    build, lamps = study.build, study.photons.lamps
+    build = study.build
     if study.camera == "renderer":
         build = replace(build, half_angle_deg=90.0)
         intensities = dict.fromkeys(study.bands, candidate.power_w / (4.0 * np.pi))
     else:
         intensities = {
-            band: intensity_w_sr(candidate.power_w, lamps[band], build.lobe_exponent) for band in study.bands
+            band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in study.bands
         }
     rig = rig_of(candidate, build, intensities)
     return rig, rig if study.method == "metric" else rig_of(candidate, build, intensities, "orthographic")

@@ -19,9 +19,8 @@ from splitknit import __version__
 from splitknit.errors import BadInput, require
 from splitknit.io import atomic_file, canonical_json, plain_json, settings_hash
 from splitknit.io.fields import read_json
-from splitknit.rig.candidates import Candidate
+from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
-from splitknit.rig.study import Study
 
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """What the thesis's sweep chose (4.1.1)."""

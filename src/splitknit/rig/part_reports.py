@@ -1,7 +1,8 @@
-"""What is said of each part: size, mass, and whether it prints; nothing outside the limits goes without a word."""
+"""Reports on the parts: dimensions, size, mass, and whether each prints; nothing beyond the limits goes unreported."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +11,95 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import require
-from splitknit.rig.assembly import PartKind
-from splitknit.rig.print_settings import PrinterSettings
-from splitknit.rig.stl import Triangles, unit_normals
+from splitknit.model import Rig
+from splitknit.rig.assembly import PartKind, Triangles, unit_normals
+from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_view, shadow_tips
+from splitknit.rig.part_settings import (
+    BRIDGE_MM,
+    DENSITY_G_PER_CM3,
+    JOINT_INSERT_HOLE_MM,
+    LAYER_MM,
+    MAX_OVERHANG_DEG,
+    MIN_WALL_MM,
+    MIRROR_LONG_MM,
+    MIRROR_THICK_MM,
+    NAIL_OFFSET_MM,
+    PrinterSettings,
+)
+
+# --- dimensions for ``parts.json`` ------------------------------------------------------------------------------------
+
+
+def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
+    """Return the dimensions of the rig and of its parts, mm and degrees."""
+    d, _joint = dimensions, dimensions.settings.joint
+    shadows = shadow_tips(rig, d.nail_mm)
+    return {
+        "picture_mm": [round(value, 2) for value in d.field_mm],
+        "camera_height_mm": d.camera_height_mm,
+        "bore_radius_mm": d.bore_mm,
+        "outer_radius_mm": d.outer_mm,
+        "screw_circle_radius_mm": round(d.screw_mm, 2),
+        "total_height_mm": round(d.top_z_mm - d.base_z_mm, 2),
+        "cylinder_height_mm": round(d.cylinder_mm, 2),
+        "heights_over_finger_plane_mm": {
+            "base_bottom": round(d.base_z_mm, 2),
+            "groove_bottom": round(d.groove_z_mm, 2),
+            "base_to_cylinder": round(d.floor_z_mm, 2),
+            "cylinder_to_frame": round(d.frame_z_mm, 2),
+            "camera_board_front": round(d.board_z_mm, 2),
+            "frame_to_box": round(d.box_z_mm, 2),
+            "box_to_lid": round(d.lid_z_mm, 2),
+            "top": round(d.top_z_mm, 2),
+        },
+        "finger": {
+            "opening_radius_mm": round(d.opening_radius_mm, 2),
+            "groove_width_mm": d.groove_width_mm,
+            "groove_length_mm": round(d.stop_y_mm - d.niche_y_mm + 2.0, 2),
+            "groove_depth_mm": d.settings.finger.groove_depth_mm,
+            "groove_radius_mm": round(d.groove_radius_mm, 2),
+            "tip_stops_at_y_mm": round(d.stop_y_mm, 2),
+            "hand_stays_outside_y_mm": round(d.niche_y_mm, 2),
+        },
+        "lens_opening_diameter_mm": round(2 * d.lens_hole_mm, 2),
+        "nail": {
+            "height_mm": d.nail_mm,
+            "may_stand_off_middle_mm": NAIL_OFFSET_MM,
+            "shadow_lengths_mm": [round(float(math.hypot(x, y)), 2) for x, y in shadows],
+        },
+        "calibration_disc_diameter_mm": 2 * d.disc_radius_mm,
+        "mirrors": {
+            "size_mm": [MIRROR_LONG_MM, d.settings.mirror.wide_mm, MIRROR_THICK_MM],
+            **{name: {k: round(v, 2) for k, v in view.items()} for name, view in mirror_view(d).items()},
+        },
+        "leds": [_led(hole) for hole in d.holes],
+        "hardware": {
+            "screws_m3x8": 16,
+            "heat_set_inserts_m3x4": 16,
+            "screws_m2x8": 4,
+            "screws_m25x8": 4,
+            "screws_m3x10_self_tapping": 4,
+            "leds_white": sum(hole.band == "white" for hole in d.holes),
+            "leds_nir": sum(hole.band != "white" for hole in d.holes),
+            "insert_hole_mm": JOINT_INSERT_HOLE_MM,
+        },
+    }
+
+
+def _led(hole: LedHole) -> dict[str, Any]:
+    x, y, z = (float(value) for value in hole.light_mm)
+    return {
+        "led": hole.index,
+        "band": hole.band,
+        "position_mm": [round(x, 3), round(y, 3), round(z, 3)],
+        "azimuth_deg": round(math.degrees(math.atan2(y, x)) % 360.0, 2),
+        "tilt_deg": round(hole.tilt_deg, 2),
+        "hole_diameter_mm": round(2 * hole.radius_mm, 2),
+        "shoulder_behind_light_mm": hole.shoulder_mm,
+    }
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 _FACETS_MM = 0.1
 """How much thinner facets make a round wall."""
@@ -41,12 +128,12 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     if not sound.watertight:
         raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
     wall = thinnest_wall(triangles)
-    hanging = overhang(triangles, printer.overhang_deg, printer.layer_mm)
+    hanging = overhang(triangles, MAX_OVERHANG_DEG, LAYER_MM)
     points = triangles.reshape(-1, 3).astype(np.float64)
     size = points.max(axis=0) - points.min(axis=0)
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
-    thick = wall.thickness_mm >= printer.least_wall_mm - _FACETS_MM
-    bridged = hanging.bridge_mm <= printer.bridge_mm
+    thick = wall.thickness_mm >= MIN_WALL_MM - _FACETS_MM
+    bridged = hanging.bridge_mm <= BRIDGE_MM
     volume = sound.volume_mm3 / 1000.0
     findings = [kind.remedy] if kind.remedy else []
     if not fits:
@@ -54,18 +141,18 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     if not thick:
         x, y, z = wall.place_mm
         findings.append(
-            f"Its thinnest place measures {wall.thickness_mm:.2f} mm, less than {printer.least_wall_mm:g} mm, at "
+            f"Its thinnest place measures {wall.thickness_mm:.2f} mm, less than {MIN_WALL_MM:g} mm, at "
             f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm on the bed."
         )
     if not bridged:
         findings.append(
             f"A ceiling {hanging.bridge_z_mm:.1f} mm above the bed spans {hanging.bridge_mm:.1f} mm of air, more than "
-            f"{printer.bridge_mm:g} mm: print it with support there."
+            f"{BRIDGE_MM:g} mm: print it with support there."
         )
     elif hanging.bridge_mm > 0:
         findings.append(
             f"{hanging.steep_mm2:.0f} mm² ({100 * hanging.share:.1f} % of its surface) lean further than "
-            f"{printer.overhang_deg:g} deg; the longest bridge is {hanging.bridge_mm:.1f} mm, "
+            f"{MAX_OVERHANG_DEG:g} deg; the longest bridge is {hanging.bridge_mm:.1f} mm, "
             f"{hanging.bridge_z_mm:.1f} mm above the bed: no support."
         )
     return {
@@ -75,25 +162,25 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         "print": {"face_on_bed": "upper" if kind.face_down else "lower", "colour": kind.colour},
         "size_mm": [round(float(value), 2) for value in size],
         "volume_cm3": round(volume, 3),
-        "mass_g": round(volume * printer.density_g_per_cm3, 1),
+        "mass_g": round(volume * DENSITY_G_PER_CM3, 1),
         "checks": {
             "watertight": {"ok": True, "triangles": sound.triangles, "edges": sound.edges},
             "wall": {
                 "ok": bool(thick),
                 "smallest_mm": round(wall.thickness_mm, 2),
                 "at_mm": [round(float(value), 1) for value in wall.place_mm],
-                "least_mm": printer.least_wall_mm,
+                "least_mm": MIN_WALL_MM,
                 "places": wall.samples,
             },
             "bed": {"ok": fits, "bed_mm": [printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm]},
             "overhang": {
                 "ok": bridged,
-                "limit_deg": printer.overhang_deg,
+                "limit_deg": MAX_OVERHANG_DEG,
                 "steep_mm2": round(hanging.steep_mm2, 1),
                 "share": round(hanging.share, 5),
                 "bridge_mm": round(hanging.bridge_mm, 1),
                 "bridge_z_mm": round(hanging.bridge_z_mm, 1),
-                "bridge_limit_mm": printer.bridge_mm,
+                "bridge_limit_mm": BRIDGE_MM,
             },
         },
         "findings": findings,

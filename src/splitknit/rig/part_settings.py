@@ -6,39 +6,99 @@ worked out in :mod:`splitknit.rig.dimensions`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated
 
 from splitknit.errors import require
-from splitknit.rig.print_settings import JointSettings, PrinterSettings
+from splitknit.settings import Checked, Limits
 
 
 @dataclass(frozen=True, slots=True)
-class LedSettings:
+class PrinterSettings(Checked):
+    """The printer and what it can do without support."""
+
+    bed_x_mm: Annotated[float, Limits(0.05, 1000)] = 220.0
+    """Largest print, along x."""
+    bed_y_mm: Annotated[float, Limits(0.05, 1000)] = 220.0
+    """Largest print, along y."""
+    bed_z_mm: Annotated[float, Limits(0.05, 1000)] = 250.0
+    """Largest print, its height."""
+
+
+NOZZLE_MM = 0.4
+"""Width of the nozzle: the calibration nail's tip is as wide."""
+LAYER_MM = 0.2
+"""Height of a layer: the step in which a part is looked through for what hangs over."""
+MIN_WALL_MM = 1.2
+"""Three lines of a 0.4 mm nozzle."""
+MAX_OVERHANG_DEG = 45.0
+"""Faces that look down and lean further than this from the vertical need a look."""
+BRIDGE_MM = 10.0
+"""Longest bridge over air that is printed without support."""
+DENSITY_G_PER_CM3 = 1.24
+"""PLA."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSettings(Checked):
+    """How parts meet: a tapered ridge in a tapered groove, and M3 screws in lugs."""
+
+    wall_mm: Annotated[float, Limits(0.05, 1000)] = 2.4
+    """Thickness of all upright walls; at least :data:`MIN_WALL_MM`."""
+    plate_mm: Annotated[float, Limits(0.05, 1000)] = 4.4
+    """Thickness of floors and of the lid."""
+    ridge_height_mm: Annotated[float, Limits(0.05, 1000)] = 1.2
+    """Height of the ridge; at most :data:`JOINT_RIDGE_MM` less 0.8."""
+
+
+JOINT_CLEARANCE_MM = 0.2
+"""Between parts that slide into each other, on each side."""
+JOINT_RIDGE_MM = 2.4
+"""Width of the ridge at its foot; its flank leans by 45 deg."""
+JOINT_RING_MM = 4.0
+"""How far the ends of a tube are thickened beyond the wall."""
+JOINT_LUG_RADIUS_MM = 5.0
+"""Half the width of the lugs that the screws go through."""
+JOINT_LUG_MM = 4.0
+"""Thickness of the lug under a screw's head: M3 x 8 then reaches through a 4 mm insert."""
+JOINT_SCREW_HOLE_MM = 3.4
+"""Diameter of the hole that an M3 screw passes freely."""
+JOINT_INSERT_HOLE_MM = 4.0
+"""For a heat-set insert M3 x 4."""
+JOINT_INSERT_DEPTH_MM = 6.0
+"""Depth of that hole: the insert, and room below it for the screw's end."""
+JOINT_FOOT_MM = 8.5
+"""Pockets for stick-on rubber feet of 8 mm, on base and lid."""
+
+
+@dataclass(frozen=True, slots=True)
+class LedSettings(Checked):
     """The LEDs: round, with a flange that rests on a shoulder of the hole."""
 
-    white_diameter_mm: float = 5.0
+    white_diameter_mm: Annotated[float, Limits(0.05, 1000)] = 5.0
     """Of the white LEDs' body; the hole is wider by the clearance."""
-    nir_diameter_mm: float = 5.0
+    nir_diameter_mm: Annotated[float, Limits(0.05, 1000)] = 5.0
     """Of the NIR LEDs' body; 3 for the small ones (then also `nir_flange_mm` 3.8, `nir_flange_to_light_mm` 2.9)."""
-    white_flange_mm: float = 5.9
+    white_flange_mm: Annotated[float, Limits(0.05, 1000)] = 5.9
     """Diameter of the white LEDs' flange, which rests on the shoulder."""
-    nir_flange_mm: float = 5.9
+    nir_flange_mm: Annotated[float, Limits(0.05, 1000)] = 5.9
     """Diameter of the NIR LEDs' flange."""
-    white_flange_to_light_mm: float = 5.2
+    white_flange_to_light_mm: Annotated[float, Limits(0.05, 1000)] = 5.2
     """From the flange's front to the middle of the dome, which is the LED's `position_mm` in the rig file."""
-    nir_flange_to_light_mm: float = 5.2
+    nir_flange_to_light_mm: Annotated[float, Limits(0.05, 1000)] = 5.2
     """The same of the NIR LEDs."""
-    clearance_mm: float = 0.1
-    """Of the hole, on each side."""
-    pocket_mm: float = 3.0
-    """Depth of the pocket behind the shoulder, for flange and glue."""
-    tip_free_mm: float = 0.5
-    """The frame's lower face stays at least this much behind every LED's light."""
+
+
+LED_CLEARANCE_MM = 0.1
+"""Of the hole, on each side."""
+LED_POCKET_MM = 3.0
+"""Depth of the pocket behind the shoulder, for flange and glue."""
+LED_TIP_FREE_MM = 0.5
+"""The frame's lower face stays at least this much behind every LED's light."""
 
 
 @dataclass(frozen=True, slots=True)
-class FingerSettings:
+class FingerSettings(Checked):
     """Fingers of men and women, and how they lie.
 
     British adults of 19 to 65 years (5th percentile of women to 95th of men, mm): thumb breadth 17 to 26, index finger
@@ -50,139 +110,149 @@ class FingerSettings:
     S. Pheasant, "Bodyspace: Anthropometry, Ergonomics and the Design of Work", 2nd edition, 1996, table of the hand.
     """
 
-    widest_mm: float = 26.0
+    widest_mm: Annotated[float, Limits(0.05, 1000)] = 26.0
     """Thumb, 95th percentile of men."""
-    thickest_mm: float = 24.0
-    """Thumb at its joint, 95th percentile of men: what the opening must pass."""
-    clearance_mm: float = 2.0
-    """Around the widest and thickest finger in the opening; on both sides together in the groove."""
-    pad_height_mm: float = 14.0
+    pad_height_mm: Annotated[float, Limits(0.05, 1000)] = 14.0
     """Thickness of the last phalanx: the groove's bottom lies this far below the finger plane."""
-    groove_depth_mm: float = 6.0
+    groove_depth_mm: Annotated[float, Limits(0.05, 1000)] = 6.0
     """From the groove's rim to its bottom; less than `finger.stop_height_mm`."""
-    reach_mm: float = 45.0
+    reach_mm: Annotated[float, Limits(0.05, 1000)] = 45.0
     """From the finger's stop to where the hand must stay outside: the little finger of most women is as long."""
-    hand_width_mm: float = 80.0
+    hand_width_mm: Annotated[float, Limits(0.05, 1000)] = 80.0
     """Width of the niche in front of the opening: knuckles of the fingers beside it."""
-    hand_height_mm: float = 16.0
+    hand_height_mm: Annotated[float, Limits(0.05, 1000)] = 16.0
     """Height of the niche at its sides; its roof then rises at 45 deg."""
-    tip_margin_mm: float = 3.0
+    tip_margin_mm: Annotated[float, Limits(0.05, 1000)] = 3.0
     """From the fingertip at the stop to the upper border of the picture, at least."""
-    phalanx_mm: float = 30.0
-    """From the tip backwards what must be lit by every LED; in a large picture it lies in the middle."""
-    stop_height_mm: float = 9.0
+    stop_height_mm: Annotated[float, Limits(0.05, 1000)] = 9.0
     """Of the stop over the groove's bottom; lower than the tip's pad, so that it throws no shadow on it."""
 
 
+FINGER_THICKEST_MM = 24.0
+"""Thumb at its joint, 95th percentile of men: what the opening must pass."""
+FINGER_CLEARANCE_MM = 2.0
+"""Around the widest and thickest finger in the opening; on both sides together in the groove."""
+FINGER_PHALANX_MM = 30.0
+"""From the tip backwards what must be lit by every LED; in a large picture it lies in the middle."""
+
+
 @dataclass(frozen=True, slots=True)
-class CameraSettings:
+class CameraSettings(Checked):
     """The camera's board (Raspberry Pi camera v2: 25 x 24 mm, holes 21 x 12.5 mm, M2) and its lens."""
 
-    board_x_mm: float = 25.0
-    """Size of the camera's board along x: no LED may stand where it is."""
-    board_y_mm: float = 24.0
+    board_y_mm: Annotated[float, Limits(0.05, 1000)] = 24.0
     """The same along y."""
-    hole_x_mm: float = 21.0
-    """Distance of the board's holes along x."""
-    hole_y_mm: float = 12.5
-    """Distance of its two lines of holes along y."""
-    lens_to_holes_mm: float = 0.0
-    """From the lens's axis to the line of the nearer two holes; the other two lie `hole_y_mm` further."""
-    lens_to_connector_mm: float = 9.5
-    """From the lens's axis to the edge with the flat cable's connector."""
-    board_above_lens_mm: float = 12.0
+    board_above_lens_mm: Annotated[float, Limits(0.05, 1000)] = 12.0
     """From the lens's centre of projection, at the rig's camera height, up to the board's front: 12 mm for an M12
     holder with an 11 to 12 mm lens, about 5 mm for the stock lens."""
-    barrel_mm: float = 15.0
+    barrel_mm: Annotated[float, Limits(0.05, 1000)] = 15.0
     """Diameter of the lens where it passes the frame: M12 lenses and the round part of their holders have 14."""
-    barrel_front_mm: float = 8.0
+    barrel_front_mm: Annotated[float, Limits(0.05, 1000)] = 8.0
     """How far the lens reaches below its centre of projection, towards the finger."""
-    post_mm: float = 5.0
-    """Diameter of the posts that carry the board."""
-    post_hole_mm: float = 1.7
-    """For self-tapping M2 screws."""
+
+
+CAMERA_BOARD_X_MM = 25.0
+"""Size of the camera's board along x: no LED may stand where it is."""
+CAMERA_HOLE_X_MM = 21.0
+"""Distance of the board's holes along x."""
+CAMERA_HOLE_Y_MM = 12.5
+"""Distance of its two lines of holes along y."""
+CAMERA_LENS_TO_HOLES_MM = 0.0
+"""From the lens's axis to the line of the nearer two holes; the other two lie `hole_y_mm` further."""
+CAMERA_LENS_TO_CONNECTOR_MM = 9.5
+"""From the lens's axis to the edge with the flat cable's connector."""
+CAMERA_POST_MM = 5.0
+"""Diameter of the posts that carry the board."""
+CAMERA_POST_HOLE_MM = 1.7
+"""For self-tapping M2 screws."""
 
 
 @dataclass(frozen=True, slots=True)
-class BoardSettings:
+class BoardSettings(Checked):
     """Raspberry Pi 4B (85 x 56 mm, holes 58 x 49 mm, M2.5) and the LED circuit's board above it."""
 
-    pi_x_mm: float = 85.0
-    """Size of the Pi's board along x, without what stands out."""
-    pi_y_mm: float = 56.0
-    """Size of the Pi's board along y."""
-    pi_hole_x_mm: float = 58.0
-    """Distance of the Pi's holes along x."""
-    pi_hole_y_mm: float = 49.0
-    """Distance of the Pi's holes along y."""
-    pi_hole_edge_mm: float = 3.5
-    """From the middle of the Pi's first holes to the edge of its board, along x."""
-    pi_overhang_mm: float = 3.0
-    """How far the USB sockets stand out."""
-    pi_post_height_mm: float = 6.0
-    """From the box's floor up to the Pi's board."""
-    pi_post_hole_mm: float = 2.1
-    """For self-tapping M2.5 screws."""
-    pcb_x_mm: float = 90.0
+    pcb_x_mm: Annotated[float, Limits(0.05, 1000)] = 90.0
     """Size of the circuit's board along x."""
-    pcb_y_mm: float = 70.0
+    pcb_y_mm: Annotated[float, Limits(0.05, 1000)] = 70.0
     """Size of the circuit's board along y: 90 x 70 is a common size of prototype board."""
-    pcb_hole_x_mm: float = 84.0
-    """Distance of the circuit's holes along x."""
-    pcb_hole_y_mm: float = 64.0
-    """Distance of the circuit's holes along y."""
-    pcb_over_pi_mm: float = 22.0
-    """From the Pi's board to the circuit's board: over the USB sockets."""
-    pcb_post_hole_mm: float = 2.5
-    """For self-tapping M3 screws."""
-    pcb_parts_mm: float = 16.0
-    """Room above the circuit's board."""
-    post_mm: float = 7.0
-    """Diameter of the posts that carry both boards."""
-    cable_hole_mm: float = 16.0
-    """Passes a USB-C plug and the LEDs' supply."""
-    slot_x_mm: float = 24.0
-    """Length, along x, of the floor's openings for flat cable and LED wires."""
-    slot_y_mm: float = 8.0
-    """Width of these openings."""
-    wire_room_mm: float = 10.0
-    """Above the camera's board and the LEDs, for their wires."""
+
+
+PI_X_MM = 85.0
+"""Size of the Pi's board along x, without what stands out."""
+PI_Y_MM = 56.0
+"""Size of the Pi's board along y."""
+PI_HOLE_X_MM = 58.0
+"""Distance of the Pi's holes along x."""
+PI_HOLE_Y_MM = 49.0
+"""Distance of the Pi's holes along y."""
+PI_HOLE_EDGE_MM = 3.5
+"""From the middle of the Pi's first holes to the edge of its board, along x."""
+PI_OVERHANG_MM = 3.0
+"""How far the USB sockets stand out."""
+PI_POST_HEIGHT_MM = 6.0
+"""From the box's floor up to the Pi's board."""
+PI_POST_HOLE_MM = 2.1
+"""For self-tapping M2.5 screws."""
+PCB_HOLE_X_MM = 84.0
+"""Distance of the circuit's holes along x."""
+PCB_HOLE_Y_MM = 64.0
+"""Distance of the circuit's holes along y."""
+PCB_OVER_PI_MM = 22.0
+"""From the Pi's board to the circuit's board: over the USB sockets."""
+PCB_POST_HOLE_MM = 2.5
+"""For self-tapping M3 screws."""
+PCB_PARTS_MM = 16.0
+"""Room above the circuit's board."""
+BOARD_POST_MM = 7.0
+"""Diameter of the posts that carry both boards."""
+CABLE_HOLE_MM = 16.0
+"""Passes a USB-C plug and the LEDs' supply."""
+SLOT_X_MM = 24.0
+"""Length, along x, of the floor's openings for flat cable and LED wires."""
+SLOT_Y_MM = 8.0
+"""Width of these openings."""
+WIRE_ROOM_MM = 10.0
+"""Above the camera's board and the LEDs, for their wires."""
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationSettings:
+class CalibrationSettings(Checked):
     """Calibration disc and nail."""
 
-    dot_mm: float = 1.5
+    dot_mm: Annotated[float, Limits(0.05, 1000)] = 1.5
     """Diameter of the disc's dots."""
-    dot_spacing_mm: float = 10.0
-    """From dot to dot, along x and along y; one dot is in the middle."""
-    dot_depth_mm: float = 0.6
-    """Depth of recessed dots; the disc stays at least `printer.least_wall_mm` thick below them."""
-    disc_mm: float = 2.4
-    """Thickness of the disc."""
-    nail_offset_mm: float = 6.0
-    """How far from the middle the nail may stand, along rows and along columns."""
-    nail_margin_mm: float = 2.0
-    """Between the farthest shadow tip and the border of the picture."""
-    nail_radius_mm: float = 2.5
-    """Radius of the nail's foot: every shadow's tip must fall outside it."""
+    dot_depth_mm: Annotated[float, Limits(0.05, 1000)] = 0.6
+    """Depth of recessed dots; the disc stays at least :data:`MIN_WALL_MM` thick below them."""
+
+
+DOT_SPACING_MM = 10.0
+"""From dot to dot, along x and along y; one dot is in the middle."""
+DISC_MM = 2.4
+"""Thickness of the disc."""
+NAIL_OFFSET_MM = 6.0
+"""How far from the middle the nail may stand, along rows and along columns."""
+NAIL_MARGIN_MM = 2.0
+"""Between the farthest shadow tip and the border of the picture."""
+NAIL_RADIUS_MM = 2.5
+"""Radius of the nail's foot: every shadow's tip must fall outside it."""
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorSettings:
+class MirrorSettings(Checked):
     """First-surface mirrors beside the finger, at 45 deg."""
 
-    long_mm: float = 30.0
-    """Of a mirror, along its lower edge."""
-    wide_mm: float = 20.0
+    wide_mm: Annotated[float, Limits(0.05, 1000)] = 20.0
     """Of a mirror, up its slope."""
-    thick_mm: float = 2.0
-    """Of a mirror's glass."""
-    gap_mm: float = 1.0
-    """Between the groove's block and a holder."""
-    lip_mm: float = 0.8
-    """How much of the mirror's lower edge the lip covers."""
+
+
+MIRROR_LONG_MM = 30.0
+"""Of a mirror, along its lower edge."""
+MIRROR_THICK_MM = 2.0
+"""Of a mirror's glass."""
+MIRROR_GAP_MM = 1.0
+"""Between the groove's block and a holder."""
+MIRROR_LIP_MM = 0.8
+"""How much of the mirror's lower edge the lip covers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,28 +269,26 @@ class PartSettings:
     mirror: MirrorSettings = field(default_factory=MirrorSettings)
 
     def __post_init__(self) -> None:
-        for group, values in ((item.name, getattr(self, item.name)) for item in fields(self)):
-            _check_group(group, values)
-        wall, least = self.joint.wall_mm, self.printer.least_wall_mm
+        wall, least = self.joint.wall_mm, MIN_WALL_MM
         require(
             wall >= least,
-            f"joint.wall_mm is {wall:g}, thinner than the least wall of {least:g} mm (printer.least_wall_mm).",
+            f"joint.wall_mm is {wall:g}, thinner than the minimum of {least:g} mm.",
         )
-        groove = self.joint.ridge_mm + self.joint.clearance_mm + 0.3
+        groove = JOINT_RIDGE_MM + JOINT_CLEARANCE_MM + 0.3
         require(
             self.joint.plate_mm >= groove + least,
             f"joint.plate_mm is {self.joint.plate_mm:g}, but below the groove of {groove:g} mm {least:g} mm must "
             f"remain: set it to {groove + least:g} or more.",
         )
         require(
-            self.joint.ridge_height_mm <= self.joint.ridge_mm - 0.8,
-            f"joint.ridge_height_mm is {self.joint.ridge_height_mm:g}: a ridge of {self.joint.ridge_mm:g} mm that "
-            f"leans by 45 deg may be {self.joint.ridge_mm - 0.8:g} mm high at most.",
+            self.joint.ridge_height_mm <= JOINT_RIDGE_MM - 0.8,
+            f"joint.ridge_height_mm is {self.joint.ridge_height_mm:g}: a ridge of {JOINT_RIDGE_MM:g} mm that "
+            f"leans by 45 deg may be {JOINT_RIDGE_MM - 0.8:g} mm high at most.",
         )
         require(
-            self.calibration.dot_depth_mm <= self.calibration.disc_mm - least,
+            self.calibration.dot_depth_mm <= DISC_MM - least,
             f"calibration.dot_depth_mm is {self.calibration.dot_depth_mm:g}, but a disc of "
-            f"{self.calibration.disc_mm:g} mm allows {self.calibration.disc_mm - least:g} mm at most.",
+            f"{DISC_MM:g} mm allows {DISC_MM - least:g} mm at most.",
         )
         require(
             self.finger.stop_height_mm < self.finger.pad_height_mm,
@@ -231,23 +299,4 @@ class PartSettings:
             self.finger.groove_depth_mm < self.finger.stop_height_mm,
             f"finger.groove_depth_mm is {self.finger.groove_depth_mm:g}, but the stop is only "
             f"{self.finger.stop_height_mm:g} mm high (finger.stop_height_mm).",
-        )
-
-
-_MAY_BE_ZERO = frozenset({"lens_to_holes_mm", "clearance_mm", "gap_mm", "nail_offset_mm", "nail_margin_mm"})
-
-
-def _check_group(group: str, values: Any) -> None:
-    assert is_dataclass(values)
-    for item in fields(values):
-        value = getattr(values, item.name)
-        low = 0.0 if item.name in _MAY_BE_ZERO else 0.05
-        require(
-            low <= value <= 1000.0,
-            f"{group}.{item.name} must be a number from {low:g} to 1000, but it is {value:g}.",
-        )
-    if isinstance(values, PrinterSettings):
-        require(
-            20.0 <= values.overhang_deg <= 80.0,
-            f"printer.overhang_deg must lie between 20 and 80, but it is {values.overhang_deg:g}.",
         )

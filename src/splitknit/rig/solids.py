@@ -10,6 +10,17 @@ from build123d import Axis, Face, Plane, Pos, Rot, Solid, Vector, Wire
 from numpy.typing import NDArray
 
 from splitknit.rig.dimensions import RigDimensions
+from splitknit.rig.part_settings import (
+    JOINT_CLEARANCE_MM,
+    JOINT_FOOT_MM,
+    JOINT_INSERT_DEPTH_MM,
+    JOINT_INSERT_HOLE_MM,
+    JOINT_LUG_MM,
+    JOINT_LUG_RADIUS_MM,
+    JOINT_RIDGE_MM,
+    JOINT_RING_MM,
+    JOINT_SCREW_HOLE_MM,
+)
 
 Shape = Any
 """A solid of build123d."""
@@ -108,7 +119,7 @@ def ridge(dimensions: RigDimensions, z: float) -> Shape:
     """Return the ridge on a part's upper face: a ring whose outer flank leans inwards by 45 deg."""
     joint, bore = dimensions.settings.joint, dimensions.bore_mm
     top = z + joint.ridge_height_mm
-    outside = bore + joint.ridge_mm
+    outside = bore + JOINT_RIDGE_MM
     return turned(
         [(bore, z - 0.2), (outside, z - 0.2), (outside, z), (outside - joint.ridge_height_mm, top), (bore, top)]
     )
@@ -116,8 +127,7 @@ def ridge(dimensions: RigDimensions, z: float) -> Shape:
 
 def groove_depth(dimensions: RigDimensions) -> float:
     """Return the width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
-    joint = dimensions.settings.joint
-    return joint.ridge_mm + joint.clearance_mm
+    return JOINT_RIDGE_MM + JOINT_CLEARANCE_MM
 
 
 def groove(dimensions: RigDimensions, z: float) -> Shape:
@@ -136,10 +146,10 @@ def tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 0
     """
     joint, bore = dimensions.settings.joint, dimensions.bore_mm
     outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + joint.ridge_height_mm
-    foot = max(joint.lug_mm, floor_mm)
+    foot = max(JOINT_LUG_MM, floor_mm)
     outside = [(ring, low), (ring, low + foot), (outer, low + foot)]
-    outside += [(outer, high - 2 * joint.ring_mm), (ring, high - joint.ring_mm), (ring, high)]
-    outside += [(bore + joint.ridge_mm, high), (bore + joint.ridge_mm - joint.ridge_height_mm, top), (bore, top)]
+    outside += [(outer, high - 2 * JOINT_RING_MM), (ring, high - JOINT_RING_MM), (ring, high)]
+    outside += [(bore + JOINT_RIDGE_MM, high), (bore + JOINT_RIDGE_MM - joint.ridge_height_mm, top), (bore, top)]
     if floor_mm > 0:
         body = turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
         return cut(body, [groove(dimensions, low)])
@@ -156,36 +166,35 @@ def head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_de
 def head_holes(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return the clearance holes of these lugs."""
     joint = dimensions.settings.joint
-    hole = cylinder(joint.screw_hole_mm / 2, z - 1.0, z + joint.plate_mm + joint.lug_mm, x=dimensions.screw_mm)
+    hole = cylinder(JOINT_SCREW_HOLE_MM / 2, z - 1.0, z + joint.plate_mm + JOINT_LUG_MM, x=dimensions.screw_mm)
     return [turned_to(angle, hole) for angle in azimuths_deg]
 
 
 def insert_lugs(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return lugs for heat-set inserts below a part's upper face, each with a 45 deg support."""
-    joint = dimensions.settings.joint
     start, end = dimensions.outer_mm - 0.3, dimensions.outside_mm
-    deep = joint.insert_depth_mm + 1.0
+    deep = JOINT_INSERT_DEPTH_MM + 1.0
     profile = [(start, z), (end, z), (end, z - deep), (start, z - deep - (end - start))]
-    gusset = prism_y(profile, -joint.lug_radius_mm, joint.lug_radius_mm)
+    gusset = prism_y(profile, -JOINT_LUG_RADIUS_MM, JOINT_LUG_RADIUS_MM)
     plan = _lug_outline(dimensions, start, z - deep - (end - start) - 1.0, z)
     return [turned_to(angle, common(gusset, plan)) for angle in azimuths_deg]
 
 
 def insert_holes(dimensions: RigDimensions, z: float, deep: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return the holes for heat-set inserts, from a part's upper face down."""
-    hole = cylinder(dimensions.settings.joint.insert_hole_mm / 2, z - deep, z + 1.0, x=dimensions.screw_mm)
+    hole = cylinder(JOINT_INSERT_HOLE_MM / 2, z - deep, z + 1.0, x=dimensions.screw_mm)
     return [turned_to(angle, hole) for angle in azimuths_deg]
 
 
 def feet(dimensions: RigDimensions, z: float, into: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return pockets for stick-on feet, 0.8 mm deep; `into` is +1 for a lower face and -1 for an upper one."""
-    radius = dimensions.settings.joint.foot_mm / 2
+    radius = JOINT_FOOT_MM / 2
     low, high = sorted((z - into * 0.5, z + into * 0.8))
     pocket = cylinder(radius, low, high, x=dimensions.bore_mm - 2 * radius)
     return [turned_to(angle, pocket) for angle in azimuths_deg]
 
 
 def _lug_outline(dimensions: RigDimensions, start: float, low: float, high: float) -> Shape:
-    radius, centre = dimensions.settings.joint.lug_radius_mm, dimensions.screw_mm
+    radius, centre = JOINT_LUG_RADIUS_MM, dimensions.screw_mm
     plate = box((start, centre), (-radius, radius), (low, high))
     return one(plate.fuse(cylinder(radius, low, high, x=centre)))

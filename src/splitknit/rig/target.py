@@ -1,17 +1,136 @@
 """The printed target: checkerboards for the small field of view, the calibration disc, and a ruler to check the print.
 
-All on one sheet of A4, as vectors at true scale.
+It is one page of vectors as PDF: shapes drawn once and placed many times, a line, a line of text.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from splitknit.errors import require
-from splitknit.rig.pdf import A4_MM, Page, circle, rectangles
+
+# --- PDF page ---------------------------------------------------------------------------------------------------------
+
+POINTS_PER_MM = 72.0 / 25.4
+A4_MM = (210.0, 297.0)
+PRODUCER = b"/Producer (splitknit)"
+_CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
+"""Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
+
+
+@dataclass(slots=True)
+class Page:
+    """A page in the making; all lengths are mm, the origin is its lower left corner, x right, y up."""
+
+    size_mm: tuple[float, float] = A4_MM
+    title: str = ""
+    _marks: list[str] = field(default_factory=list)
+    _shapes: dict[str, tuple[str, tuple[float, float, float, float]]] = field(default_factory=dict)
+
+    def shape(self, name: str, drawing: str, box_mm: tuple[float, float, float, float]) -> None:
+        """Keep a drawing (of :func:`rectangles` or :func:`circle`) within a box under a name, to be placed."""
+        require(name.isalpha() and name.isascii(), f"a shape's name must be ASCII letters, but it is '{name}'.")
+        self._shapes[name] = drawing, box_mm
+
+    def place(self, name: str, x_mm: float, y_mm: float) -> None:
+        """Draw a shape with its origin at a place."""
+        require(name in self._shapes, f"there is no shape '{name}' on the page.")
+        self._marks.append(f"q 1 0 0 1 {number(x_mm)} {number(y_mm)} cm /{name} Do Q")
+
+    def line(self, points_mm: Sequence[tuple[float, float]], width_mm: float = 0.1, grey: float = 0.0) -> None:
+        """Draw a line through points."""
+        require(len(points_mm) >= 2, "a line needs two points at least.")
+        (x, y), *rest = points_mm
+        path = " ".join([f"{number(x)} {number(y)} m", *(f"{number(u)} {number(v)} l" for u, v in rest)])
+        self._marks.append(f"{number(width_mm)} w {number(grey)} G {path} S")
+
+    def outline(self, drawing: str, x_mm: float, y_mm: float, width_mm: float = 0.1, grey: float = 0.0) -> None:
+        """Draw the outline of :func:`rectangles` or :func:`circle` about a place."""
+        self._marks.append(
+            f"q 1 0 0 1 {number(x_mm)} {number(y_mm)} cm {number(width_mm)} w {number(grey)} G {drawing} S Q"
+        )
+
+    def text(self, words: str, x_mm: float, y_mm: float, size_mm: float = 2.8) -> None:
+        """Write a line of ASCII in Helvetica, which every reader has."""
+        require(words.isascii() and words.isprintable(), "text on a page must be printable ASCII.")
+        escaped = words.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
+        self._marks.append(f"BT /F {number(size_mm)} Tf {number(x_mm)} {number(y_mm)} Td ({escaped}) Tj ET")
+
+    def to_bytes(self) -> bytes:
+        """Return the file; equal pages give equal bytes."""
+        scale = number(POINTS_PER_MM)
+        content = "\n".join([f"{scale} 0 0 {scale} 0 0 cm", *self._marks])
+        names = list(self._shapes)
+        first = 6  # 1 catalogue, 2 pages, 3 page, 4 content, 5 font, then the shapes, then the title
+        shapes = " ".join(f"/{name} {first + k} 0 R" for k, name in enumerate(names))
+        width, height = (number(side * POINTS_PER_MM) for side in self.size_mm)
+        objects = [
+            "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
+            "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+            f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width} {height}] /Contents 4 0 R "
+            f"/Resources << /Font << /F 5 0 R >> /XObject << {shapes} >> >> >>",
+            _stream("", content),
+            "<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
+        ]
+        for name in names:
+            drawing, box = self._shapes[name]
+            sides = " ".join(number(side) for side in box)
+            objects.append(_stream(f"/Type /XObject /Subtype /Form /BBox [{sides}] ", f"0 g {drawing} f"))
+        objects.append(f"<< /Title ({self.title}) {PRODUCER.decode()} >>")
+        return _file(objects)
+
+
+def rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
+    """Paths of rectangles: lower left x and y, width, height of each, in mm."""
+    return " ".join(f"{number(x)} {number(y)} {number(w)} {number(h)} re" for x, y, w, h in corners)
+
+
+def circle(radius_mm: float) -> str:
+    """Path of a circle about the origin."""
+    r, h = radius_mm, radius_mm * _CIRCLE
+    curves = [(r, h, h, r, 0, r), (-h, r, -r, h, -r, 0), (-r, -h, -h, -r, 0, -r), (h, -r, r, -h, r, 0)]
+    return " ".join([f"{number(r)} 0 m", *(" ".join(map(number, curve)) + " c" for curve in curves), "h"])
+
+
+def number(value: float) -> str:
+    """A length as PDF writes it: no exponent, 0.1 um and no trailing zeros."""
+    text = f"{value:.4f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
+
+
+def _stream(entries: str, content: str) -> str:
+    return f"<< {entries}/Length {len(content)} >>\nstream\n{content}\nendstream"
+
+
+def _file(objects: Sequence[str]) -> bytes:
+    """Objects with the table of their places; the catalogue is the first, the title the last."""
+    data = b"%PDF-1.6\n%\xe2\xe3\xcf\xd3\n"
+    places = []
+    for k, item in enumerate(objects, start=1):
+        places.append(len(data))
+        data += f"{k} 0 obj\n{item}\nendobj\n".encode("ascii")
+    table = "".join(f"{place:010d} 00000 n \n" for place in places)
+    count = len(objects) + 1
+    tail = (
+        f"xref\n0 {count}\n0000000000 65535 f \n{table}trailer\n<< /Size {count} /Root 1 0 R /Info {count - 1} 0 R >>\n"
+        f"startxref\n{len(data)}\n%%EOF\n"
+    )
+    return data + tail.encode("ascii")
+
+
+# --- target -----------------------------------------------------------------------------------------------------------
 
 RULER_MM = 100.0
+DOT_MM = 1.5
+"""Diameter of a dot of the disc."""
+_DISC_RADIUS_MM = 45.0
+"""Where the disc is cut out."""
+_CARD_MARGIN_MM = 4.0
+"""White paper around a board, within the line along which it is cut out."""
+_PAGE_MARGIN_MM = 12.0
+"""Which printers leave free."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +143,8 @@ class TargetSettings:
     """And along its height."""
     square_mm: float = 3.0
     """Side of a square: 9 x 6 inner corners of 3 mm are 30 x 21 mm, in a field of view of about 42 x 29 mm."""
-    dot_mm: float = 1.5
-    """Diameter of a dot of the disc."""
     spacing_mm: float = 10.0
-    """Of the dots."""
-    disc_radius_mm: float = 45.0
-    """Where the disc is cut out."""
-    card_margin_mm: float = 4.0
-    """White paper around a board, within the line along which it is cut out."""
-    page_margin_mm: float = 12.0
-    """Which printers leave free."""
+    """Of the dots of the disc."""
 
     def __post_init__(self) -> None:
         require(
@@ -45,16 +156,16 @@ class TargetSettings:
             f"squares to print must have 0.5 to 40 mm a side, but it is {self.square_mm:g}.",
         )
         require(
-            0.5 <= self.dot_mm < 0.6 * self.spacing_mm,
-            f"dots must be 0.5 mm wide at least and less than 0.6 of their spacing, but they are {self.dot_mm:g} mm at "
-            f"every {self.spacing_mm:g} mm.",
+            0.6 * self.spacing_mm > DOT_MM,
+            f"dots of {DOT_MM:g} mm must be less than 0.6 of their spacing, but that is {self.spacing_mm:g} mm.",
         )
         require(
-            self.spacing_mm + self.dot_mm <= self.disc_radius_mm <= 60,
-            f"the disc's radius must hold two dots and be at most 60 mm, but it is {self.disc_radius_mm:g} mm.",
+            self.spacing_mm + DOT_MM <= _DISC_RADIUS_MM,
+            f"the disc's radius of {_DISC_RADIUS_MM:g} mm must hold two dots, but they are at every "
+            f"{self.spacing_mm:g} mm.",
         )
         width, height = self.card_mm
-        free = A4_MM[0] - 2 * self.page_margin_mm
+        free = A4_MM[0] - 2 * _PAGE_MARGIN_MM
         require(
             width <= free and height <= self.boards_height_mm,
             f"a card of {width:g} x {height:g} mm does not fit on the sheet beside the disc ({free:g} x "
@@ -70,28 +181,28 @@ class TargetSettings:
     def card_mm(self) -> tuple[float, float]:
         """Width and height of what is cut out."""
         width, height = self.board_mm
-        return width + 2 * self.card_margin_mm, height + 2 * self.card_margin_mm
+        return width + 2 * _CARD_MARGIN_MM, height + 2 * _CARD_MARGIN_MM
 
     @property
     def boards_height_mm(self) -> float:
         """Height of the sheet that is left for the boards, between ruler and disc."""
-        return self.ruler_y_mm - 10 - (self.page_margin_mm + 2 * self.disc_radius_mm + 4)
+        return self.ruler_y_mm - 10 - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
 
     @property
     def ruler_y_mm(self) -> float:
         """Of the ruler's line."""
-        return A4_MM[1] - self.page_margin_mm - 18
+        return A4_MM[1] - _PAGE_MARGIN_MM - 18
 
     @property
     def disc_centre_mm(self) -> tuple[float, float]:
         """On the sheet."""
-        return A4_MM[0] / 2, self.page_margin_mm + self.disc_radius_mm
+        return A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM
 
     @property
     def copies(self) -> tuple[int, int]:
         """Boards across and down the sheet."""
         width, height = self.card_mm
-        across = int((A4_MM[0] - 2 * self.page_margin_mm + 3) // (width + 3))
+        across = int((A4_MM[0] - 2 * _PAGE_MARGIN_MM + 3) // (width + 3))
         return min(across, 6), min(int((self.boards_height_mm + 3) // (height + 3)), 6)
 
 
@@ -114,16 +225,16 @@ def target_pdf(settings: TargetSettings | None = None) -> bytes:
 
 def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
     """Centres of the disc's dots about its middle, those that lie wholly on it with 1 mm to spare."""
-    most = int(settings.disc_radius_mm // settings.spacing_mm)
+    most = int(_DISC_RADIUS_MM // settings.spacing_mm)
     steps = [settings.spacing_mm * k for k in range(-most, most + 1)]
-    reach = settings.disc_radius_mm - settings.dot_mm / 2 - 1
+    reach = _DISC_RADIUS_MM - DOT_MM / 2 - 1
     return [(x, y) for y in steps for x in steps if math.hypot(x, y) <= reach]
 
 
 def _words(page: Page, settings: TargetSettings) -> None:
-    x, y = settings.page_margin_mm, A4_MM[1] - settings.page_margin_mm - 4
+    x, y = _PAGE_MARGIN_MM, A4_MM[1] - _PAGE_MARGIN_MM - 4
     board = f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm"
-    disc = f"disc with dots of {settings.dot_mm:g} mm every {settings.spacing_mm:g} mm"
+    disc = f"disc with dots of {DOT_MM:g} mm every {settings.spacing_mm:g} mm"
     page.text(f"splitknit: {board}; {disc}.", x, y)
     page.text(
         f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply --square-mm and "
@@ -160,14 +271,14 @@ def _boards(page: Page, settings: TargetSettings) -> None:
             x = free * (column + 1) / (across + 1) + column * card_width
             y = top - (row + 1) * card_height - 3 * row
             page.outline(rectangles([(0, 0, card_width, card_height)]), x, y, 0.05, 0.6)
-            page.place("Board", x + settings.card_margin_mm, y + settings.card_margin_mm)
+            page.place("Board", x + _CARD_MARGIN_MM, y + _CARD_MARGIN_MM)
 
 
 def _disc(page: Page, settings: TargetSettings) -> None:
     x, y = settings.disc_centre_mm
-    radius = settings.dot_mm / 2
+    radius = DOT_MM / 2
     box = radius + 0.1
     page.shape("Dot", circle(radius), (-box, -box, box, box))
-    page.outline(circle(settings.disc_radius_mm), x, y, 0.05, 0.6)
+    page.outline(circle(_DISC_RADIUS_MM), x, y, 0.05, 0.6)
     for across, up in dots_mm(settings):
         page.place("Dot", x + across, y + up)

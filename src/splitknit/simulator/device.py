@@ -14,8 +14,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from splitknit.devices import ExposureRange, Frame
-from splitknit.devices.guard import Closing, GuardedLights
+from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.sensor import RESPONSE, SensorSettings, binning_scale, record

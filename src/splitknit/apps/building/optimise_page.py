@@ -12,9 +12,8 @@ from markupsafe import Markup
 
 from splitknit.apps.building.optimise_charts import Cell, Dot, heat_map, scatter, standalone
 from splitknit.report import render
-from splitknit.rig.candidates import Candidate
+from splitknit.rig.candidates import CAMERAS, MATERIALS, METHODS, Candidate, Study
 from splitknit.rig.optimise import THESIS
-from splitknit.rig.study import CAMERAS, MATERIALS, METHODS, Study
 
 AXES = {
     "height_mm": "height of camera and LEDs (mm)",

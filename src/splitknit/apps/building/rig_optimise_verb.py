@@ -129,9 +129,8 @@ def run(options: argparse.Namespace) -> Outcome:
 
 
 def _study(options: argparse.Namespace, budget: dict[str, Any]) -> Any:
-    from splitknit.rig.candidates import BuildSettings  # noqa: PLC0415
-    from splitknit.rig.photons import PhotonSettings  # noqa: PLC0415
-    from splitknit.rig.study import Study  # noqa: PLC0415
+    from splitknit.rig.candidates import BuildSettings, Study  # noqa: PLC0415
+    from splitknit.rig.photography import PhotonSettings  # noqa: PLC0415
 
     return Study(
         method=options.method,

@@ -84,7 +84,7 @@ class SurfaceState:
 
 
 def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any, settings: DriftSettings) -> Samples:
-    """Choose pixels that enough LEDs light; see :func:`splitknit.calibration.drift.led_drift`."""
+    """Choose pixels that enough LEDs light; see :func:`splitknit.finger.led_drift.led_drift`."""
     images = check_stack(stack, least=5)
     count, height, width = images.shape
     inside = check_mask(mask, (height, width))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.drift import DriftSettings, drift_words, led_drift
 from splitknit.errors import BadInput
+from splitknit.finger.led_drift import DriftSettings, drift_words, led_drift
 from splitknit.imaging import linear_stack
 from splitknit.imaging.light_field import light_field
 from splitknit.model import Rig

@@ -1,16 +1,23 @@
-"""A candidate rig photographs a finger: light, lens, shutter and noise, in physical units."""
+"""A candidate rig photographs a finger: light, lens, shutter and noise, in physical units.
+
+Radiometry: an LED of the electrical power P emits the flux efficiency * P in a lobe cos^m, so its intensity on the axis
+is flux (m + 1) / (2 pi); irradiance falls with the squared distance; a lens of the f-number N that images with the
+magnification M gives the sensor pi L T / (4 N^2 (1 + M)^2) of a surface of radiance L; photons times the quantum
+efficiency are electrons.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Led, Rig
-from splitknit.rig.photons import Exposure, PhotonSettings, electrons_per_s, plan_exposure, tremor_blur_mm
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.defocus import blur_sigma_px, defocus
 from splitknit.simulator.diffusion import WalkTable
 from splitknit.simulator.lighting import white_card
@@ -20,6 +27,130 @@ from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin_scene import finger_depth
+
+# --- photons and exposure ---------------------------------------------------------------------------------------------
+
+PLANCK_LIGHT = 1.98645e-25
+"""Planck's constant times the speed of light, J m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """One band's LED and how well the sensor sees it."""
+
+    efficiency: float
+    """Radiant flux over electrical power."""
+    wavelength_nm: float
+    """Mean, for the energy of a photon."""
+    quantum_efficiency: float
+    """Electrons of a green pixel per photon of this light, colour filter included."""
+
+
+LAMPS = {"white": Lamp(0.31, 560.0, 0.22), "nir": Lamp(0.40, 850.0, 0.20)}
+"""By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a
+phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %. Near infrared: data sheets of
+850 nm emitters; the camera without infrared filter."""
+_TRANSMISSION = 0.9
+"""Of the lens."""
+_PIXEL_UM = 1.12
+"""Of the IMX219 at full resolution; smaller pictures bin its pixels."""
+_FULL_PX_PER_MM = 75.7
+"""At full resolution on the finger plane; with the pixel it fixes the magnification."""
+MAGNIFICATION = _PIXEL_UM * 1e-3 * _FULL_PX_PER_MM
+"""Size on the sensor over size on the finger."""
+FULL_WELL_E = 4700.0
+"""Electrons at full scale of a pixel at full resolution."""
+_READ_NOISE_E = 2.5
+"""Standard deviation of the noise of reading out, electrons, a pixel at full resolution."""
+TARGET_LEVEL = 0.7
+"""Fraction of full scale that the brightest skin shall reach."""
+MIN_LEVEL = 0.1
+"""Below this fraction a picture is too dark to be used."""
+_LONGEST_S = 0.2
+"""14 pictures in 7 s leave half a second each for light, settling and reading out."""
+_MAX_GAIN = 8.0
+"""Of the camera: beyond it a picture stays dark."""
+_TREMOR_UM = 30.0
+"""Amplitude of a resting finger's tremor (Growdon et al. 2000: about 30 um)."""
+_TREMOR_HZ = 9.0
+"""Frequency of the tremor."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonSettings(Checked):
+    """Lens and shutter."""
+
+    _group = "photons"
+
+    f_number: Annotated[float, Limits(0, above=True)] = 4.0
+    """The lens's focal length over its pupil."""
+    shortest_s: Annotated[float, Limits(0, _LONGEST_S, above=True)] = 1.0 / 4000.0
+    """Shortest exposure time."""
+
+    def focal_mm(self, height_mm: float) -> float:
+        """Focal length that images from `height_mm` with this magnification (thin lens)."""
+        return height_mm * MAGNIFICATION / (1.0 + MAGNIFICATION)
+
+    def depth_of_field_mm(self, blur_mm: float) -> float:
+        """Depth within which a point's image stays below `blur_mm` on the finger; the height drops out of it."""
+        return 2.0 * self.f_number * blur_mm * (1.0 + MAGNIFICATION) / MAGNIFICATION
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """How one band is exposed."""
+
+    time_s: float
+    gain: float
+    level: float
+    """Share of full scale of the brightest skin: the target where the shutter and the gain allow it."""
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the brightest skin is beyond full scale."""
+        return self.level > 1.0
+
+
+def intensity_w_sr(power_w: float, lamp: Lamp, lobe_exponent: float) -> float:
+    """Radiant intensity of an LED on its axis."""
+    return power_w * lamp.efficiency * (lobe_exponent + 1.0) / (2.0 * np.pi)
+
+
+def electrons_per_s(radiance: float, lamp: Lamp, settings: PhotonSettings) -> float:
+    """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2 sr)."""
+    on_sensor = np.pi * radiance * _TRANSMISSION / (4.0 * (settings.f_number * (1 + MAGNIFICATION)) ** 2)
+    photons = on_sensor * (_PIXEL_UM * 1e-6) ** 2 * lamp.wavelength_nm * 1e-9 / PLANCK_LIGHT
+    return float(photons * lamp.quantum_efficiency)
+
+
+def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> Exposure:
+    """Shutter first, then gain, then darkness.
+
+    Parameters
+    ----------
+    rate_e_s : electrons a second where the finger is brightest
+
+    Returns
+    -------
+    Exposure whose level is the target where the ranges of shutter and gain allow it, else what they give.
+    """
+    require(rate_e_s > 0, "no light falls on the finger; turn the LEDs towards it.")
+    wanted = TARGET_LEVEL * FULL_WELL_E / rate_e_s
+    time = float(np.clip(wanted, settings.shortest_s, _LONGEST_S))
+    gain = float(np.clip(wanted / time, 1.0, _MAX_GAIN))
+    return Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
+
+
+def tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
+    """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
+
+    A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
+    """
+    share = 1.0 - float(np.sinc(_TREMOR_HZ * time_s)) ** 2
+    return _TREMOR_UM * 1e-3 * float(np.sqrt(0.5 * share))
+
+
+# --- photograph -------------------------------------------------------------------------------------------------------
 
 W_PER_UNIT = 100.0
 """W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""
@@ -78,7 +209,7 @@ def photograph(
     names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
     require(len(names) > 0, "the rig has no LED of the bands white and nir.")
     sharpness = np.zeros(surface.mask.shape, np.float32) if rendered else _defocus(surface, photons)
-    scale = rig.camera.px_per_mm / photons.full_px_per_mm
+    scale = rig.camera.px_per_mm / _FULL_PX_PER_MM
     for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         frames, brightest = _frames(surface, [rig.leds[k] for k in members], name, skin, walks)
@@ -86,10 +217,10 @@ def photograph(
             exposure = Exposure(0.0, 1.0, brightest * W_PER_UNIT)
             sensor = SensorSettings(noise=False, raw_bits=16, encoding="srgb")
         else:
-            exposure = plan_exposure(electrons_per_s(brightest * W_PER_UNIT, photons.lamps[name], photons), photons)
+            exposure = plan_exposure(electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons)
             sensor = SensorSettings(
-                full_well_e=photons.full_well_e / exposure.gain,
-                read_noise_e=photons.read_noise_e,
+                full_well_e=FULL_WELL_E / exposure.gain,
+                read_noise_e=_READ_NOISE_E,
                 raw_bits=16,  # binned pixels have more levels than ten bits tell apart
                 bits=16,
             )

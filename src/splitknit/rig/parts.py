@@ -1,0 +1,402 @@
+"""The printed parts as solids: bases and mirror holder, tubes and lid, calibration disc and nail.
+
+Needs build123d; imported where parts are made.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from splitknit.rig.dimensions import (
+    SCREWS_A_DEG,
+    SCREWS_B_DEG,
+    LedHole,
+    RigDimensions,
+    holder_depth,
+    holder_places,
+    mirror_profile,
+)
+from splitknit.rig.part_settings import (
+    BOARD_POST_MM,
+    CABLE_HOLE_MM,
+    CAMERA_HOLE_X_MM,
+    CAMERA_HOLE_Y_MM,
+    CAMERA_LENS_TO_HOLES_MM,
+    CAMERA_POST_HOLE_MM,
+    CAMERA_POST_MM,
+    DISC_MM,
+    DOT_SPACING_MM,
+    JOINT_CLEARANCE_MM,
+    JOINT_INSERT_DEPTH_MM,
+    JOINT_LUG_MM,
+    JOINT_RING_MM,
+    LED_TIP_FREE_MM,
+    MIN_WALL_MM,
+    MIRROR_LONG_MM,
+    NAIL_RADIUS_MM,
+    NOZZLE_MM,
+    PCB_HOLE_X_MM,
+    PCB_HOLE_Y_MM,
+    PCB_OVER_PI_MM,
+    PCB_POST_HOLE_MM,
+    PI_HOLE_EDGE_MM,
+    PI_HOLE_X_MM,
+    PI_HOLE_Y_MM,
+    PI_POST_HEIGHT_MM,
+    PI_POST_HOLE_MM,
+    PI_X_MM,
+    SLOT_X_MM,
+    SLOT_Y_MM,
+)
+from splitknit.rig.solids import (
+    Shape,
+    box,
+    common,
+    cone,
+    cut,
+    cylinder,
+    feet,
+    fused,
+    groove,
+    head_holes,
+    head_lugs,
+    insert_holes,
+    insert_lugs,
+    prism_x,
+    prism_y,
+    ridge,
+    rod,
+    tube,
+    turned,
+    turned_to,
+)
+
+# --- at the finger: base, window base, mirror holder ------------------------------------------------------------------
+
+_FEET_DEG = (45.0, 135.0, 225.0, 315.0)
+_FAR_MM = 500.0
+
+
+def base_part(dimensions: RigDimensions) -> Shape:
+    """Return the base: the finger lies on its back in a round groove and stops at a low wall.
+
+    Shallow pockets take the mirror holders, a ring-shaped one the calibration disc.
+    """
+    d, joint, finger = dimensions, dimensions.settings.joint, dimensions.settings.finger
+    wall = joint.wall_mm
+    floor, rim = d.floor_z_mm, d.groove_z_mm + finger.groove_depth_mm
+    plate = _plate(d)
+    plate = cut(plate, [*_mirror_pockets(d), _disc_pocket(d), *feet(d, d.base_z_mm, 1.0, _FEET_DEG)])
+    block = box((-d.block_mm, d.block_mm), (d.niche_y_mm - 2.0, d.stop_y_mm + wall), (floor - d.pocket_mm, rim))
+    stop = box(
+        (-d.groove_width_mm / 2, d.groove_width_mm / 2),
+        (d.stop_y_mm - 1.0, d.stop_y_mm + wall),
+        (floor - d.pocket_mm, d.groove_z_mm + finger.stop_height_mm),
+    )
+    middle = d.groove_z_mm + d.groove_radius_mm
+    trough = rod(d.groove_radius_mm, (0.0, -_FAR_MM, middle), (0.0, d.stop_y_mm, middle))
+    above = box((-d.groove_width_mm / 2, d.groove_width_mm / 2), (-_FAR_MM, d.stop_y_mm), (rim, rim + _FAR_MM))
+    return cut(fused(plate, [block, stop]), [trough, above])
+
+
+def window_base_part(dimensions: RigDimensions) -> Shape:
+    """Return the base for the camera below: the finger lies pad down over an open window.
+
+    The middle phalanx rests in a 45 deg groove that fills the cylinder's opening, the fingertip on a 45 deg ledge; the
+    pad between them touches nothing and comes to the finger plane.
+    """
+    d, joint, finger = dimensions, dimensions.settings.joint, dimensions.settings.finger
+    wall, half = joint.wall_mm, dimensions.groove_width_mm / 2
+    low, floor = d.base_z_mm, d.floor_z_mm
+    start = -d.field_mm[1] / 2 - 2.0  # the window begins outside the picture
+    radius = d.opening_radius_mm - JOINT_CLEARANCE_MM
+    plug = rod(radius, (0.0, d.niche_y_mm - 2.0, floor), (0.0, start, floor))
+    plug = cut(plug, [box((-_FAR_MM, _FAR_MM), (-_FAR_MM, _FAR_MM), (-_FAR_MM, floor - 0.2))])
+    rails = box((-half - wall, half + wall), (start - 1.0, d.stop_y_mm + wall), (floor - 0.2, -1.0))
+    body = fused(_plate(d), [plug, rails])
+    radius = finger.pad_height_mm / 2  # of the finger that touches the finger plane
+    apex = radius * (math.sqrt(2.0) - 1.0)
+    groove = [(-half, low - 1.0), (half, low - 1.0), (half, apex - half), (0.0, apex), (-half, apex - half)]
+    cavity = prism_y(groove, -_FAR_MM, start + 0.1)
+    window = box((-half, half), (start, d.stop_y_mm), (low - 1.0, _FAR_MM))
+    ledge = _ledge(d)
+    return fused(cut(body, [cavity, window, _free_light(d, start, apex + wall)]), [ledge])
+
+
+def _free_light(dimensions: RigDimensions, start: float, height: float) -> Shape:
+    """Cut the plug down from the opening towards the window, so that it throws no shadow on the pad."""
+    d, far = dimensions, dimensions.bore_mm
+    top, near = d.floor_z_mm + d.opening_radius_mm + 1.0, d.niche_inner_y_mm + 0.5
+    end = min(start, near + top - height)
+    slope = [(near, top), (end, top - (end - near)), (start + 1.0, top - (end - near)), (start + 1.0, top)]
+    return prism_x(slope, -far, far)
+
+
+def _ledge(dimensions: RigDimensions) -> Shape:
+    """A wedge at the window's end, where the fingertip rests and stops; it hides the last 2 mm of the tip."""
+    d, half, wall = dimensions, dimensions.groove_width_mm / 2, dimensions.settings.joint.wall_mm
+    deep, end = 2.0, d.stop_y_mm
+    rest = -d.settings.finger.pad_height_mm / 2 * (2.0 - math.sqrt(2.0))  # a round tip touches wall and wedge
+    outline = [(end + wall / 2, rest), (end, rest), (end - deep, rest + deep), (end + wall / 2, rest + deep)]
+    return prism_x(outline, -half - wall / 2, half + wall / 2)
+
+
+def _plate(dimensions: RigDimensions) -> Shape:
+    """Floor with ridge and lugs for inserts; no ridge where the hand's niche is."""
+    d, joint = dimensions, dimensions.settings.joint
+    low, high = d.base_z_mm, d.floor_z_mm
+    disc = turned([(0.0, low), (d.ring_mm, low), (d.ring_mm, high), (0.0, high)])
+    half = d.settings.finger.hand_width_mm / 2 + joint.wall_mm + 1.0
+    hand = box((-half, half), (-_FAR_MM, 0.0), (high - 0.2, high + _FAR_MM))
+    ring = ridge(d, high).cut(hand)
+    body = fused(disc, [*ring.solids(), *head_lugs(d, low, high - low, SCREWS_A_DEG)])
+    return cut(body, insert_holes(d, high, high - low + 1.0, SCREWS_A_DEG))
+
+
+def _disc_pocket(dimensions: RigDimensions) -> Shape:
+    d, slack = dimensions, JOINT_CLEARANCE_MM
+    inside, outside = d.disc_radius_mm - d.settings.joint.wall_mm - slack, d.disc_radius_mm + slack
+    low, high = d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0
+    return turned([(inside, low), (outside, low), (outside, high), (inside, high)])
+
+
+def _mirror_pockets(dimensions: RigDimensions) -> list[Shape]:
+    d, slack = dimensions, JOINT_CLEARANCE_MM
+    half, z = MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0)
+    near, far = -slack, holder_depth(d.settings) + slack
+    (right, middle, _), _, (_, tip, _) = holder_places(d)
+    y = (middle - half, middle + half)
+    return [
+        box((right + near, right + far), y, z),
+        box((-right - far, -right - near), y, z),
+        box((-half, half), (tip + near, tip + far), z),
+    ]
+
+
+def mirror_holder_part(dimensions: RigDimensions) -> Shape:
+    """Return the holder of one mirror, in the place of the right one; left and tip are the same, turned."""
+    d = dimensions
+    x, y, _ = holder_places(d)[0]
+    foot, half = d.floor_z_mm - d.pocket_mm, MIRROR_LONG_MM / 2
+    outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
+    return prism_y(outline, y - half, y + half)
+
+
+# --- tubes: cylinder, LED and camera frame, circuit box, lid ----------------------------------------------------------
+
+_CABLE_DEG = 70.0
+"""Azimuth of the cable hole: at the back, on the side of the Pi's power socket, beside lugs and boards."""
+
+
+def cylinder_part(dimensions: RigDimensions) -> Shape:
+    """Return the cylinder, which holds the LEDs and the camera at their height over the finger.
+
+    The hand comes into a niche with a 45 deg roof; the niche's end wall has the semicircular opening for the finger.
+    """
+    low, high = dimensions.floor_z_mm, dimensions.frame_z_mm
+    joint = dimensions.settings.joint
+    body = tube(dimensions, low, high)
+    lugs = head_lugs(dimensions, low, JOINT_LUG_MM, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
+    niche = common(
+        prism_y(_niche(dimensions, joint.wall_mm), -dimensions.outer_mm - 10.0, dimensions.niche_inner_y_mm),
+        cylinder(dimensions.outer_mm - 0.3, low, high),
+    )
+    body = fused(body, [*lugs, niche])
+    hand = prism_y(_niche(dimensions, 0.0, below=5.0), -dimensions.outside_mm - 10.0, dimensions.niche_y_mm)
+    opening = rod(
+        dimensions.opening_radius_mm,
+        (0.0, dimensions.niche_y_mm - 1.0, low),
+        (0.0, dimensions.niche_inner_y_mm + 1.0, low),
+    )
+    holes = head_holes(dimensions, low, SCREWS_A_DEG)
+    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    return cut(body, [hand, opening, *holes])
+
+
+def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[tuple[float, float]]:
+    """Outline (x, z) of the hand's niche, `wall` mm larger than its inside."""
+    finger, floor = dimensions.settings.finger, dimensions.floor_z_mm
+    half = finger.hand_width_mm / 2 + wall
+    roof = floor + finger.hand_height_mm + finger.hand_width_mm / 2 + wall * math.sqrt(2.0)
+    return [(-half, floor - below), (half, floor - below), (half, roof - half), (0.0, roof), (-half, roof - half)]
+
+
+def frame_part(dimensions: RigDimensions) -> Shape:
+    """Return the frame: tilted holes with shoulders for the LEDs, posts for the camera's board, the lens's opening."""
+    joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
+    body = tube(dimensions, low, high, joint.plate_mm)
+    lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_B_DEG) + insert_lugs(dimensions, high, SCREWS_A_DEG)
+    bosses = [_boss(hole, dimensions) for hole in dimensions.holes]
+    inside = cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)  # cuts what stands out of frame and wall
+    bosses = [common(boss, inside) for boss in bosses]
+    body = fused(body, [*lugs, *bosses, *_camera_posts(dimensions)])
+    holes = [cylinder(dimensions.lens_hole_mm, low - 1.0, dimensions.board_z_mm + 1.0)]
+    for hole in dimensions.holes:
+        holes.append(rod(hole.radius_mm, hole.at(hole.level_mm(low) - 8.0), hole.at(hole.shoulder_mm + 0.5)))
+        holes += _funnel(hole, dimensions)
+        holes.append(rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
+    holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
+    holes += head_holes(dimensions, low, SCREWS_B_DEG)
+    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
+    return cut(body, holes)
+
+
+def camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the camera board's four holes; its connector lies on the hand's side (-y)."""
+    x = CAMERA_HOLE_X_MM / 2
+    rows = (-CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM)
+    return [(side * x, row) for side in (-1, 1) for row in rows]
+
+
+def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
+    low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
+    radius = CAMERA_POST_MM / 2
+    return [cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in camera_holes(dimensions)]
+
+
+def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
+    low = dimensions.frame_z_mm + 1.2
+    radius = CAMERA_POST_HOLE_MM / 2
+    return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in camera_holes(dimensions)]
+
+
+def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
+    """The wall around one LED's hole, from below the frame's lower face to the pocket's end."""
+    start = hole.at(hole.level_mm(dimensions.frame_z_mm) - 3.0)
+    return rod(hole.pocket_radius_mm + dimensions.settings.joint.wall_mm, start, hole.at(hole.back_mm))
+
+
+def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
+    """Free the dome of an LED that lies higher than the lowest one; the funnel's roof leans by 45 deg at most."""
+    start = LED_TIP_FREE_MM
+    near = hole.level_mm(dimensions.frame_z_mm) - hole.lean_mm
+    if near >= start:
+        return []
+    long = start - near + 2 * hole.lean_mm + 2.0
+    wider = long * math.tan(math.radians(max(44.0 - hole.tilt_deg, 5.0)))
+    return [rod(hole.radius_mm, hole.at(start - long), hole.at(start), hole.radius_mm + wider)]
+
+
+def _first_led_mark(dimensions: RigDimensions) -> Shape:
+    """A dimple in the frame's upper face beside LED 0, towards the camera."""
+    first, top = dimensions.holes[0], dimensions.frame_z_mm + dimensions.settings.joint.plate_mm
+    back = first.at(first.back_mm)[:2]
+    place = back * (1.0 - (first.pocket_radius_mm + dimensions.settings.joint.wall_mm + 3.0) / float(np.hypot(*back)))
+    return cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
+
+
+def box_part(dimensions: RigDimensions) -> Shape:
+    """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
+    joint, _board = dimensions.settings.joint, dimensions.settings.board
+    low, high = dimensions.box_z_mm, dimensions.lid_z_mm
+    floor = low + joint.plate_mm
+    body = tube(dimensions, low, high, joint.plate_mm)
+    lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
+    posts, screws = [], []
+    sets = (
+        (pi_holes(dimensions), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
+        (pcb_holes(dimensions), floor + PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM, PCB_POST_HOLE_MM),
+    )
+    for places, top, hole in sets:
+        for x, y in places:
+            posts.append(cylinder(BOARD_POST_MM / 2, floor - 0.5, top, x, y))
+            screws.append(cylinder(hole / 2, max(floor - joint.plate_mm + 1.2, top - 12.0), top + 1.0, x, y))
+    body = fused(body, [*lugs, *posts])
+    x, y = SLOT_X_MM / 2, SLOT_Y_MM / 2
+    slots = [box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
+    holes = head_holes(dimensions, low, SCREWS_A_DEG)
+    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    return cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
+
+
+def pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the Raspberry Pi's holes: the board in the middle, USB sockets at -x, power socket at +y."""
+    first = PI_X_MM / 2 - PI_HOLE_EDGE_MM
+    y = PI_HOLE_Y_MM / 2
+    return [(x, side * y) for x in (first, first - PI_HOLE_X_MM) for side in (-1, 1)]
+
+
+def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the holes of the circuit's board."""
+    x, y = PCB_HOLE_X_MM / 2, PCB_HOLE_Y_MM / 2
+    return [(sx * x, sy * y) for sx in (-1, 1) for sy in (-1, 1)]
+
+
+def _cable_hole(dimensions: RigDimensions) -> Shape:
+    """A hole through the wall near the top, round below and pointed above, so that it prints without support."""
+    _joint, radius = dimensions.settings.joint, CABLE_HOLE_MM / 2
+    z = dimensions.lid_z_mm - 2 * JOINT_RING_MM - 1.0 - radius * math.sqrt(2.0)
+    near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
+    half = radius * math.sqrt(0.5)
+    point = prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
+    return turned_to(_CABLE_DEG - 90.0, fused(rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
+
+
+def lid_part(dimensions: RigDimensions) -> Shape:
+    """Return the lid: closes the box against light; with the camera below it is the foot."""
+    low, high = dimensions.lid_z_mm, dimensions.top_z_mm
+    plate = turned([(0.0, low), (dimensions.ring_mm, low), (dimensions.ring_mm, high), (0.0, high)])
+    body = fused(plate, head_lugs(dimensions, low, high - low, SCREWS_B_DEG))
+    pockets = feet(dimensions, high, -1.0, _FEET_DEG)
+    return cut(body, [groove(dimensions, low), *pockets, *head_holes(dimensions, low, SCREWS_B_DEG)])
+
+
+# --- in the finger's place: calibration disc and nail -----------------------------------------------------------------
+
+_BORDER_MM = 2.0
+_PEG_SLACK_MM = 0.1
+
+
+def disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
+    """Return x and y of the disc's dots: multiples of the spacing, one of them in the middle."""
+    step = DOT_SPACING_MM
+    wall = dimensions.settings.joint.wall_mm
+    reach = dimensions.disc_radius_mm - wall - dimensions.settings.calibration.dot_mm / 2 - _BORDER_MM
+    count = int(reach // step)
+    steps = range(-count, count + 1)
+    return [(i * step, j * step) for i in steps for j in steps if math.hypot(i, j) * step <= reach]
+
+
+def disc_part(dimensions: RigDimensions) -> Shape:
+    """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
+    depth = dimensions.settings.calibration.dot_depth_mm
+    return cut(_cup(dimensions), _dots(dimensions, depth, dimensions.settings.calibration.dot_mm / 2))
+
+
+def flat_disc_part(dimensions: RigDimensions) -> Shape:
+    """Return the disc whose dots are the pegs of another part, flush with its face."""
+    calibration = dimensions.settings.calibration
+    return cut(_cup(dimensions), _dots(dimensions, DISC_MM + 1.0, calibration.dot_mm / 2))
+
+
+def dots_part(dimensions: RigDimensions) -> Shape:
+    """Return a sheet with pegs that are pushed into the flat disc from behind."""
+    d, calibration = dimensions, dimensions.settings.calibration
+    low, high = -DISC_MM - MIN_WALL_MM, -DISC_MM
+    radius = d.disc_radius_mm - d.settings.joint.wall_mm - JOINT_CLEARANCE_MM
+    peg = calibration.dot_mm / 2 - _PEG_SLACK_MM
+    return fused(cylinder(radius, low, high), [cylinder(peg, high - 0.3, 0.0, x, y) for x, y in disc_dots(d)])
+
+
+def _dots(dimensions: RigDimensions, depth: float, radius: float) -> list[Shape]:
+    return [cylinder(radius, -depth, 1.0, x, y) for x, y in disc_dots(dimensions)]
+
+
+def _cup(dimensions: RigDimensions) -> Shape:
+    """Disc and skirt; a notch lets the groove's block through."""
+    d, wall = dimensions, dimensions.settings.joint.wall_mm
+    outside, thick = d.disc_radius_mm, DISC_MM
+    foot = d.floor_z_mm - d.pocket_mm
+    inside = outside - wall
+    body = turned([(0.0, 0.0), (outside, 0.0), (outside, foot), (inside, foot), (inside, -thick), (0.0, -thick)])
+    half = d.block_mm + 2 * JOINT_CLEARANCE_MM
+    rim = d.groove_z_mm + d.settings.finger.groove_depth_mm
+    return cut(body, [box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
+
+
+def nail_part(dimensions: RigDimensions) -> Shape:
+    """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
+    tip = NOZZLE_MM / 2
+    return cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
