@@ -33,9 +33,8 @@ from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit.evaluation.scores import Scores
 from splitknit.io import read_capture
 from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae3d import PreparedMinutiae3D, minutiae3d_match
-from splitknit.matching.surface_code_match import PreparedSurface, surface_code_match
-from splitknit.matching.tetrahedra import PreparedTetrahedra, tetrahedra_match
+from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
+from splitknit.matching.surface_code import PreparedSurface, surface_code_match
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import Surface, surface_of, surface_print
 from splitknit.recipe.space_minutiae import space_minutiae

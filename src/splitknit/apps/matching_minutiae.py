@@ -13,7 +13,7 @@ from splitknit.apps.matching_inputs import Side, naming, read_print
 from splitknit.errors import BadInput
 from splitknit.matching import ridge_match
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit.matching.minutiae_joined import joined_similarity
+from splitknit.matching.score import joined_similarity
 from splitknit.recipe.matchable import surface_print
 
 _FMR_TABLE = "match_fmr_minutiae.json"

@@ -7,9 +7,8 @@ from typing import Any
 
 from splitknit.apps.matching_inputs import MatchingSettings, Side, Surface, naming
 from splitknit.errors import BadInput
-from splitknit.matching.minutiae3d import minutiae3d_match
-from splitknit.matching.surface_code_match import surface_code_match
-from splitknit.matching.tetrahedra import tetrahedra_match
+from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
+from splitknit.matching.surface_code import surface_code_match
 from splitknit.recipe.space_minutiae import space_minutiae
 from splitknit.recipe.surface_codes import surface_code
 

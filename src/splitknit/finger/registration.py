@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import dilate, erode
 from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
-from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
-from splitknit.finger.registration_light import (
+from splitknit.finger.registration_level import (
+    Level,
     beyond_surface,
     check_light_vectors,
+    details_of,
+    gram,
     lights_on,
+    robust_weight,
     shown_by_surfaces,
 )
 from splitknit.model import BoolArray, FloatArray

@@ -26,8 +26,7 @@ from splitknit.finger.registration import (
     RegistrationSettings,
 )
 from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
-from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
-from splitknit.finger.registration_light import check_light_vectors, lights_on
+from splitknit.finger.registration_level import Level, check_light_vectors, details_of, gram, lights_on, robust_weight
 from splitknit.model import BoolArray, FloatArray
 
 

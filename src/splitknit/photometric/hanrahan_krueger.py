@@ -11,12 +11,11 @@ import numpy as np
 from splitknit.errors import check_lights, check_mask, check_stack, require
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.photometric.chunks import for_each_chunk, gather
-from splitknit.photometric.equations import solve, unit_normals
+from splitknit.photometric.equations import for_each_chunk, gather, solve, unit_normals
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, fitted
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light, near_scene
-from splitknit.photometric.weights import RobustSettings, robust_fit, strengths
+from splitknit.photometric.robust import RobustSettings, robust_fit, strengths
 
 _LIGHTS_A_CHUNK = 64
 """Chunks are as small as for this many images: some forty arrays of a chunk are at work at once."""

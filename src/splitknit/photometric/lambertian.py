@@ -8,8 +8,7 @@ import numpy as np
 
 from splitknit.errors import check_lights, check_mask, check_stack
 from splitknit.model import FloatArray
-from splitknit.photometric.chunks import for_each_chunk
-from splitknit.photometric.equations import linear_map, unit_normals
+from splitknit.photometric.equations import for_each_chunk, linear_map, unit_normals
 
 
 def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:

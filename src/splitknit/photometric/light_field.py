@@ -12,7 +12,7 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, FloatArray, Led, Rig, Shade
-from splitknit.photometric.chunks import row_chunks
+from splitknit.photometric.equations import row_chunks
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""

@@ -10,10 +10,17 @@ import numpy as np
 from splitknit.errors import check_lights, check_mask, check_stack, require
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.photometric.chunks import for_each_chunk, gather
-from splitknit.photometric.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
+from splitknit.photometric.equations import (
+    back_substitute,
+    factorise,
+    for_each_chunk,
+    gather,
+    moment_matrix,
+    moment_vector,
+    unit_normals,
+)
 from splitknit.photometric.light_field import light_vectors_at, seen_from, surface_array
-from splitknit.photometric.weights import RobustSettings, robust_fit
+from splitknit.photometric.robust import RobustSettings, robust_fit
 
 
 @dataclass(frozen=True, slots=True)

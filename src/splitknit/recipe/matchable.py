@@ -19,10 +19,8 @@ from splitknit.matching import (
     make_template,
     ridge_band,
 )
-from splitknit.matching.minutiae3d import Minutiae3DSettings
-from splitknit.matching.surface_code import SurfaceCodeSettings
-from splitknit.matching.surface_code_match import SurfaceMatchSettings
-from splitknit.matching.tetrahedra import TetrahedraSettings
+from splitknit.matching.minutiae3d import Minutiae3DSettings, TetrahedraSettings
+from splitknit.matching.surface_code import SurfaceCodeSettings, SurfaceMatchSettings
 from splitknit.matching.voted_minutiae import VoteSettings
 from splitknit.model import Reconstruction
 from splitknit.prints import relief_print

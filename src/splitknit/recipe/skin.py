@@ -17,8 +17,7 @@ from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.recipe.surfaces import SurfaceParts, facts_of, ridge_and_shape_bands
 from splitknit.skin import Networks, can_learn, reconstruct_skin
-from splitknit.skin.bands import BandImages
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.stl import HEADER_BYTES, RECORD
+from splitknit.io.mesh import HEADER_BYTES, RECORD
 
 Triangles = NDArray[np.float32]
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""

@@ -1,7 +1,7 @@
 """Training of `metric`'s own network, which draws relief and glare: the public names of the parts.
 
 What photometric stereo leaves of skin's light is taken apart by how it turns with the light's azimuth
-(:mod:`splitknit.skin.features`); the network learns on simulated fingers what of it is relief and what is glare.
+(:mod:`splitknit.skin.learned`); the network learns on simulated fingers what of it is relief and what is glare.
 Arrays in, arrays and bytes out; what reads and writes files is ``splitknit train relief``.
 """
 
@@ -62,7 +62,7 @@ __all__ = [
 
 NAME = "relief"
 WHAT = (
-    "relief and glare of skin: the fields of splitknit.skin.features to the relief in 0.02 mm, seven "
+    "relief and glare of skin: the fields of splitknit.skin.learned to the relief in 0.02 mm, seven "
     "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
     "variance"
 )

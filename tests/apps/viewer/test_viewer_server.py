@@ -26,7 +26,7 @@ from splitknit.apps.viewer.guard import HEADERS
 from splitknit.apps.viewer.surface import Surface, read_surface
 from splitknit.errors import BadInput
 from splitknit.io import read_image, read_ply
-from splitknit.io.glb import read_glb
+from splitknit.io.mesh import read_glb
 from splitknit.rig.stl import read_stl
 
 Serve = Callable[..., Asking]

@@ -26,8 +26,7 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.skin.bands import BandImages
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.training.relief import WEIGHT
 
 TRIM_PX = 60

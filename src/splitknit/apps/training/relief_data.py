@@ -24,10 +24,8 @@ from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.skin import skin_images
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.skin.bands import BandImages
-from splitknit.skin.features import RIDGE_BAND_MM, azimuth_waves, features
-from splitknit.skin.grid import Grid, coarsen
-from splitknit.skin.learned import GLARE, RELIEF_MM
+from splitknit.skin.grid import BandImages, Grid, coarsen
+from splitknit.skin.learned import GLARE, RELIEF_MM, RIDGE_BAND_MM, azimuth_waves, features
 from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
 from splitknit.skin.surface import first_shape
 

@@ -25,9 +25,8 @@ from splitknit.recipe.finger import find_finger
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.skin import skin_images
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.skin.features import RIDGE_BAND_MM
 from splitknit.skin.grid import Grid, coarsen
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
+from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, SHAPE_SLOPE, Networks, can_learn
 from splitknit.skin.light import slant_of, trust_of
 from splitknit.skin.surface import reconstruct_skin
 from splitknit.training.shape import FIELDS

@@ -16,9 +16,8 @@ from splitknit.apps.viewer.paths import Pieces, open_below, read_below
 from splitknit.apps.viewer.surface import Surface, read_members
 from splitknit.errors import BadInput, require
 from splitknit.io import surface_mesh, write_ply
-from splitknit.io.glb import glb_chunks
 from splitknit.io.images import decode_image
-from splitknit.io.stl import stl_chunks, stl_size
+from splitknit.io.mesh import glb_chunks, stl_chunks, stl_size
 from splitknit.model import FloatArray
 
 KINDS = {"ply": "application/octet-stream", "stl": "model/stl", "glb": "model/gltf-binary"}
