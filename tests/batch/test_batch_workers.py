@@ -25,8 +25,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from splitknit.apps.cli import main
 from splitknit.batch import BatchSettings, Cluster, Store, preset_cases, run_batch
+from splitknit.batch.chunks import load
 from splitknit.batch.execution import connected, run_tasks
-from splitknit.batch.packages import load
 from splitknit.errors import BadInput
 
 ONE = replace(EA, matchers=("ridge",), chunk_captures=1)

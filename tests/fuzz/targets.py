@@ -106,8 +106,14 @@ from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq, read_print_wsq
 from splitknit.matching import VERSION, Template, make_template, pack, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
-from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.minutiae_record import (
+    Minutiae,
+    SpaceMinutiae,
+    pack_minutiae,
+    pack_space_minutiae,
+    unpack_minutiae,
+    unpack_space_minutiae,
+)
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
 from splitknit.model import Band, Camera, Capture, Led, Rig

@@ -22,7 +22,7 @@ from splitknit.matching.minutiae3d import (
     minutiae3d_match,
     tetrahedra_match,
 )
-from splitknit.matching.minutiae3d_record import (
+from splitknit.matching.minutiae_record import (
     SpaceMinutiae,
     no_space_minutiae,
     pack_space_minutiae,

@@ -110,7 +110,7 @@ def test_bytes_do_not_depend_on_threads_or_chunks(monkeypatch):
     first = content()
     monkeypatch.setattr(chunks.os, "cpu_count", lambda: 1)
     assert content() == first
-    monkeypatch.setattr(chunks, "_pixels_per_chunk", lambda lights: 300)
+    monkeypatch.setattr(equations, "_pixels_per_chunk", lambda lights: 300)
     assert content() == first
 
 

@@ -23,7 +23,7 @@ from splitknit.apps.compare import compare
 from splitknit.imaging import linear_stack
 from splitknit.io import atomic_file
 from splitknit.model import COLOURS, Capture
-from splitknit.photometric.left_out import left_out
+from splitknit.photometric.lambertian import left_out
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch

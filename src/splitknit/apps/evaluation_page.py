@@ -14,8 +14,7 @@ from scipy.special import ndtri
 from splitknit.apps.charts import INK, SERIES_COLOURS
 from splitknit.apps.evaluation_facts import Result
 from splitknit.apps.pages import render
-from splitknit.evaluation.histograms import Histograms, histograms
-from splitknit.evaluation.rates import Roc, roc
+from splitknit.evaluation.rates import Histograms, Roc, histograms, roc
 
 DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 

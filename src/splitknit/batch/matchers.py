@@ -14,13 +14,12 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from splitknit.batch.pairs import Blocks
+from splitknit.batch.population import Blocks
 from splitknit.batch.reading import Place, images_of, small_column
 from splitknit.matching import Prepared, RidgeMatchSettings, ThesisSettings, ridge_match, similarity_of, unpack
 from splitknit.matching.minutiae import EDGE_MM, minutiae_match
 from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
-from splitknit.matching.minutiae3d_record import unpack_space_minutiae
-from splitknit.matching.minutiae_record import unpack_minutiae
+from splitknit.matching.minutiae_record import unpack_minutiae, unpack_space_minutiae
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
 from splitknit.matching.thesis import ATTRIBUTES, database_finger, match_database
 from splitknit.recipe.matchable import MatchingSettings

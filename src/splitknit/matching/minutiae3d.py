@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.matching.minutiae3d_record import SpaceMinutiae
+from splitknit.matching.minutiae_record import SpaceMinutiae
 from splitknit.matching.space_alignment import (
     AgreementSettings,
     Framed,

@@ -19,7 +19,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.matching.packed import Packing
+from splitknit.matching.minutiae_record import Packing
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 

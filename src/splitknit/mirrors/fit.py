@@ -6,27 +6,27 @@ and hold for any pose of the mirrors; the poses, the tip, the sections' squarene
 """
 
 from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
 from splitknit.errors import require
 from splitknit.mirrors.body import Body, basis
 from splitknit.mirrors.planes import Touching
-from splitknit.mirrors.settings import OUTLINE_MM, ROW_MM, MirrorShapeSettings
-from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes, State, all_misfits, all_planes, misfit_of
-from collections.abc import Mapping
-import numpy as np
-from numpy.typing import NDArray
 from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, MirrorShapeSettings
-from splitknit.mirrors.state import LIMITS, SeenIn, Slopes, State, convex, misfit_of
+from splitknit.mirrors.state import LIMITS, Fit, Pose, SeenIn, Slopes, State, all_misfits, all_planes, convex, misfit_of
 
 # Mirrors beyond the tip: they show the form of the largest sections.
 
 
 # What is expected without any outline, what the skin's slopes say, and how far points of an outline are believed.
 
+
+Array = NDArray[np.float64]
 
 _SLOPE_ERROR = 0.1
 """Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
@@ -135,14 +135,13 @@ def tukey(residual: Array, limit: float) -> Array:
     return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
 
 
-
 TIP_TRUST = 0.1
 """Weight of a view from beyond the tip: it sees the largest sections only."""
 COMMON_MM = 4.0
 """Points of an outline that are nearer to each other than this err together."""
-_ENDS_SURE_FROM = 2
+_END_SURE = 2
 """Corrections before points of an outline may be left out altogether."""
-_ENDS_SETTLED = 2e-4
+_END_SETTLED = 2e-4
 """A correction (mm, rad) below this is the last one."""
 
 
@@ -164,7 +163,7 @@ def fitted_ends(
         residual = misfit(state)
         jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
         scale = max(OUTLINE_MM, 1.4826 * float(np.median(np.abs(residual))))
-        weight = tukey(residual, 4.685 * scale) if turn > _ENDS_SURE_FROM else (np.abs(residual) < 5.0).astype(np.float64)
+        weight = tukey(residual, 4.685 * scale) if turn > _END_SURE else (np.abs(residual) < 5.0).astype(np.float64)
         weight = weight * (TIP_TRUST * 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
@@ -178,7 +177,7 @@ def fitted_ends(
         for (name, _), by in zip(names, step, strict=True):
             state = state.moved(name, float(np.clip(by, *LIMITS[name.partition(" ")[0]])))
         state = State(convex(state.body), state.poses)
-        if turn > _ENDS_SURE_FROM and float(np.abs(step).max()) < _ENDS_SETTLED:
+        if turn > _END_SURE and float(np.abs(step).max()) < _END_SETTLED:
             break
     return state
 
@@ -188,8 +187,6 @@ def misfit_of_end(state: State, mirrors: Mapping[str, SeenIn], name: str) -> Arr
     planes = state.poses[name].of(mirrors[name]).reflect(mirrors[name].touching)
     return misfit_of(state, planes, from_tip=True)[0]
 
-
-Array = NDArray[np.float64]
 
 SURE_FROM = 4
 """Corrections before points of an outline may be left out altogether."""
