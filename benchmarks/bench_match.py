@@ -30,8 +30,7 @@ from splitknit.matching import (
     thesis_match,
     unpack,
 )
-from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
-from splitknit.matching.minutiae_enhance import enhance_print
+from splitknit.matching.minutiae import enhance_print, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.prints.ridges import relief_print
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface

@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 
 from splitknit.matching import Prepared, make_template, pack, ridge_band, unpack
-from splitknit.matching.code import code_model, code_of, code_size, probe_codes
-from splitknit.matching.code_field import ridge_field
+from splitknit.matching.code import code_model, code_of, code_size, probe_codes, ridge_field
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.rig import default_rig

@@ -6,8 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from splitknit.batch.pairs import Blocks, all_pairs, blocks_of, draw, missing_pairs
-from splitknit.batch.population import CaptureRef
+from splitknit.batch.population import Blocks, CaptureRef, all_pairs, blocks_of, draw, missing_pairs
 
 CAPTURES = [
     CaptureRef(f"S{s:02d}/session_{k}/{f}", f"S{s:02d}", f"S{s:02d}/{f}", str(k), n * 3 + k - 1, n)

@@ -11,9 +11,8 @@ from batch_stores import EA, chunks, pairs_of
 from splitknit.batch import Store, run_batch
 from splitknit.errors import BadInput
 from splitknit.matching.minutiae3d import minutiae3d_match
-from splitknit.matching.minutiae3d_record import unpack_space_minutiae
-from splitknit.matching.surface_code import unpack_surface_code
-from splitknit.matching.surface_code_match import surface_code_match
+from splitknit.matching.minutiae_record import unpack_space_minutiae
+from splitknit.matching.surface_code import surface_code_match, unpack_surface_code
 
 CODES = replace(EA, matchers=("surface-code",))
 SPACE = replace(EA, matchers=("minutiae3d", "tetrahedra"))

@@ -24,8 +24,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from splitknit.batch import BatchSettings, Cluster, Store, preset_cases, run_batch
+from splitknit.batch.chunks import load
 from splitknit.batch.execution import connected, run_tasks
-from splitknit.batch.packages import load
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 
@@ -256,7 +256,6 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path
 RUN = """
 import sys
 from pathlib import Path
-from splitknit.batch import BatchSettings, preset_cases, run_batch
 settings = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=1)
 try:
     run_batch(Path(sys.argv[1]), Path(sys.argv[2]), settings, jobs=2)

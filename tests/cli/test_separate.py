@@ -11,7 +11,7 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.io import read_image, write_image
-from splitknit.io.light import read_light_tiff, write_light_tiff
+from splitknit.io.float_tiff import read_light_tiff, write_light_tiff
 from splitknit.separation import checkerboard_patterns
 
 SIZE = (40, 50)

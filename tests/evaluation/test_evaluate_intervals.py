@@ -26,9 +26,16 @@ from splitknit.evaluation import (
     ids_of,
     scores_of_comparisons,
 )
-from splitknit.evaluation.cells import make_cells
-from splitknit.evaluation.error_bounds import error_bound
-from splitknit.evaluation.intervals import Layout, cell_weights, cluster_units, figures_of, pair_units, plain_units
+from splitknit.evaluation.intervals import (
+    Layout,
+    cell_weights,
+    cluster_units,
+    figures_of,
+    make_cells,
+    pair_units,
+    plain_units,
+)
+from splitknit.evaluation.rates import error_bound
 
 LAYOUT = Layout((0.5, 0.1, 0.01), (0.03, 0.3))
 FEW = BootstrapSettings(replicates=100, curve_points=5)

@@ -21,7 +21,7 @@ from splitknit.evaluation import (
     scores_of_comparisons,
     session_pairs,
 )
-from splitknit.evaluation.pairing import pair_up
+from splitknit.evaluation.protocol import pair_up
 from splitknit.evaluation.scores import fingers_of_subjects
 
 

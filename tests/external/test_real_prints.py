@@ -10,8 +10,8 @@ import pytest
 from splitknit.io import read_print_png
 from splitknit.matching import Prepared, make_template, print_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae_joined import joined_similarity
 from splitknit.matching.minutiae_record import pack_minutiae, unpack_minutiae
+from splitknit.matching.score import joined_similarity
 
 pytestmark = pytest.mark.external
 KEPT = (1, 2, 3, 5, 7)

@@ -15,8 +15,7 @@ from splitknit.finger import (
     photometric_mask,
     touched_borders,
 )
-from splitknit.finger.evidence import chromaticity
-from splitknit.finger.mask import two_means
+from splitknit.finger.mask import chromaticity, two_means
 from splitknit.finger.regions import fill_holes, largest_component, remove_spurs
 
 TONES = ("very dark", "dark", "medium", "very light")

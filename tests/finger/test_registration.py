@@ -10,8 +10,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.finger import RegistrationSettings, Seen, register_band, register_shots, without_glare
-from splitknit.finger.registration_flow import finger_family, places_of, still
-from splitknit.finger.registration_level import details_of
+from splitknit.finger.registration_flow import details_of, finger_family, places_of, still
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)

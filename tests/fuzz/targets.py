@@ -74,13 +74,11 @@ from splitknit.io import (
     write_ply,
     write_print_png,
 )
-from splitknit.io.glb import read_glb, write_glb
+from splitknit.io.float_tiff import read_light_tiff, write_light_tiff
 from splitknit.io.images import decode_image, encode_image
-from splitknit.io.iso19794 import decode_iso19794, read_iso19794
-from splitknit.io.iso19794_card import decode_card, encode_card
-from splitknit.io.itl_reading import read_transaction
-from splitknit.io.itl_transaction import TransactionFacts, TransactionPrint, encode_transaction
-from splitknit.io.light import read_light_tiff, write_light_tiff
+from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
+from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction, read_transaction
+from splitknit.io.mesh import read_glb, write_glb
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     decode_ansi378,
@@ -89,7 +87,7 @@ from splitknit.io.minutiae_files import (
     read_ansi378,
     read_minutiae_record,
 )
-from splitknit.io.print_tiff import read_print_tiff, write_print_tiff
+from splitknit.io.prints import read_print_tiff, write_print_tiff
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
@@ -98,8 +96,14 @@ from splitknit.matching import VERSION, Template, make_template, pack, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.inputs import read_print, read_side
 from splitknit.matching.inputs import read_surface as read_matched
-from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae, unpack_space_minutiae
-from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.minutiae_record import (
+    Minutiae,
+    SpaceMinutiae,
+    pack_minutiae,
+    pack_space_minutiae,
+    unpack_minutiae,
+    unpack_space_minutiae,
+)
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.imaging import image, linear_channels, linear_image, linear_stack, linear_survey
+from splitknit.imaging import band as band_module
+from splitknit.imaging import linear_channels, linear_image, linear_stack, linear_survey
 from splitknit.model import Band
 
 
@@ -39,10 +40,10 @@ def test_survey_is_mean_and_grey(channels: int, count: int, ambient: bool, binni
 @pytest.mark.parametrize("binning", [1, 2, 3])
 def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch, encoding: str, binning: int) -> None:
     pixels = band(3, 1, False).pixels[0]
-    monkeypatch.setattr(image, "CHUNK_ROWS", 10**6)
+    monkeypatch.setattr(band_module, "CHUNK_ROWS", 10**6)
     whole = linear_image(pixels, encoding, 1.5, 3.0, binning)
     for rows in (1, 7, 64):
-        monkeypatch.setattr(image, "CHUNK_ROWS", rows)
+        monkeypatch.setattr(band_module, "CHUNK_ROWS", rows)
         np.testing.assert_array_equal(linear_image(pixels, encoding, 1.5, 3.0, binning), whole)
     blocks = linear_image(pixels[: 151 // binning * binning, : 75 // binning * binning], encoding, 1.5, 3.0)
     blocks = blocks.reshape(151 // binning, binning, 75 // binning, binning, 3).mean(axis=(1, 3))

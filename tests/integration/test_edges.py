@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.integration.edges import difference, difference_adjoint, edge_weights, predicted_differences
+from splitknit.integration.poisson import difference, difference_adjoint, edge_weights, predicted_differences
 
 
 def test_adjoint_passes_the_dot_test():

@@ -10,9 +10,8 @@ import scipy.sparse.linalg
 
 from splitknit.errors import BadInput
 from splitknit.integration import PoissonSettings, poisson
-from splitknit.integration.edges import edge_weights, predicted_differences
 from splitknit.integration.gradient_field import zero_mean_by_component
-from splitknit.integration.multigrid import Grid, build_grids, padded_size
+from splitknit.integration.poisson import Grid, build_grids, edge_weights, padded_size, predicted_differences
 
 
 def paraboloid(rows, columns):

@@ -10,7 +10,7 @@ import pytest
 
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, three_minutiae
 from splitknit.errors import BadInput
-from splitknit.io.fmr_identify import ANSI_2004, ANSI_2009, ANSI_2009_AM1
+from splitknit.io.fmr_bytes import ANSI_2004, ANSI_2009, ANSI_2009_AM1
 from splitknit.io.minutiae_files import (
     decode_ansi378,
     decode_ansi378_2009,

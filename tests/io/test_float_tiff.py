@@ -8,9 +8,7 @@ import pytest
 import tifffile
 
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import read_float_tiff, write_float_tiff
-from splitknit.io.height import read_height_tiff
-from splitknit.io.light import read_light_tiff
+from splitknit.io.float_tiff import read_float_tiff, read_height_tiff, read_light_tiff, write_float_tiff
 
 FIELD = np.linspace(-1, 1, 24, dtype=np.float32).reshape(4, 6)
 

@@ -12,7 +12,7 @@ import pytest
 import fmr_samples
 from fmr_samples import ANSI_BYTES, ISO_BYTES, three_minutiae
 from splitknit.errors import BadInput
-from splitknit.io.fmr_identify import ISO_2005
+from splitknit.io.fmr_bytes import ISO_2005
 from splitknit.io.iso19794 import decode_iso19794, encode_iso19794, read_iso19794, write_iso19794
 from splitknit.io.minutiae_record import MinutiaeRecord, pixels_per_cm
 

@@ -7,7 +7,7 @@ import pytest
 
 from fmr_samples import three_minutiae
 from splitknit.errors import BadInput
-from splitknit.io.iso19794_card import decode_card, encode_card
+from splitknit.io.iso19794 import decode_card, encode_card
 from splitknit.io.minutiae_record import FingerView
 
 PPCM = (200, 400)

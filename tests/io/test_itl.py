@@ -13,14 +13,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.io import itl_reading, itl_transaction
+from splitknit.io import itl_reading
 from splitknit.io.finger_codes import FINGER_CODES
-from splitknit.io.itl_reading import decode_transaction, read_transaction
-from splitknit.io.itl_transaction import (
+from splitknit.io.itl_reading import (
     Transaction,
     TransactionFacts,
     TransactionPrint,
+    decode_transaction,
     encode_transaction,
+    read_transaction,
     write_transaction,
 )
 
@@ -181,7 +182,7 @@ def test_what_cannot_be_said_is_not_written(monkeypatch: pytest.MonkeyPatch) -> 
             make()
     monkeypatch.setitem(__import__("sys").modules, "nistitl", None)
     with pytest.raises(BadInput, match=r"splitknit\[records\]"):
-        itl_transaction.encode_transaction([SMALL], FACTS)
+        itl_reading.encode_transaction([SMALL], FACTS)
     with pytest.raises(BadInput, match=r"splitknit\[records\]"):
         itl_reading.decode_transaction(b"1.001:10\x1d\x1c"[:9] + b"\x1c")
 

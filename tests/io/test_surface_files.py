@@ -11,8 +11,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.io import surface_mesh
-from splitknit.io.glb import glb_chunks, read_glb, write_glb
-from splitknit.io.stl import stl_chunks, stl_size, write_mesh_stl
+from splitknit.io.mesh import glb_chunks, read_glb, stl_chunks, stl_size, write_glb, write_mesh_stl
 from splitknit.rig.assembly import read_stl, unit_normals
 
 
@@ -43,7 +42,7 @@ def test_stl_is_read_back(mesh, tmp_path: Path) -> None:
 def test_stl_comes_in_pieces(mesh, monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, _, _, faces = mesh
     whole = b"".join(stl_chunks(vertices, faces))
-    monkeypatch.setattr("splitknit.io.stl._CHUNK", 100)
+    monkeypatch.setattr("splitknit.io.mesh._CHUNK", 100)
     assert b"".join(stl_chunks(vertices, faces)) == whole
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.matching.minutiae3d_record import SpaceMinutiae
+from splitknit.matching.minutiae_record import SpaceMinutiae
 
 
 def finger(seed: int, count: int = 60) -> SpaceMinutiae:

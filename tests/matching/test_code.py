@@ -10,8 +10,23 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.matching import Template, failed_template, make_template
-from splitknit.matching.code import SCALE, FactorModel, ProbeSettings, code_model, code_of, code_size, probe_codes
-from splitknit.matching.code_field import CELLS, CHANNELS, COLUMNS, ROWS, laid_on, origin_of, ridge_field, sampled
+from splitknit.matching.code import (
+    CELLS,
+    CHANNELS,
+    COLUMNS,
+    ROWS,
+    SCALE,
+    FactorModel,
+    ProbeSettings,
+    code_model,
+    code_of,
+    code_size,
+    laid_on,
+    origin_of,
+    probe_codes,
+    ridge_field,
+    sampled,
+)
 from splitknit.matching.ridge_band import RidgeBand
 
 

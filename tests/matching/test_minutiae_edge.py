@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.matching.minutiae import extract
-from splitknit.matching.minutiae_edge import EDGE_MM, edge_distance, inside_by
+from splitknit.matching.minutiae import EDGE_MM, edge_distance, extract, inside_by
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.prints import relief_print
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.matching.minutiae_enhance import enhance_print
+from splitknit.matching.minutiae import enhance_print
 
 
 def waves(angle_deg: float, period_px: float, shape: tuple[int, int] = (160, 180)) -> np.ndarray:

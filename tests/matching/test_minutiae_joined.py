@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.matching.minutiae_joined import JoinedSettings, joined_similarity
+from splitknit.matching.score import JoinedSettings, joined_similarity
 
 
 def test_it_is_the_mean_of_both_z_scores() -> None:

@@ -15,10 +15,14 @@ from splitknit.matching.minutiae3d import (
     _LENGTH_MM,
     Minutiae3DSettings,
     PreparedMinutiae3D,
+    PreparedTetrahedra,
+    TetrahedraSettings,
     alike_pairs,
+    alike_tetrahedra,
     minutiae3d_match,
+    tetrahedra_match,
 )
-from splitknit.matching.minutiae3d_record import (
+from splitknit.matching.minutiae_record import (
     SpaceMinutiae,
     no_space_minutiae,
     pack_space_minutiae,
@@ -35,7 +39,6 @@ from splitknit.matching.space_alignment import (
     rigid_motion,
     share_of_both,
 )
-from splitknit.matching.tetrahedra import PreparedTetrahedra, TetrahedraSettings, alike_tetrahedra, tetrahedra_match
 
 MATCHERS = [minutiae3d_match, tetrahedra_match]
 both = pytest.mark.parametrize("match", MATCHERS)

@@ -8,20 +8,18 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.matching.surface_code import (
+    _MIN_OVERLAP,
     CODINGS,
     GRAY,
+    PreparedSurface,
     SurfaceCode,
     SurfaceCodeSettings,
+    SurfaceMatchSettings,
     make_surface_code,
     pack_surface_code,
     packed_planes,
-    unpack_surface_code,
-)
-from splitknit.matching.surface_code_match import (
-    _MIN_OVERLAP,
-    PreparedSurface,
-    SurfaceMatchSettings,
     surface_code_match,
+    unpack_surface_code,
 )
 
 PITCH = 0.1

@@ -21,7 +21,7 @@ from splitknit.matching import (
     shape_context_features,
     thesis_match,
 )
-from splitknit.matching.align import to_box
+from splitknit.matching.thesis import to_box
 
 FEATURES = ("lbp", "hog", "gabor", "shape_context")
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from splitknit.matching import FingerImages, LbpSettings, ThesisSettings, finger_features, lbp_features, thesis_match
-from splitknit.matching.thesis import ATTRIBUTES
-from splitknit.matching.thesis_many import database_finger, features_of, match_database, quick_lbp_features
+from splitknit.matching.thesis import ATTRIBUTES, database_finger, features_of, match_database, quick_lbp_features
 
 NAMES = ["relief", *(f"{kind}normal_{axis}" for kind in ("", "shape_") for axis in "xyz")]
 

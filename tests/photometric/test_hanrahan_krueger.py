@@ -9,11 +9,11 @@ import pytest
 from skin_ball import EQUAL, THIN, ball, ring
 
 from splitknit.errors import BadInput
+from splitknit.imaging import chunks
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric import (
     HanrahanKruegerSettings,
     LevenbergSettings,
-    chunks,
     hanrahan_krueger,
     hanrahan_krueger_near,
     lambertian,

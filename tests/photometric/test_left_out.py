@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.photometric import lambertian
-from splitknit.photometric.left_out import left_out
+from splitknit.photometric.lambertian import left_out
 
 
 def around(count: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric.levenberg import LevenbergSettings, NormalEquations, levenberg_marquardt, solved
+from splitknit.photometric.hanrahan_krueger_fit import LevenbergSettings, NormalEquations, levenberg_marquardt, solved
 
 
 @dataclass

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric import RobustSettings, chunks, lambertian, light_weights, robust
+from splitknit.photometric import RobustSettings, equations, lambertian, light_weights, robust
 
 
 def ring(count=7, elevation_deg=55.0):
@@ -132,9 +132,9 @@ def test_bytes_do_not_depend_on_the_chunks(monkeypatch):
     lights = ring(9)
     stack, _, mask = sphere(lights, gloss=0.3, noise=0.002)
     first = robust(stack, lights, mask)[0].tobytes()
-    monkeypatch.setattr(chunks.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(equations.os, "cpu_count", lambda: 1)
     assert robust(stack, lights, mask)[0].tobytes() == first
-    monkeypatch.setattr(chunks, "_pixels_per_chunk", lambda lights: 700)
+    monkeypatch.setattr(equations, "_pixels_per_chunk", lambda lights: 700)
     assert robust(stack, lights, mask)[0].tobytes() == first
 
 

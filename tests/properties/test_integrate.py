@@ -15,7 +15,7 @@ from splitknit.integration import (
     shapelet_response,
     shapelets,
 )
-from splitknit.integration.edges import difference, difference_adjoint, edge_weights
+from splitknit.integration.poisson import difference, difference_adjoint, edge_weights
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

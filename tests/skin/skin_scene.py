@@ -8,8 +8,7 @@ import numpy as np
 
 from splitknit.model import Camera, Led, Rig
 from splitknit.skin import SkinSettings, diffusion
-from splitknit.skin.bands import BandImages
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 
 PITCH_MM = 0.04
 COLOURS = ("red", "green", "blue")

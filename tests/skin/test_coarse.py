@@ -12,9 +12,8 @@ from splitknit.errors import BadInput
 from splitknit.imaging import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.skin import SkinSettings, diffusion
-from splitknit.skin.bands import BandImages
 from splitknit.skin.coarse import CoarsePrior, compare, integrate, start_shape, unit
-from splitknit.skin.grid import coarsen
+from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import lighting
 
 FACTOR = 3

@@ -10,16 +10,17 @@ from skin_scene import CUT_MM, make_scene
 
 from splitknit.imaging import bin_mean
 from splitknit.skin import SkinSettings, diffusion
-from splitknit.skin.bands import BandImages
 from splitknit.skin.facets import Facets
-from splitknit.skin.features import COUNT, azimuth_waves, features
-from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
+    COUNT,
     GLARE,
     RELIEF_MM,
     SHAPE_COUNT,
     SHAPE_SLOPE,
+    azimuth_waves,
     can_learn,
+    features,
     relief_by_network,
     shape_features,
     slopes_by_network,

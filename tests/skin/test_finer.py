@@ -11,9 +11,8 @@ from splitknit.imaging.view import view_of
 from splitknit.model import Camera
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture
-from splitknit.skin.bands import BandImages
 from splitknit.skin.finer import coarser, finer_grid, finer_images
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 
 
 @pytest.mark.parametrize("model", ["orthographic", "perspective"])

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.skin import LocalWienerSettings, local_wiener, window_power
-from splitknit.skin.local_wiener import _OVERLAP
+from splitknit.skin.relief import _OVERLAP
 
 PITCH = 0.05
 SETTINGS = LocalWienerSettings()

@@ -7,8 +7,7 @@ import pytest
 from skin_scene import ring
 
 from splitknit.skin import LocalWienerSettings, SkinSettings, SpectralFit, diffusion
-from splitknit.skin.bands import BandImages
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import FineLight
 from splitknit.skin.relief import (
     CROSSOVER_MM,

@@ -12,11 +12,9 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import preset_settings
 from splitknit.simulator import twin
 from splitknit.simulator.rig import default_rig
-from splitknit.skin.bands import BandImages
-from splitknit.skin.features import COUNT, features
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.learned import COUNT, RELIEF_MM, features
 from splitknit.skin.learned import GLARE as GLARE_UNIT
-from splitknit.skin.learned import RELIEF_MM
 from splitknit.training.fields import FIELDS
 from splitknit.training.relief import TURNS
 from splitknit.training.relief_data import (

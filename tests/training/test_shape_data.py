@@ -12,9 +12,8 @@ from splitknit.imaging.geometry import height_gradients
 from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import preset_settings
 from splitknit.skin import SkinSettings, diffusion, learned
-from splitknit.skin.bands import BandImages
 from splitknit.skin.facets import Facets
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, shape_features
 from splitknit.training import shape_data
 from splitknit.training.fields import FIELDS

@@ -16,7 +16,7 @@ from viewer_server import Asking, started
 
 from splitknit.gallery.entry import Entry
 from splitknit.gallery.gallery import Gallery, NewCapture
-from splitknit.io.glb import read_glb
+from splitknit.io.mesh import read_glb
 from splitknit.matching import Template, pack
 
 pytestmark = [

@@ -23,7 +23,7 @@ from viewer_server import Asking
 
 from splitknit.errors import BadInput
 from splitknit.io import read_image, read_ply
-from splitknit.io.glb import read_glb
+from splitknit.io.mesh import read_glb
 from splitknit.rig.assembly import read_stl
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service

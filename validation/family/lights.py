@@ -24,7 +24,7 @@ from splitknit.finger.locate import find_finger
 from splitknit.imaging import linear_stack
 from splitknit.io import atomic_file
 from splitknit.model import COLOURS, Capture
-from splitknit.photometric.left_out import left_out
+from splitknit.photometric.lambertian import left_out
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.simulator.coloured import coloured_rig
 from splitknit.simulator.twin import TwinSettings, simulate_capture

@@ -6,8 +6,7 @@ import numpy as np
 from flat_fingers import Laid
 
 from splitknit.matching import Template
-from splitknit.matching.code import FactorModel
-from splitknit.matching.code_field import CELLS, COLUMNS, ROWS, origin_of, ridge_field, sampled
+from splitknit.matching.code import CELLS, COLUMNS, ROWS, FactorModel, origin_of, ridge_field, sampled
 from splitknit.model import FloatArray
 
 JITTER_MM, JITTER_DEG = 0.5, 2.5

@@ -31,8 +31,16 @@ from splitknit.finger.orientation import find_upright
 from splitknit.io import read_npz
 from splitknit.io.atomic import atomic_file
 from splitknit.matching import Template, pack, unpack
-from splitknit.matching.code import CODE_VERSION, SCALE, FactorModel, code_model, code_of, probe_codes
-from splitknit.matching.code_field import ridge_field, sampled
+from splitknit.matching.code import (
+    CODE_VERSION,
+    SCALE,
+    FactorModel,
+    code_model,
+    code_of,
+    probe_codes,
+    ridge_field,
+    sampled,
+)
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.model import FloatArray, Surface

@@ -15,7 +15,7 @@ from flat_fingers import BELOW_TIP_MM, log_periods
 
 from splitknit.io.atomic import atomic_file
 from splitknit.matching import Template
-from splitknit.matching.code_field import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
+from splitknit.matching.code import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
 from splitknit.model import FloatArray
 from splitknit.simulator.orientation_field import orientation_field
 from splitknit.simulator.people import FINGERS, OwnFinger, draw_person

@@ -25,9 +25,9 @@ from splitknit.evaluation import comparisons
 from splitknit.io import read_capture
 from splitknit.io.provenance import settings_hash
 from splitknit.matching import ThesisSettings, finger_images
-from splitknit.matching.align import align_masks, to_box
-from splitknit.matching.lbp import LbpSettings, lbp_features
+from splitknit.matching.features import LbpSettings, lbp_features
 from splitknit.matching.score import dissimilarity
+from splitknit.matching.thesis import align_masks, to_box
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.steps import Memory

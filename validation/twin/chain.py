@@ -25,8 +25,7 @@ from splitknit.simulator.rig import default_rig
 from splitknit.simulator.skin import SkinSettings
 from splitknit.skin import MetricSettings, reconstruct_skin
 from splitknit.skin import SkinSettings as AssumedSkin
-from splitknit.skin.bands import BandImages
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.packages import load
-from splitknit.errors import open_file, refusing, require
+from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.io import atomic_file
 from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json
+
+# Packages that only the batch engine needs, imported when it needs them.
+
+
+def load(module: str, extra: str) -> Any:
+    """Import `module`, which comes with the extra `extra`.
+
+    Raises
+    ------
+    BadInput
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise BadInput(
+            f"this needs {package}, which cannot be imported ({error}); pip install 'splitknit[{extra}]'."
+        ) from error
+
 
 SUFFIX = ".parquet"
 _KEY = b"splitknit"

@@ -13,15 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, read_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, load, read_chunk, write_timings
 from splitknit.batch.execution import Cluster, connected, peak_memory_mb, run_tasks
 from splitknit.batch.export import write_csv
 from splitknit.batch.features import FeatureTask, reconstruct_group
 from splitknit.batch.matchers import READY, Matcher, matcher
 from splitknit.batch.matchers import matcher as matcher_named
-from splitknit.batch.packages import load
-from splitknit.batch.pairs import Pairs, all_pairs, blocks_of, missing_pairs
-from splitknit.batch.population import CaptureRef, Population, read_population
+from splitknit.batch.population import (
+    CaptureRef,
+    Pairs,
+    Population,
+    all_pairs,
+    blocks_of,
+    missing_pairs,
+    read_population,
+)
 from splitknit.batch.prints import MinutiaeDone, MinutiaeTask, extract_minutiae, write_minutiae
 from splitknit.batch.reading import Place, forget, places_of
 from splitknit.batch.scores import ScoreTask, score_block

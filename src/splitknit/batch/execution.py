@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from splitknit.batch.packages import load
+from splitknit.batch.chunks import load
 from splitknit.errors import BadInput, require
 
 Task = TypeVar("Task")

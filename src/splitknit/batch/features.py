@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, column_type, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
-from splitknit.batch.packages import load
 from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_solids

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from splitknit.capture.enrolment import PLAN_FILE, Place, open_enrolment
 from splitknit.errors import require
+from splitknit.evaluation.protocol import comparisons
 from splitknit.io.fields import Fields, read_json
 
 _SIMULATED = "population.json"
@@ -81,3 +86,95 @@ def _hash(folder: Path) -> str:
     if not file.is_file():
         return hashlib.sha256(b"enrolment").hexdigest()
     return Fields(read_json(file)[0], str(file)).text("settings_sha256")
+
+
+# Which captures are compared, in blocks: a block of one session with a block of a later one.
+#
+# Where a block ends depends on the plan of the population and on the matcher alone, never on what is there already,
+# so
+# that two runs, however they were interrupted, do the same chunks.
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """How many captures stand together."""
+
+    database: int
+    """Captures of the earlier session, kept ready for the whole block."""
+    query: int
+    """Captures of the later session, taken one after the other."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Comparisons as places in a list of captures."""
+
+    a: NDArray[np.int64]
+    """(N,) of the earlier session."""
+    b: NDArray[np.int64]
+    genuine: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """The comparisons of one block."""
+
+    number: int
+    """In the order of all blocks of the plan."""
+    pairs: Pairs
+
+
+def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pairs:
+    """Every finger of a session with every finger of every later one; of different fingers a share only.
+
+    The share is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
+    sessions.
+
+    Raises
+    ------
+    BadInput
+        If the captures are of one session.
+    """
+    found = comparisons([one.finger for one in captures], [one.session for one in captures])
+    kept = np.ones(found.a.size, dtype=np.bool_)
+    if impostors < 1.0:
+        names = [one.finger for one in captures]
+        other = np.flatnonzero(~found.genuine)
+        kept[other] = [
+            draw(names[a], names[b], seed) < impostors
+            for a, b in zip(found.a[other].tolist(), found.b[other].tolist(), strict=True)
+        ]
+    return Pairs(found.a[kept], found.b[kept], found.genuine[kept])
+
+
+def draw(a: str, b: str, seed: int) -> float:
+    """Number in [0, 1) that belongs to two fingers; those below the share of impostors are compared."""
+    first, second = sorted((a, b))
+    digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") / 2.0**64
+
+
+def missing_pairs(pairs: Pairs, count: int, done: NDArray[np.int64]) -> Pairs:
+    """Those of `pairs` whose key ``a * count + b`` is not in `done`."""
+    kept = ~np.isin(pairs.a * count + pairs.b, done)
+    return Pairs(pairs.a[kept], pairs.b[kept], pairs.genuine[kept])
+
+
+def blocks_of(pairs: Pairs, captures: Sequence[CaptureRef], blocks: Blocks) -> list[Block]:
+    """Comparisons block by block; those that share a database's block follow each other."""
+    session = np.array([int(one.session) for one in captures], dtype=np.int64)
+    number = np.array([one.number for one in captures], dtype=np.int64)
+    at_a, at_b = number[pairs.a] // blocks.database, number[pairs.b] // blocks.query
+    keys = np.stack([session[pairs.a], at_a, session[pairs.b], at_b])
+    order = np.lexsort((pairs.b, pairs.a, *keys[::-1]))
+    keys = keys[:, order]
+    if not order.size:
+        return []
+    starts = np.flatnonzero(np.concatenate([[True], (keys[:, 1:] != keys[:, :-1]).any(axis=0)]))
+    parts = np.split(order, starts[1:])
+    found = []
+    for start, part in zip(starts.tolist(), parts, strict=True):
+        first, low, second, high = (int(value) for value in keys[:, start])
+        place = ((first * 1000 + second) * 10_000 + low) * 10_000 + high
+        found.append(Block(place, Pairs(pairs.a[part], pairs.b[part], pairs.genuine[part])))
+    return found

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, column_type, read_chunk, read_origin, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, load, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
-from splitknit.batch.packages import load
 from splitknit.errors import require
 from splitknit.io.png import decode_png
 from splitknit.matching.minutiae import extract

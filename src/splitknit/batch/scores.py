@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, column_type, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.matchers import READY, matcher
-from splitknit.batch.packages import load
 from splitknit.batch.reading import Place, small_column
 from splitknit.io import canonical_json, provenance
 from splitknit.matching.surface import MatchingSettings

@@ -13,13 +13,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, column_type, read_chunk, read_origin, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, column_type, load, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
-from splitknit.batch.packages import load
 from splitknit.batch.prints import MinutiaeDone
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
-from splitknit.matching.minutiae3d_record import pack_space_minutiae
+from splitknit.matching.minutiae_record import pack_space_minutiae
 from splitknit.matching.space_minutiae import space_minutiae
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import pack_surface_code

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.chunks import chunk_files, read_chunk
+from splitknit.batch.chunks import chunk_files, load, read_chunk
 from splitknit.batch.matchers import matcher
-from splitknit.batch.packages import load
 from splitknit.batch.population import Population
 from splitknit.batch.reading import images_of, places_of
 from splitknit.batch.scores import score_schema

@@ -1,6 +1,5 @@
 """How well scores tell fingers apart: rates, confidence intervals, identification, protocols."""
 
-from splitknit.evaluation.histograms import Histograms, histograms
 from splitknit.evaluation.identification import Cmc, cmc
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, Intervals, bootstrap, differences
 from splitknit.evaluation.protocol import (
@@ -13,7 +12,18 @@ from splitknit.evaluation.protocol import (
     scores_of_comparisons,
     session_pairs,
 )
-from splitknit.evaluation.rates import EqualError, OperatingPoint, Roc, auc, d_prime, equal_error, gar_at_far, roc
+from splitknit.evaluation.rates import (
+    EqualError,
+    Histograms,
+    OperatingPoint,
+    Roc,
+    auc,
+    d_prime,
+    equal_error,
+    gar_at_far,
+    histograms,
+    roc,
+)
 from splitknit.evaluation.scores import Ids, Scores, ids_of
 
 __all__ = [

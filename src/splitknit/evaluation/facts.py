@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from splitknit.evaluation import rates
-from splitknit.evaluation.error_bounds import rule_of_three
 from splitknit.evaluation.identification import Cmc, cmc, rank_one_interval
 from splitknit.evaluation.intervals import CONFIDENCE, BootstrapSettings, Interval, Intervals
 from splitknit.evaluation.protocol import by_session_pair
+from splitknit.evaluation.rates import rule_of_three
 from splitknit.evaluation.scores import Scores
 
 

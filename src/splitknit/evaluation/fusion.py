@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.evaluation.pairing import pair_up
+from splitknit.evaluation.protocol import pair_up
 from splitknit.evaluation.scores import Ids, Scores
 from splitknit.settings import Checked, Limits
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation.error_bounds import error_bound
-from splitknit.evaluation.few_errors import FEW
+from splitknit.evaluation.intervals import FEW
+from splitknit.evaluation.rates import error_bound
 from splitknit.evaluation.scores import Scores
 
 

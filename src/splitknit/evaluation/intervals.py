@@ -12,11 +12,133 @@ from scipy.sparse import csr_array
 
 from splitknit.errors import BadInput, require
 from splitknit.evaluation import rates
-from splitknit.evaluation.cells import Cells, make_cells
-from splitknit.evaluation.few_errors import bounds
-from splitknit.evaluation.rates import SLACK
+from splitknit.evaluation.rates import SLACK, Counting, error_bound
 from splitknit.evaluation.scores import Ids, Scores
 from splitknit.settings import Checked, Limits
+
+# Scores as cells in falling order, so that a replicate of the bootstrap is a weight for each cell and no sorting.
+#
+# Rates depend on scores through their order alone. Up to a limit every distinct score is a cell and replicates are
+# exact.
+# Beyond it, cells are cut at chosen scores: each chosen one is a cell, and so is what lies between two. GAR at FAR
+# stays
+# exact between two chosen scores as long as only impostors lie there; all genuine scores are chosen if they are few
+# enough. Point estimates never come from cells.
+
+
+CELLS = 60_000
+"""At most about so many."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Where the scores lie; cell 0 holds the highest."""
+
+    genuine: NDArray[np.int64]
+    """(N,) the cell of each; ``count`` where it is a failure."""
+    impostor: NDArray[np.int64]
+    """(M,)"""
+    count: int
+    """Cells without that of the failures."""
+    crowded: NDArray[np.bool_]
+    """(count,) whether a cell holds several distinct impostor scores, and no genuine one."""
+    moments: NDArray[np.float64]
+    """(2, 2, count): genuine, impostor; mean and variance of the standardised scores of a cell."""
+
+
+def make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limit: int = CELLS) -> Cells:
+    """Put scores (N,) and (M,), NaN included, into cells."""
+    sides = [side[~np.isnan(side)] for side in (genuine, impostor)]
+    distinct = [np.unique(side) for side in sides]
+    every = np.union1d(*distinct)
+    edges = every if every.size <= limit else _edges(distinct, sides[1], limit)
+    used, codes = np.unique(np.concatenate([_code(side, edges) for side in sides]), return_inverse=True)
+    codes = used.size - 1 - codes
+    parts = codes[: sides[0].size], codes[sides[0].size :]
+    values = np.bincount(used.size - 1 - np.searchsorted(used, _code(distinct[1], edges)), minlength=used.size)
+    crowded = (values > 1) & (np.bincount(parts[0], minlength=used.size) == 0)
+    middle, scale = float(np.mean(sides[1])), float(np.ptp(every)) or 1.0
+    moments = [_moments(part, (side - middle) / scale, used.size) for part, side in zip(parts, sides, strict=True)]
+    placed = []
+    for whole, part in zip((genuine, impostor), parts, strict=True):
+        cell = np.full(whole.size, used.size, dtype=np.int64)
+        cell[~np.isnan(whole)] = part
+        placed.append(cell)
+    return Cells(placed[0], placed[1], int(used.size), crowded, np.stack(moments))
+
+
+def _edges(distinct: list[NDArray[np.float64]], impostor: NDArray[np.float64], limit: int) -> NDArray[np.float64]:
+    """Scores to cut at: genuine ones, all or evenly by rank; impostor ones evenly by rank, and every one at the top."""
+    kept = distinct[0]
+    if kept.size > limit // 3:
+        kept = kept[np.linspace(0, kept.size - 1, limit // 3).round().astype(np.int64)]
+    ordered = np.sort(impostor)
+    ranks = np.unique(np.linspace(0, ordered.size - 1, limit // 12).round().astype(np.int64))
+    return np.unique(np.concatenate([kept, ordered[ranks], ordered[-(limit // 12) :]]))
+
+
+def _code(scores: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Twice the number of edges below a score, and one more on an edge."""
+    below = np.searchsorted(edges, scores, side="left")
+    return np.asarray(below + np.searchsorted(edges, scores, side="right"), dtype=np.int64)
+
+
+def _moments(cell: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    mean = np.bincount(cell, weights=values, minlength=count) / number
+    return np.stack([mean, np.bincount(cell, weights=(values - mean[cell]) ** 2, minlength=count) / number])
+
+
+# Rates that rest on a few fingers: how far off they may be.
+#
+# A bootstrap repeats what was seen. Where only some fingers (subjects, comparisons) were ever rejected, it knows too
+# little of those that are, and nothing where none was. The limit is then that of Clopper and Pearson for as many
+# independent trials as there are fingers, as if all comparisons of a finger failed together: cautious, and where
+# nothing
+# failed the rule of three.
+
+
+FEW = 5
+"""Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
+
+
+def bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
+    """How low and how high each rate of :class:`splitknit.evaluation.intervals.Layout` may lie for that reason.
+
+    Both are the rate itself where enough fingers (``method``) were rejected and enough accepted.
+    """
+    genuine, impostor = scores.genuine, np.sort(scores.impostor)
+    ordered, drawn = np.sort(genuine), _drawn(scores, method)
+    countings: tuple[tuple[Counting, str], ...] = (("all", ""), ("made", "_made"))
+    limits = {}
+    for counting, ending in countings:
+        known = np.ones(genuine.shape, dtype=np.bool_) if counting == "all" else ~np.isnan(genuine)
+        tried = drawn[known]
+        equal = rates.equal_error(ordered, impostor, counting=counting)
+        rejected = known & ~_accepted(genuine, equal.threshold)
+        limits[f"eer{ending}"] = equal.value, _upper(equal.value, drawn[rejected], tried)
+        for target in targets:
+            point = rates.gar_at_far(ordered, impostor, target, counting=counting)
+            accepted = _accepted(genuine, point.threshold)
+            low = 1.0 - _upper(1.0 - point.gar, drawn[known & ~accepted], tried)
+            limits[f"gar@{target:g}{ending}"] = low, _upper(point.gar, drawn[accepted], tried)
+    return limits
+
+
+def _accepted(scores: NDArray[np.float64], threshold: float | None) -> NDArray[np.bool_]:
+    return np.asarray(scores >= (np.inf if threshold is None else threshold))
+
+
+def _upper(rate: float, hit: NDArray[np.int64], tried: NDArray[np.int64]) -> float:
+    """Bound of a rate that `hit` of what was `tried` contribute to; the rate itself where they are enough."""
+    return error_bound(rate, np.unique(tried).size) if np.unique(hit).size < FEW else rate
+
+
+def _drawn(scores: Scores, method: str) -> NDArray[np.int64]:
+    """(N,) what each genuine comparison is drawn with."""
+    ids = {"finger": scores.finger, "subject": scores.subject}.get(method)
+    return np.arange(int(scores.label.sum())) if ids is None else ids.codes[scores.label, 0]
+
 
 TARGETS = (0.01, 0.001, 0.0001)
 METHODS = ("plain", "finger", "subject")
@@ -86,7 +208,7 @@ def bootstrap(
     -------
     Intervals
         Percentile intervals, widened so as to hold the value itself, and where it rests on less than five fingers
-        (subjects, comparisons): see :mod:`splitknit.evaluation.few_errors`.
+        (subjects, comparisons): see :mod:`splitknit.evaluation.intervals`.
 
     Raises
     ------

@@ -16,14 +16,70 @@ from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv
 
 from splitknit.errors import require
-from splitknit.evaluation.error_bounds import rule_of_three
-from splitknit.evaluation.sides import Counting, Scores1D, sort_scores
+
+# What the rate of a rare thing may still be.
+
+
+def rule_of_three(trials: int) -> float:
+    """95 % upper bound of the rate of what never happened in so many independent trials, 3 / n."""
+    return min(1.0, 3.0 / max(trials, 1))
+
+
+def error_bound(rate: float, trials: int, confidence: float = 0.95) -> float:
+    """Upper bound of a rate from a few errors in independent trials: the rule of three, continued.
+
+    ``rate * trials`` errors were seen, not necessarily a whole number. The bound is that of Clopper and Pearson.
+
+    References
+    ----------
+    C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
+    Biometrika 26(4), 1934.
+    """
+    errors = rate * trials
+    if errors >= trials:
+        return 1.0
+    return rule_of_three(trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, confidence))
+
+
+# The scores of one class in rising order, and its failures to acquire.
+
+
+Scores1D = NDArray[np.float64]
+Counting = Literal["all", "made"]
+"""Whether failures count as rejections or are left out; see :mod:`splitknit.evaluation.rates`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """The scores of one class."""
+
+    scores: Scores1D
+    """(n,) rising, without failures."""
+    failures: int
+
+    def attempts(self, counting: Counting) -> int:
+        """What a rate is relative to."""
+        return self.scores.size + (self.failures if counting == "all" else 0)
+
+
+def sort_scores(scores: Any, name: str = "scores") -> Side:
+    """Scores in rising order, NaN counted and left out; what is sorted already costs next to nothing."""
+    array = np.asarray(scores, dtype=np.float64)
+    require(array.ndim == 1, f"{name} scores must have the shape (N,), but they have {array.shape}.")
+    if array.size and not bool((array[1:] >= array[:-1]).all() and array[-1] == array[-1]):
+        array = np.sort(array)  # NaN last
+    known = int(np.searchsorted(array, np.nan))
+    require(known > 0, f"there is no {name} score: both genuine and impostor scores are needed.")
+    require(bool(np.isfinite(array[[0, known - 1]]).all()), f"{name} scores must be finite, but one is infinite.")
+    return Side(array[:known], array.size - known)
+
 
 SLACK = 1e-12
 """Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 says."""
@@ -258,3 +314,38 @@ def _first(scores: Scores1D, holds: Callable[[float], bool]) -> float:
 
 def _finite(t: float) -> float | None:
     return float(t) if np.isfinite(t) else None
+
+
+# Score histograms of both classes over one set of bins.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Histograms:
+    """Share of the comparisons made in each bin."""
+
+    edges: NDArray[np.float64]
+    """(B + 1,)"""
+    genuine: NDArray[np.float64]
+    """(B,), sums to one."""
+    impostor: NDArray[np.float64]
+
+
+def histograms(genuine: NDArray[np.float64], impostor: NDArray[np.float64], bins: int = 60) -> Histograms:
+    """Histograms of scores (N,) and (M,), NaN left out.
+
+    Bins are of equal width; few distinct whole numbers get a bin each, centred on them.
+    """
+    sides = [side[~np.isnan(side)] for side in (genuine, impostor)]
+    low, high = min(float(side.min()) for side in sides), max(float(side.max()) for side in sides)
+    whole = high - low < bins and all(bool((side == np.round(side)).all()) for side in sides)
+    if whole:
+        edges = np.arange(low - 0.5, high + 1.0)
+    elif high > low:
+        edges = low + (high - low) * np.linspace(0.0, 1.0, bins + 1)
+        edges[-1] = high
+    else:
+        edges = np.array([low - 0.5, low + 0.5])
+    if not bool((np.diff(edges) > 0).all()):  # scores so close that their bins have no width
+        edges = np.unique(np.concatenate([edges, [np.nextafter(edges[-1], np.inf)]]))
+    counts = [np.histogram(side, edges)[0] / side.size for side in sides]
+    return Histograms(edges, counts[0], counts[1])

@@ -17,8 +17,7 @@ from splitknit.errors import BadInput, require
 from splitknit.evaluation.facts import Result, difference_facts, notes_of, system_facts
 from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
-from splitknit.evaluation.pairing import pair_up
-from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude
+from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude, pair_up
 from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_subjects
 from splitknit.io import plain_json
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores

@@ -5,13 +5,18 @@ says at which scale.
 """
 
 from splitknit.finger.contrast import ClaheSettings, clahe
-from splitknit.finger.mask import MaskSettings, check_borders, finger_mask, touched_borders
-from splitknit.finger.mask_steps import finger_outline, finger_region
+from splitknit.finger.mask import (
+    MaskSettings,
+    check_borders,
+    finger_mask,
+    finger_outline,
+    finger_region,
+    touched_borders,
+)
 from splitknit.finger.motion import MotionSettings, ShotMotion, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
-from splitknit.finger.photometric import photometric_mask
-from splitknit.finger.quality import QualitySettings, capture_quality, quality_warnings
+from splitknit.finger.quality import QualitySettings, capture_quality, photometric_mask, quality_warnings
 from splitknit.finger.registration import Registration, RegistrationSettings, register_shots, without_glare
 from splitknit.finger.registration_band import BandRegistration, Seen, register_band
 

@@ -17,8 +17,7 @@ from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
-from splitknit.finger.photometric import photometric_mask
-from splitknit.finger.quality import QualitySettings, capture_quality, quality_warnings
+from splitknit.finger.quality import QualitySettings, capture_quality, photometric_mask, quality_warnings
 from splitknit.imaging import (
     Window,
     has_colour,

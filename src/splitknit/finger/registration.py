@@ -17,13 +17,21 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import dilate, erode
-from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
-from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
-from splitknit.finger.registration_light import (
+from splitknit.finger.registration_flow import (
+    Array,
+    Family,
+    Flow,
+    Level,
     beyond_surface,
     check_light_vectors,
+    details_of,
+    finger_family,
+    gram,
     lights_on,
+    places_of,
+    robust_weight,
     shown_by_surfaces,
+    still,
 )
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields

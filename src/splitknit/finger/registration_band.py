@@ -25,9 +25,20 @@ from splitknit.finger.registration import (
     WORKING_PX_PER_MM,
     RegistrationSettings,
 )
-from splitknit.finger.registration_flow import Array, Family, Flow, finger_family, places_of, still
-from splitknit.finger.registration_level import Level, details_of, gram, robust_weight
-from splitknit.finger.registration_light import check_light_vectors, lights_on
+from splitknit.finger.registration_flow import (
+    Array,
+    Family,
+    Flow,
+    Level,
+    check_light_vectors,
+    details_of,
+    finger_family,
+    gram,
+    lights_on,
+    places_of,
+    robust_weight,
+    still,
+)
 from splitknit.model import BoolArray, FloatArray
 
 

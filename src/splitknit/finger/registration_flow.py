@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import require
+from splitknit.finger.regions import blur
 from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
@@ -157,3 +159,156 @@ def rough_height(mask: BoolArray, px_per_mm: float) -> Array:
     smooth = cv2.GaussianBlur(height.astype(np.float32), (0, 0), 0.5 * px_per_mm)
     nodes = cv2.remap(smooth, columns * step, rows * step, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(nodes - height[mask].mean(), dtype=np.float64)
+
+
+# Details of one size in all shots, at the pixels that matter, and what they say about shifts.
+
+
+SAMPLES = 16_000
+"""Of the pixels of a level, at least so many are looked at, evenly spread; where it has fewer, all."""
+ALIKE = 1.1
+"""Copies are not reduced by less than this: it would blur some pixels more than others."""
+STEPS = np.float32(32.0)
+"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
+LINE = 128
+"""Samples in one row of what OpenCV resamples."""
+FLOPS = 200_000
+"""Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """Details of one size."""
+
+    images: tuple[FloatArray, ...]
+    """L of (h, w, 3): details, and their derivatives to the right and down the rows, a mm."""
+    columns: FloatArray
+    """(N,) of the pixels that are looked at."""
+    rows: FloatArray
+    """(N,)"""
+    weight: FloatArray
+    """(N,)"""
+    px_per_mm: float
+
+    def places(self) -> tuple[Array, Array]:
+        """x and y (N,) of the pixels in mm from the first pixel."""
+        return self.columns.astype(np.float64) / self.px_per_mm, self.rows.astype(np.float64) / self.px_per_mm
+
+    def seen(self, shifts_mm: FloatArray) -> FloatArray:
+        """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
+        count = self.columns.size
+        found = np.empty((len(self.images), 3, count), dtype=np.float32)
+        size = np.float32(self.px_per_mm)
+        for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
+            columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
+            near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
+            across, down = (_in_lines(places) for places in near)
+            taken = cv2.remap(image, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            found[k] = taken.reshape(-1, 3)[:count].T
+            # details vary with the shift without steps: what lies between is told by the slopes
+            found[k, 0] += (found[k, 1] * (columns - near[0]) + found[k, 2] * (rows - near[1])) / size
+        return found
+
+
+def details_of(
+    stack: FloatArray, region: BoolArray, px_per_mm: float, band_mm: tuple[float, float], working_px_per_mm: float
+) -> Level:
+    """Band-passed copies of a stack (L, H, W), weighted by one over the square of the brightness in `region`.
+
+    Parameters
+    ----------
+    stack : (L, H, W)
+    region : (H, W)
+    px_per_mm : of both
+    band_mm : fine and coarse end (sigma)
+    working_px_per_mm : most px/mm of the copies
+    """
+    finest = min(px_per_mm, working_px_per_mm, 1.0 / band_mm[0])
+    finest = px_per_mm if finest * ALIKE > px_per_mm else finest
+    size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
+    px = px_per_mm * size[0] / region.shape[1]
+    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32) for image in stack]
+    inside = cv2.resize(region.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+    level = blur(np.asarray(np.mean(small, axis=0), dtype=np.float32), 1.0 * px)
+    floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
+    rows, columns = np.nonzero(inside)
+    every = max(1, rows.size // SAMPLES)
+    rows, columns = rows[every // 2 :: every], columns[every // 2 :: every]
+    weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
+    images = tuple(_with_slopes(blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px), px) for image in small)
+    return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
+
+
+def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
+    """(h, w, 3) an image and its derivatives to the right and down the rows, a mm."""
+    half = 0.5 * px_per_mm
+    slopes = [
+        cv2.Sobel(image, cv2.CV_32F, right, 1 - right, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
+        for right in (1, 0)
+    ]
+    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
+
+
+def _in_lines(values: FloatArray) -> FloatArray:
+    return np.pad(values, (0, -values.size % LINE), mode="edge").reshape(-1, LINE)
+
+
+def robust_weight(level: Level, error: FloatArray) -> FloatArray:
+    """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
+    typical = 1.4826 * float(np.median(error)) + 1e-12
+    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)), dtype=np.float32)
+
+
+def gram(columns: FloatArray) -> Array:
+    """(K, K) inner products of `columns` (K, N), the same bytes whatever the number of threads."""
+    count, total = columns.shape
+    part = int(np.clip(FLOPS // count**2, 16, 4096))
+    padded = np.pad(columns, ((0, 0), (0, -total % part)))
+    parts = np.ascontiguousarray(padded.reshape(count, -1, part).transpose(1, 0, 2))
+    return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
+
+
+def at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float]) -> FloatArray:
+    """(..., N) values of fields (..., h, w) whose nodes lie evenly over an image of `extent_mm`, ends included."""
+    height, width = field.shape[-2:]
+    x, y = level.places()
+    columns = _in_lines((x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32))
+    rows = _in_lines((y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32))
+    flat = np.ascontiguousarray(field, dtype=np.float32).reshape(-1, height, width)
+    found = [
+        cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()[: x.size]
+        for part in flat
+    ]
+    return np.asarray(np.stack(found).reshape(*field.shape[:-2], x.size), dtype=np.float32)
+
+
+# What surfaces may show under lights that differ from place to place.
+
+
+def check_light_vectors(lights: Array, count: int) -> None:
+    """Refuse light vectors that are neither (L, 3) nor (L, 3, h, w)."""
+    fits = lights.shape[:2] == (count, 3) and lights.ndim in (2, 4)
+    require(fits, f"lights must have the shape ({count}, 3) or ({count}, 3, h, w), but they have {lights.shape}.")
+
+
+def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: float) -> FloatArray:
+    """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
+    if lights.ndim == 2:
+        return lights[..., None].astype(np.float32)
+    return at_samples(lights.astype(np.float32), level, ((shape[1] - 1) / px_per_mm, (shape[0] - 1) / px_per_mm))
+
+
+def shown_by_surfaces(lights: FloatArray) -> FloatArray:
+    """Orthonormal brightnesses (L, 3, N) that span what matt surfaces may show under `lights` (L, 3, N)."""
+    axes = lights.astype(np.float64)
+    for k in range(3):
+        for other in range(k):
+            axes[:, k] -= (axes[:, k] * axes[:, other]).sum(axis=0) * axes[:, other]
+        axes[:, k] /= np.maximum(np.sqrt((axes[:, k] ** 2).sum(axis=0)), 1e-12)
+    return axes.astype(np.float32)
+
+
+def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
+    """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N) or (L, 3, 1)."""
+    along = (axes * images[:, None]).sum(axis=0)
+    return np.asarray(images - (axes * along).sum(axis=1), dtype=np.float32)

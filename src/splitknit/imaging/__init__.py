@@ -5,15 +5,20 @@ are relative to the full scale of the file (255 or 65535), so an unscaled image 
 """
 
 from splitknit.imaging.band import (
+    CHANNELS,
+    GREY_WEIGHTS,
     Window,
+    bin_mean,
+    decode_table,
     has_colour,
     linear_channels,
+    linear_image,
     linear_stack,
     linear_survey,
+    pick_channel,
     saturation_levels,
 )
-from splitknit.imaging.image import CHANNELS, GREY_WEIGHTS, bin_mean, decode_table, linear_image, pick_channel
-from splitknit.imaging.lens import lens_shading, shading_at
+from splitknit.imaging.view import lens_shading, shading_at
 
 __all__ = [
     "CHANNELS",

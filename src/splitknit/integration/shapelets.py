@@ -25,8 +25,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from splitknit.integration.frankot_chellappa import WORKERS, Transfer, integrate_spectrum, sample_radially
 from splitknit.integration.gradient_field import check_gradients, zero_mean
-from splitknit.integration.spectral import WORKERS, Transfer, integrate_spectrum, sample_radially
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 

@@ -5,7 +5,7 @@ Nothing outside this package and the applications reads or writes a file.
 
 from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.capture import ReadSettings, read_capture, with_rig, write_capture
-from splitknit.io.height import read_height_tiff, write_height_tiff
+from splitknit.io.float_tiff import read_height_tiff, write_height_tiff
 from splitknit.io.images import ImageSettings, image_size, read_image, write_image
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.npz import read_npz, write_npz

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
+from splitknit.errors import read_bytes, refusing, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import parse_json
 from splitknit.model import BoolArray, FloatArray
 
 
@@ -67,3 +76,221 @@ def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
     quads[:, 1, 1], quads[:, 1, 2] = c[full], d[full]
     faces[2 * len(full) :] = corners[corners >= 0].reshape(-1, 3)
     return faces
+
+
+# Binary STL of an indexed mesh, in pieces, so that millions of triangles need little memory.
+#
+# STL knows no unit; the header says that it is the millimetre, which printing programs assume.
+
+
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+"""One triangle of a binary file."""
+HEADER_BYTES = 80
+_CHUNK = 1 << 16
+
+
+def stl_size(faces: int) -> int:
+    """Bytes of a file of so many triangles."""
+    return HEADER_BYTES + 4 + faces * RECORD.itemsize
+
+
+def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
+    """Yield the bytes of a file, in order.
+
+    Parameters
+    ----------
+    vertices_mm : (N, 3), mm
+    faces : (M, 3) indices of vertices, counter-clockwise seen from outside
+    title : what the header says behind ``splitknit, unit mm``
+
+    Raises
+    ------
+    BadInput
+        If the shapes do not fit or a face refers to a vertex that is not there.
+    """
+    require(vertices_mm.ndim == 2 and vertices_mm.shape[1] == 3, f"vertices must be (N, 3), not {vertices_mm.shape}.")
+    require(faces.ndim == 2 and faces.shape[1] == 3, f"faces must be (M, 3), not {faces.shape}.")
+    fits = faces.size == 0 or (int(faces.min()) >= 0 and int(faces.max()) < len(vertices_mm))
+    require(fits, f"faces refer to vertices that are not there (0 to {len(vertices_mm) - 1}).")
+    return _chunks(np.asarray(vertices_mm, dtype=np.float32), faces, title)
+
+
+def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Iterator[bytes]:
+    header = f"splitknit, unit mm {title}".encode("ascii", "replace")
+    yield header[:HEADER_BYTES].ljust(HEADER_BYTES, b" ") + np.uint32(len(faces)).astype("<u4").tobytes()
+    for start in range(0, len(faces), _CHUNK):
+        corners = vertices[faces[start : start + _CHUNK]]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(across, axis=1, keepdims=True)
+        records = np.zeros(len(corners), dtype=RECORD)
+        records["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
+        records["corners"] = corners
+        yield records.tobytes()
+
+
+def write_mesh_stl(
+    path: str | os.PathLike[str], vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = ""
+) -> None:
+    """Write what :func:`stl_chunks` yields; equal meshes give equal bytes."""
+    chunks = stl_chunks(vertices_mm, faces, title)
+    with atomic_file(path) as stream:
+        for chunk in chunks:
+            stream.write(chunk)
+
+
+# Binary glTF 2.0 (``.glb``) of a surface.
+#
+# glTF's unit is the metre. The buffer holds millimetres, exactly as the result does, and the node that places the
+# mesh
+# scales it by 0.001, so that every program shows the finger at its true size.
+#
+# References
+# ----------
+# Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4 (GLB).
+
+
+_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+_FLOAT, _UINT, _UBYTE = 5126, 5125, 5121
+_VERTICES, _INDICES = 34962, 34963
+_METRES_PER_MM = 0.001
+_MAX_BYTES = 700_000_000
+"""A mesh of ten million vertices."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GlbMesh:
+    """What a ``.glb`` file of ours holds."""
+
+    vertices_mm: FloatArray
+    """(N, 3)."""
+    normals: FloatArray
+    """(N, 3)."""
+    intensity: NDArray[np.uint8]
+    """(N,)."""
+    faces: NDArray[np.int32]
+    """(M, 3)."""
+    metres_per_unit: float
+    """Scale of the node: 0.001."""
+    extras: dict[str, Any]
+
+
+def glb_chunks(
+    vertices_mm: FloatArray,
+    normals: FloatArray,
+    intensity: NDArray[np.uint8],
+    faces: NDArray[np.int32],
+    extras: dict[str, Any] | None = None,
+) -> tuple[int, Iterator[bytes]]:
+    """Return the size of a file and its bytes, in order.
+
+    Parameters
+    ----------
+    vertices_mm : (N, 3), mm; y to the fingertip is glTF's "up"
+    normals : (N, 3), unit length
+    intensity : (N,) grey value of each vertex, linear
+    faces : (M, 3), counter-clockwise seen from outside
+    extras : facts for ``asset.extras`` (provenance), what JSON can hold
+
+    Raises
+    ------
+    BadInput
+        If the shapes do not fit, there is nothing to write, or a face refers to a vertex that is not there.
+    """
+    count = len(vertices_mm)
+    require(count > 0 and len(faces) > 0, "a glTF mesh needs vertices and faces.")
+    require(np.shape(vertices_mm) == (count, 3), f"vertices must be (N, 3), not {np.shape(vertices_mm)}.")
+    require(np.shape(normals) == (count, 3), f"normals must be ({count}, 3), not {np.shape(normals)}.")
+    require(np.shape(intensity) == (count,), f"intensity must be ({count},), not {np.shape(intensity)}.")
+    require(faces.ndim == 2 and faces.shape[1] == 3, f"faces must be (M, 3), not {faces.shape}.")
+    fits = int(faces.min()) >= 0 and int(faces.max()) < count
+    require(fits, f"faces refer to vertices that are not there (0 to {count - 1}).")
+    colours = np.full((count, 4), 255, dtype=np.uint8)
+    colours[:, :3] = np.asarray(intensity, dtype=np.uint8)[:, None]
+    blocks = [
+        np.ascontiguousarray(vertices_mm, dtype="<f4"),
+        np.ascontiguousarray(normals, dtype="<f4"),
+        colours,
+        np.ascontiguousarray(faces.reshape(-1), dtype="<u4"),
+    ]
+    text = json.dumps(_document(blocks, extras or {}), separators=(",", ":"), sort_keys=True).encode("utf-8")
+    text += b" " * (-len(text) % 4)
+    body = sum(block.nbytes for block in blocks)
+    total = 12 + 8 + len(text) + 8 + body
+    require(total < 1 << 32, "the mesh does not fit into a file of 4 GB.")
+    head = struct.pack("<III", _MAGIC, 2, total) + struct.pack("<II", len(text), _JSON) + text
+    head += struct.pack("<II", body, _BIN)
+    return total, iter([head, *(block.tobytes() for block in blocks)])
+
+
+def _document(blocks: list[Any], extras: dict[str, Any]) -> dict[str, Any]:
+    places, normals, colours, indices = blocks
+    views, offset = [], 0
+    for block, target in zip(blocks, (_VERTICES, _VERTICES, _VERTICES, _INDICES), strict=True):
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": block.nbytes, "target": target})
+        offset += block.nbytes
+    low, high = (getattr(places, name)(axis=0).astype(np.float64).tolist() for name in ("min", "max"))
+    accessors = [
+        {"bufferView": 0, "componentType": _FLOAT, "count": len(places), "type": "VEC3", "min": low, "max": high},
+        {"bufferView": 1, "componentType": _FLOAT, "count": len(normals), "type": "VEC3"},
+        {"bufferView": 2, "componentType": _UBYTE, "count": len(colours), "type": "VEC4", "normalized": True},
+        {"bufferView": 3, "componentType": _UINT, "count": indices.size, "type": "SCALAR"},
+    ]
+    matte = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
+    primitive = {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0}
+    return {
+        "asset": {"version": "2.0", "generator": "splitknit", "extras": {**extras, "buffer_unit": "mm"}},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": "phalange", "scale": [_METRES_PER_MM] * 3}],
+        "meshes": [{"name": "phalange", "primitives": [primitive]}],
+        "materials": [{"pbrMetallicRoughness": matte, "doubleSided": True}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offset}],
+    }
+
+
+def write_glb(  # noqa: PLR0917 - a mesh is these arrays
+    path: str | os.PathLike[str],
+    vertices_mm: FloatArray,
+    normals: FloatArray,
+    intensity: NDArray[np.uint8],
+    faces: NDArray[np.int32],
+    extras: dict[str, Any] | None = None,
+) -> None:
+    """Write what :func:`glb_chunks` returns; equal meshes give equal bytes."""
+    _, chunks = glb_chunks(vertices_mm, normals, intensity, faces, extras)
+    with atomic_file(path) as stream:
+        for chunk in chunks:
+            stream.write(chunk)
+
+
+def read_glb(path: str | os.PathLike[str]) -> GlbMesh:
+    """Read a file that :func:`write_glb` wrote.
+
+    Raises
+    ------
+    BadInput
+        If it is missing, damaged, or laid out in another way.
+    """
+    data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
+    damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."
+    with refusing(damaged):
+        magic, version, total, length, kind = struct.unpack_from("<5I", data)
+        require((magic, version, total, kind) == (_MAGIC, 2, len(data), _JSON), f"{name} is no glTF 2.0, or cut short.")
+        document = parse_json(data[20 : 20 + length], name)
+        body = memoryview(data)[28 + length :]
+        blocks = []
+        for accessor, (dtype, columns) in zip(
+            document["accessors"], (("<f4", 3), ("<f4", 3), ("u1", 4), ("<u4", 1)), strict=True
+        ):
+            view = document["bufferViews"][accessor["bufferView"]]
+            count = accessor["count"] * columns
+            blocks.append(np.frombuffer(body, dtype, count, view["byteOffset"]).reshape(-1, columns))
+        require(sum(block.nbytes for block in blocks) <= len(body), damaged)
+        scale = float(document["nodes"][0]["scale"][0])
+        extras = dict(document["asset"]["extras"])
+        faces = blocks[3].reshape(-1, 3)
+        require(faces.max(initial=0) < len(blocks[0]) == len(blocks[1]) == len(blocks[2]), damaged)
+    places, normals, colours = (block.copy() for block in blocks[:3])
+    return GlbMesh(places, normals, colours[:, 0], faces.astype(np.int32), scale, extras)

@@ -10,31 +10,31 @@ from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.finger_codes import ANSI_2004_IMPRESSIONS, ANSI_2009_IMPRESSIONS, FINGER_CODES, code_of, name_of
 from splitknit.io.fmr_bytes import (
+    ANSI_2004,
+    ANSI_2009,
+    ANSI_2009_AM1,
     ANSI_STEPS,
+    ISO_2005,
+    MAGIC_030,
+    MAGIC_035,
+    MAGIC_20,
     Cursor,
+    ViewCodes,
     check_length,
     check_rest,
     check_writable,
     checked_product,
     common_image,
     decode_minutiae,
+    decode_views,
     encode_minutiae,
+    encode_views,
     make_record,
     make_view,
     read_record_bytes,
-)
-from splitknit.io.fmr_identify import (
-    ANSI_2004,
-    ANSI_2009,
-    ANSI_2009_AM1,
-    ISO_2005,
-    MAGIC_030,
-    MAGIC_035,
-    MAGIC_20,
     require_standard,
     standard_of,
 )
-from splitknit.io.fmr_views import ViewCodes, decode_views, encode_views
 from splitknit.io.iso19794 import decode_iso19794
 from splitknit.io.minutiae_record import FAILED, FingerView, MinutiaeRecord
 

@@ -1,9 +1,15 @@
 """How alike two fingers are: the thesis's matcher, and a better one on ridge templates."""
 
-from splitknit.matching.align import MaskAlignment, align_masks, intersection_over_union
 from splitknit.matching.elastic import PatchSettings
-from splitknit.matching.features import gabor_features, hog_features, shape_context_features
-from splitknit.matching.lbp import LbpSettings, cell_histograms, lbp_codes, lbp_features
+from splitknit.matching.features import (
+    LbpSettings,
+    cell_histograms,
+    gabor_features,
+    hog_features,
+    lbp_codes,
+    lbp_features,
+    shape_context_features,
+)
 from splitknit.matching.phase import PhaseSettings
 from splitknit.matching.ridge import Prepared, RidgeMatch, RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.ridge_band import RidgeBand, RidgeBandSettings, print_band, ridge_band
@@ -27,10 +33,13 @@ from splitknit.matching.template import (
 )
 from splitknit.matching.thesis import (
     FingerImages,
+    MaskAlignment,
     ThesisMatch,
     ThesisSettings,
+    align_masks,
     finger_features,
     finger_images,
+    intersection_over_union,
     thesis_match,
 )
 

@@ -17,7 +17,7 @@ from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
 from splitknit.model import Capture, FloatArray
-from splitknit.photometric.left_out import left_out
+from splitknit.photometric.lambertian import left_out
 from splitknit.prints import PrintSettings, ink, plane_map, resample
 
 PICTURES = ("x", "y", "z", "albedo")
@@ -62,7 +62,7 @@ def left_out_pictures(
     """Photometric stereo without each white image in its turn: normals and albedo as prints.
 
     Grey images, distant lights, a matt surface: no model of the skin. The sets share all work but one addition a pixel
-    (:func:`splitknit.photometric.left_out.left_out`), and one set is in memory at a time.
+    (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time.
 
     Parameters
     ----------

@@ -20,14 +20,13 @@ from splitknit.matching import VERSION, FmrTable, Template, pack, ridge_match, t
 from splitknit.matching.inputs import Side, read_print, read_side
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit.matching.minutiae3d import minutiae3d_match
-from splitknit.matching.minutiae_joined import joined_similarity
+from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.score import joined_similarity
 from splitknit.matching.space_minutiae import space_minutiae
 from splitknit.matching.surface import MatchingSettings, surface_images
-from splitknit.matching.surface_code_match import surface_code_match
+from splitknit.matching.surface_code import surface_code_match
 from splitknit.matching.surface_codes import surface_code
-from splitknit.matching.tetrahedra import tetrahedra_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
 from splitknit.pipeline import preset_settings
 from splitknit.prints.ridges import surface_print

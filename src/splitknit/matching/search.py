@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.matching.code import ProbeSettings, code_size, probe_codes
-from splitknit.matching.code_field import laid_on
+from splitknit.matching.code import ProbeSettings, code_size, laid_on, probe_codes
 from splitknit.matching.elastic import compare_patches
 from splitknit.matching.ridge import Prepared, RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.template import Template

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.errors import require
-from splitknit.matching.minutiae3d_record import SpaceMinutiae, pack_space_minutiae
+from splitknit.matching.minutiae_record import SpaceMinutiae, pack_space_minutiae
 from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]

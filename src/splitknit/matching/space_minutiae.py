@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients, smoothed
 from splitknit.io.minutiae3d import angles_of
-from splitknit.matching.minutiae3d_record import SpaceMinutiae, no_space_minutiae
+from splitknit.matching.minutiae_record import SpaceMinutiae, no_space_minutiae
 from splitknit.model import FloatArray, Surface
 from splitknit.prints.print_map import PrintMap, plane_map
 from splitknit.prints.ridges import surface_print

@@ -17,10 +17,8 @@ from splitknit.matching import (
     ridge_band,
 )
 from splitknit.matching.leave_one_out import LeaveOneOutSettings
-from splitknit.matching.minutiae3d import Minutiae3DSettings
-from splitknit.matching.surface_code import SurfaceCodeSettings
-from splitknit.matching.surface_code_match import SurfaceMatchSettings
-from splitknit.matching.tetrahedra import TetrahedraSettings
+from splitknit.matching.minutiae3d import Minutiae3DSettings, TetrahedraSettings
+from splitknit.matching.surface_code import SurfaceCodeSettings, SurfaceMatchSettings
 from splitknit.matching.voted_minutiae import VoteSettings
 from splitknit.model import Surface
 

@@ -9,18 +9,184 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import require
 from splitknit.mirrors.body import Body, basis
-from splitknit.mirrors.ends import COMMON_MM, fitted_ends, misfit_of_end
 from splitknit.mirrors.planes import Touching
-from splitknit.mirrors.priors import add_priors, add_slopes, robust_weights
-from splitknit.mirrors.settings import OUTLINE_MM, ROW_MM, MirrorShapeSettings
-from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes, State, all_misfits, all_planes, misfit_of
+from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, MirrorShapeSettings
+from splitknit.mirrors.state import LIMITS, Fit, Pose, SeenIn, Slopes, State, all_misfits, all_planes, convex, misfit_of
+
+# Mirrors beyond the tip: they show the form of the largest sections.
+
+
+# What is expected without any outline, what the skin's slopes say, and how far points of an outline are believed.
+
 
 Array = NDArray[np.float64]
+
+_SLOPE_ERROR = 0.1
+"""Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
+
+
+SHEAR_SD = 0.05
+"""Standard deviation of the shear: a roll by 8 deg gives about 0.045."""
+INDEPENDENT_SLOPES = 20.0
+"""Slopes err together: at glare, and where light by way of a mirror ends."""
+TIP_SD_MM = 0.05
+"""Standard deviation of the tip's place as the front view's outline has it."""
+
+
+def add_priors(  # noqa: PLR0917
+    normal: Array,
+    right: Array,
+    state: State,
+    names: list[tuple[str, float]],
+    mirrors: Mapping[str, SeenIn],
+    tip_mm: float,
+    settings: MirrorShapeSettings,
+    count: int,
+) -> None:
+    """What is expected without any outline: smooth lines, sections of like form, mirrors near their nominal poses."""
+    body = state.body
+    smooth = (0.4, 0.4, 0.6, 0.6)  # mm, standard deviation of third differences of t, z, A and B
+    third = np.diff(np.eye(count), 3, axis=0)
+    for k, rough in enumerate(smooth):
+        of_line = slice(k * count, (k + 1) * count)
+        normal[of_line, of_line] += third.T @ third / rough**2
+        right[of_line] -= third.T @ (third @ body.coefficients[k]) / rough**2
+    # B over A is even along the finger: it holds where one edge of a mirror's view is missing
+    ratio = float(np.sum(body.coefficients[3]) / np.sum(body.coefficients[2]))
+    apart = body.coefficients[3] - ratio * body.coefficients[2]
+    part = np.arange(3 * count, 4 * count)
+    normal[part, part] += 1.0
+    right[part] -= apart
+    expected = {
+        "squareness": (settings.squareness - body.squareness, settings.squareness_spread),
+        "shear": (-body.shear, SHEAR_SD),
+        "shear_slope": (-body.shear_slope, 0.3 * SHEAR_SD),
+        "tip_mm": (tip_mm - body.tip_mm, TIP_SD_MM),
+    }
+    for k, (name, _) in enumerate(names):
+        kind, _, mirror = name.partition(" ")
+        if mirror:
+            pose = state.poses[mirror]
+            spread = OFFSET_MM if kind == "shift_mm" else np.deg2rad(ANGLE_DEG)
+            away = -getattr(pose, kind)
+            told = mirrors[mirror].turn_sd_rad
+            if kind == "turn_rad" and told is not None:
+                away, spread = away + mirrors[mirror].turn_rad, told
+        else:
+            away, spread = expected[kind]
+        normal[4 * count + k, 4 * count + k] += 1.0 / spread**2
+        right[4 * count + k] += away / spread**2
+
+
+def add_slopes(  # noqa: PLR0917
+    normal: Array,
+    right: Array,
+    state: State,
+    names: list[tuple[str, float]],
+    slopes: Slopes,
+    count: int,
+) -> None:
+    """The skin's slopes across the finger, as far as squareness and shear answer to them."""
+    chosen = [k for k, (name, _) in enumerate(names) if name in ("squareness", "shear", "shear_slope")]
+    if not chosen:
+        return
+    from splitknit.mirrors.body import slopes_across  # noqa: PLC0415 - it needs bodies, too
+
+    residual = slopes_across(state.body, slopes)
+    good = np.isfinite(residual)
+    columns = []
+    for k in chosen:
+        name, size = names[k]
+        columns.append((slopes_across(state.moved(name, size).body, slopes) - residual) / size)
+    jacobian = np.column_stack(columns)
+    good &= np.isfinite(jacobian).all(axis=1)
+    if int(good.sum()) < 20:
+        return
+    weight = tukey(residual[good], 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
+    weight *= INDEPENDENT_SLOPES / max(int(good.sum()), 1)
+    part = jacobian[good]
+    where = 4 * count + np.asarray(chosen)
+    normal[np.ix_(where, where)] += part.T @ (weight[:, None] * part)
+    right[where] -= part.T @ (weight * residual[good])
+
+
+def robust_weights(residual: Array, ends: Array, sigma: float, *, sure: bool) -> Array:
+    """Weights of the outlines' points, each view with its own scale; milder ones before the fit is `sure`."""
+    parts = []
+    for part in np.split(residual, ends):
+        size = np.abs(part)
+        scale = max(sigma, 1.4826 * float(np.median(size)))
+        if sure:
+            parts.append(tukey(part, 4.685 * scale))
+        else:  # Huber
+            parts.append(np.where(size >= 5.0, 0.0, np.minimum(1.0, 1.345 * scale / np.maximum(size, 1e-9))))
+    return np.concatenate(parts)
+
+
+def tukey(residual: Array, limit: float) -> Array:
+    """Tukey's biweight: one at zero, nothing from `limit` on."""
+    return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
+
+
+TIP_TRUST = 0.1
+"""Weight of a view from beyond the tip: it sees the largest sections only."""
+COMMON_MM = 4.0
+"""Points of an outline that are nearer to each other than this err together."""
+_END_SURE = 2
+"""Corrections before points of an outline may be left out altogether."""
+_END_SETTLED = 2e-4
+"""A correction (mm, rad) below this is the last one."""
+
+
+def fitted_ends(
+    state: State,
+    mirrors: Mapping[str, SeenIn],
+    ends: list[str],
+    names: list[tuple[str, float]],
+    settings: MirrorShapeSettings,
+) -> State:
+    """With those parameters fitted to the views from beyond the tip."""
+    spread = {"squareness": settings.squareness_spread, "shear": 0.5 * SHEAR_SD, "shift_mm": OFFSET_MM}
+    expected = {"squareness": state.body.squareness, "shear": state.body.shear}
+
+    def misfit(state: State) -> Array:
+        return np.concatenate([misfit_of_end(state, mirrors, name) for name in ends])
+
+    for turn in range(8):
+        residual = misfit(state)
+        jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
+        scale = max(OUTLINE_MM, 1.4826 * float(np.median(np.abs(residual))))
+        weight = tukey(residual, 4.685 * scale) if turn > _END_SURE else (np.abs(residual) < 5.0).astype(np.float64)
+        weight = weight * (TIP_TRUST * 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2)
+        normal = jacobian.T @ (weight[:, None] * jacobian)
+        right = -jacobian.T @ (weight * residual)
+        for k, (name, _) in enumerate(names):
+            kind, _, mirror = name.partition(" ")
+            size = spread.get(kind, float(np.deg2rad(ANGLE_DEG)))
+            value = getattr(state.poses[mirror], kind) if mirror else getattr(state.body, kind)
+            normal[k, k] += 1.0 / size**2
+            right[k] += (expected.get(kind, 0.0) - value) / size**2
+        step = np.linalg.solve(normal, right)
+        for (name, _), by in zip(names, step, strict=True):
+            state = state.moved(name, float(np.clip(by, *LIMITS[name.partition(" ")[0]])))
+        state = State(convex(state.body), state.poses)
+        if turn > _END_SURE and float(np.abs(step).max()) < _END_SETTLED:
+            break
+    return state
+
+
+def misfit_of_end(state: State, mirrors: Mapping[str, SeenIn], name: str) -> Array:
+    """Misfit of a mirror beyond the tip."""
+    planes = state.poses[name].of(mirrors[name]).reflect(mirrors[name].touching)
+    return misfit_of(state, planes, from_tip=True)[0]
+
 
 SURE_FROM = 4
 """Corrections before points of an outline may be left out altogether."""
@@ -177,3 +343,68 @@ def _linearised(state: State, front: Touching, mirrors: Mapping[str, SeenIn], na
         )
         residuals.append(residual)
     return np.concatenate(residuals), np.concatenate(rows)
+
+
+# Whether views are of one finger, and what was found.
+
+
+_MISFIT_MM = 0.6
+"""Views that agree no better than this (rms) are not of one finger."""
+
+THICKNESS = (0.4, 1.4)
+"""Of fingers, over their breadth."""
+MOST_DEG = 7.0
+"""A mirror that would be further off than this is not believed."""
+
+
+def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn]) -> None:
+    """Refuse views that no finger explains."""
+    for name, misfit in fit.misfit_mm.items():
+        if name in seen and seen[name].from_tip:
+            continue
+        size = float(np.median(np.abs(misfit)))
+        require(
+            size < _MISFIT_MM,
+            f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
+            "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
+        )
+    thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
+    require(
+        THICKNESS[0] < thickness < THICKNESS[1],
+        f"the views do not fit one finger: in the mirrors it would be {thickness:.2f} times as thick as it is broad in "
+        "front; check that one finger alone is in view.",
+    )
+    for name, pose in fit.poses.items():
+        worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
+        require(
+            worst < MOST_DEG,
+            f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
+            "file; check that one finger alone is in view, or correct the rig file.",
+        )
+
+
+def facts_of(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:
+    """For the report: poses, misfits, the sections' form."""
+    rms = {}
+    for name, misfit in fit.misfit_mm.items():
+        weight = fit.weights[name]
+        rms[name] = float(np.sqrt(np.sum(weight * misfit**2) / max(float(weight.sum()), 1e-9)))
+    body = fit.body
+    return {
+        "method": "outlines",
+        "mirrors": sorted(fit.poses),
+        "section": settings.section,
+        "section_seen_by": "slopes" if slopes is not None else "expectation",
+        "squareness": body.squareness,
+        "shear": body.shear,
+        "poses": {
+            name: {
+                "turn_deg": float(np.rad2deg(pose.turn_rad)),
+                "lean_deg": float(np.rad2deg(pose.lean_rad)),
+                "shift_mm": pose.shift_mm,
+            }
+            for name, pose in fit.poses.items()
+        },
+        "outline_rms_mm": rms,
+        "outline_used": {name: float(np.mean(weight > 0)) for name, weight in fit.weights.items()},
+    }

@@ -2,13 +2,11 @@
 
 from splitknit.imaging.light_field import light_field, light_vectors_at
 from splitknit.photometric.hanrahan_krueger import SkinFit, hanrahan_krueger, hanrahan_krueger_near
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, LevenbergSettings
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.levenberg import LevenbergSettings
 from splitknit.photometric.near_light import NearLightSettings, near_light, near_light_weights, pseudo_normals
-from splitknit.photometric.robust import light_weights, robust
+from splitknit.photometric.robust import RobustSettings, light_weights, robust
 from splitknit.photometric.skin_layers import SkinLayers
-from splitknit.photometric.weights import RobustSettings
 
 __all__ = [
     "HanrahanKruegerSettings",

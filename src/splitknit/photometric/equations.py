@@ -119,3 +119,6 @@ def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:
     normals = np.asarray(g / np.where(dark, np.float32(1.0), albedo), dtype=np.float32)
     normals[2][dark] = 1.0
     return normals, albedo
+
+
+# Work on fixed chunks of rows in threads: bounded memory, and results that no thread count can change.

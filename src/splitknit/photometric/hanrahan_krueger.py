@@ -16,7 +16,7 @@ from splitknit.photometric.equations import solve, unit_normals
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, fitted
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light, near_scene
-from splitknit.photometric.weights import RobustSettings, robust_fit, strengths
+from splitknit.photometric.robust import RobustSettings, robust_fit, strengths
 
 _LIGHTS_A_CHUNK = 64
 """Chunks are as small as for this many images: some forty arrays of a chunk are at work at once."""

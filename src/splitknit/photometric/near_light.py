@@ -13,7 +13,7 @@ from splitknit.imaging.light_field import light_vectors_at, seen_from, surface_a
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import back_substitute, factorise, moment_matrix, moment_vector, unit_normals
-from splitknit.photometric.weights import RobustSettings, robust_fit
+from splitknit.photometric.robust import RobustSettings, robust_fit
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,145 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import check_lights, check_mask, check_stack
 from splitknit.imaging.chunks import for_each_chunk, gather
 from splitknit.model import FloatArray
-from splitknit.photometric.equations import unit_normals
-from splitknit.photometric.weights import RobustSettings, robust_fit
+from splitknit.photometric.equations import conditioning, linear_map, moment_matrix, shading, solve, unit_normals
+from splitknit.settings import Checked, Limits
+
+# Which lights to trust at a pixel: shadows are left out, highlights lose weight.
+#
+# A light counts as shadowed where its image is darker than a part of what the brightest light gives; the rest is
+# fitted
+# by least squares, and each residual, relative to the albedo, sets a new weight (iteratively reweighted least
+# squares,
+# Cauchy weights). Glare and interreflection only ever add light, and shadow has been left out already: a residual
+# below
+# the fit is mostly the fit's own tilt towards a highlight and is forgiven more.
+
+
+_CLEAN = 0.5
+"""A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
+_SETTLED = 1e-3
+_HOPELESS = 100.0
+"""Larger misfits count as this: a pixel without light keeps weights that sum to something."""
+
+_FLAT = 5e-4
+"""Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the rig give 4e-3."""
+_FAINT = 1e-2
+
+
+_SHADOW = 0.03
+"""A light is in shadow where its image, divided by its strength, is below this part of the brightest one's."""
+_TOLERANCE = 0.03
+"""Residual, relative to the albedo, at which a light's weight has fallen to one half."""
+_ITERATIONS = 20
+"""Rounds of reweighting at most; 0 leaves out shadows only."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustSettings(Checked):
+    """How shadowed and glossy lights are found."""
+
+    forgiveness: Annotated[float, Limits(1)] = 2.0
+    """Residuals below the fit get this many times the tolerance: light adds, it does not subtract."""
+
+
+def strengths(lights: FloatArray) -> FloatArray:
+    """Length of every light vector: (L, 1) of (L, 3), (L, n) of (L, 3, n)."""
+    length = np.sqrt(lights[:, 0] ** 2 + lights[:, 1] ** 2 + lights[:, 2] ** 2)
+    return np.asarray(length[:, None] if lights.ndim == 2 else length)
+
+
+def lit_weights(
+    images: FloatArray, lights: FloatArray, shadow: float
+) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+    """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
+
+    A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near one plane). It keeps
+    every light, weighted by the square of what it gives: the brightest decide, and the system stays solvable.
+    """
+    relative = images / strengths(lights)
+    peak = np.maximum(relative.max(axis=0), np.float32(1e-20))
+    lit = relative > np.float32(shadow) * peak
+    weights = lit.astype(np.float32)
+    shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
+    weak = shadowed[:0]
+    if shadowed.size:
+        nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
+        weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < _FLAT]
+        soft = np.maximum(relative[:, weak] / peak[weak], np.float32(_FAINT))
+        weights[:, weak] = soft * soft
+    return weights, shadowed, weak
+
+
+def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings) -> tuple[FloatArray, FloatArray]:
+    """Albedo-scaled normals (3, n) and the weights (L, n) behind them, from images (L, n).
+
+    `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel.
+    """
+    weights, shadowed, weak = lit_weights(images, lights, _SHADOW)
+    if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
+        g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
+        if shadowed.size:
+            g[:, shadowed] = solve(images[:, shadowed], lights, weights[:, shadowed])
+    else:
+        g = solve(images, lights, weights if shadowed.size else None)
+    if _ITERATIONS > 0:
+        worst = _misfit(images, lights, weights, g, settings).max(axis=0)
+        worst[weak] = 0.0  # no light can be spared there
+        doubtful = np.flatnonzero(worst > _CLEAN)
+        if doubtful.size:
+            _reweight(images, lights, weights, g, doubtful, settings)
+    return g, weights
+
+
+def _reweight(  # noqa: PLR0917
+    images: FloatArray,
+    lights: FloatArray,
+    weights: FloatArray,
+    g: FloatArray,
+    active: NDArray[np.intp],
+    settings: RobustSettings,
+) -> None:
+    """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `_SETTLED` of its length."""
+    part, usable, here = images[:, active], weights[:, active], g[:, active]
+    nearby = lights if lights.ndim == 2 else lights[:, :, active]
+    for _ in range(_ITERATIONS):
+        misfit = _misfit(part, nearby, usable, here, settings)
+        current = usable / (1 + misfit * misfit)
+        fresh = solve(part, nearby, current)
+        g[:, active] = fresh
+        weights[:, active] = current
+        step = fresh - here
+        moving = np.flatnonzero(_square(step) > np.float32(_SETTLED**2) * _square(fresh))
+        if not moving.size:
+            return
+        active, part, usable, here = active[moving], part[:, moving], usable[:, moving], fresh[:, moving]
+        if nearby.ndim == 3:
+            nearby = nearby[:, :, moving]
+
+
+def _square(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2], dtype=np.float32)
+
+
+def _misfit(
+    images: FloatArray, lights: FloatArray, usable: FloatArray, g: FloatArray, settings: RobustSettings
+) -> FloatArray:
+    """Size of every residual in units of its tolerance, (L, n); zero where a light is not used."""
+    residual = images - shading(g, lights)
+    albedo = np.maximum(np.sqrt(_square(g)), np.float32(1e-20))
+    residual /= strengths(lights) * (albedo * np.float32(_TOLERANCE))
+    residual *= usable > 0
+    misfit = np.maximum(residual, residual * np.float32(-1 / settings.forgiveness))
+    return np.asarray(np.minimum(misfit, np.float32(_HOPELESS)), dtype=np.float32)
 
 
 def robust(

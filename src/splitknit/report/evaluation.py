@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from splitknit.evaluation.facts import Result
-from splitknit.evaluation.histograms import Histograms, histograms
-from splitknit.evaluation.rates import Roc, roc
+from splitknit.evaluation.rates import Histograms, Roc, histograms, roc
 from splitknit.evaluation.study import FORMAT, EvaluationSettings, evaluate_scores
 from splitknit.io import atomic_folder, plain_json
 from splitknit.io.targets import check_target

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.stl import HEADER_BYTES, RECORD
+from splitknit.io.mesh import HEADER_BYTES, RECORD
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import RigDimensions
 

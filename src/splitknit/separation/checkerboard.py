@@ -20,13 +20,14 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.separation.stack_checks import check_contrast, check_repeats
 from splitknit.separation.stacks import (
     DEFAULTS,
     EDGE,
     Separation,
     StackSettings,
     by_rows,
+    check_contrast,
+    check_repeats,
     from_extremes,
     light_stack,
     mean_brightness,

@@ -23,8 +23,8 @@ from splitknit.errors import BadInput, require
 from splitknit.imaging import decode_table, linear_image
 from splitknit.io import atomic_folder, image_size, plain_json, provenance, write_image
 from splitknit.io.content import mask_from_image
+from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import StackReader
-from splitknit.io.light import write_light_tiff
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation import (

@@ -8,12 +8,12 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.separation.stack_checks import check_contrast
 from splitknit.separation.stacks import (
     DEFAULTS,
     EDGE,
     Separation,
     StackSettings,
+    check_contrast,
     check_share,
     from_extremes,
     light_stack,

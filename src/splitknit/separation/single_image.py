@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
 from splitknit.model import FloatArray
-from splitknit.separation.stack_checks import check_contrast
 from splitknit.separation.stacks import (
     DEFAULTS,
     EDGE,
     LightStack,
     Separation,
     StackSettings,
+    check_contrast,
     from_extremes,
     light_stack,
     mean_brightness,

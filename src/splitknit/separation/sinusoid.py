@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
 from splitknit.model import FloatArray
-from splitknit.separation.stack_checks import check_contrast, check_repeats
 from splitknit.separation.stacks import (
     DEFAULTS,
     LightStack,
     Separation,
     StackSettings,
     by_rows,
+    check_contrast,
+    check_repeats,
     check_share,
     light_stack,
 )

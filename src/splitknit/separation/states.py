@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
-from splitknit.separation.stack_checks import odd_twins
-from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSettings, light_stack, percent
+from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSettings, light_stack, odd_twins, percent
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:

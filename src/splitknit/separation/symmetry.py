@@ -25,13 +25,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.separation.stack_checks import check_contrast, check_repeats
 from splitknit.separation.stacks import (
     DEFAULTS,
     LightStack,
     Separation,
     StackSettings,
     by_rows,
+    check_contrast,
+    check_repeats,
     check_share,
     light_stack,
 )

@@ -10,7 +10,7 @@ from splitknit.skin.colour import SpectralFit, cross_spectra, fit_spectra, unmix
 from splitknit.skin.diffusion import Diffusion, SkinSettings, diffusion
 from splitknit.skin.glare import GlareFit, fit_glare, fresnel_transmission, microfacet_glare
 from splitknit.skin.learned import Networks, can_learn
-from splitknit.skin.local_wiener import LocalWienerSettings, local_wiener, window_power
+from splitknit.skin.relief import LocalWienerSettings, local_wiener, window_power
 from splitknit.skin.surface import MetricSettings, SkinSurface, first_shape, reconstruct_skin
 
 __all__ = [

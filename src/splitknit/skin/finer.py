@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import FloatArray
-from splitknit.skin.bands import BandImages
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 
 FACTOR = 2
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.imaging.view import View
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, Rig
 
 WORKERS = 2
 
@@ -150,3 +150,18 @@ def smooth_step(values: FloatArray) -> FloatArray:
     """Zero below 0, one above 1, smooth between."""
     t = np.clip(values, np.float32(0.0), np.float32(1.0))
     return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)
+
+
+# What the preset sees: linear images of a band.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandImages:
+    """Linear images of one band on one grid."""
+
+    channels: tuple[str, ...]
+    """Names of the channels: red, green, blue, nir."""
+    stack: FloatArray
+    """(C, L, h, w)."""
+    rig: Rig
+    """`rig.leds[k]` lights image k."""

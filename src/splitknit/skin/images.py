@@ -12,9 +12,8 @@ from splitknit.imaging import Window, has_colour, linear_channels
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.networks.unet import load_network, run_network
-from splitknit.skin.bands import BandImages
 from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
 from splitknit.skin.surface import MetricSettings
 

@@ -12,17 +12,13 @@ from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin import relief as fine
-from splitknit.skin.bands import BandImages
-from splitknit.skin.coarse import CoarsePrior
+from splitknit.skin.coarse import CoarsePrior, CoarseShape
 from splitknit.skin.diffusion import Diffusion, SkinSettings
-from splitknit.skin.estimate import ReliefEstimate
 from splitknit.skin.facets import Facets, measure_facets, spread_of
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn, relief_by_network
 from splitknit.skin.light import FineLight
-from splitknit.skin.local_wiener import LocalWienerSettings
-from splitknit.skin.relief import detail_of
-from splitknit.skin.shape import CoarseShape
+from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate, detail_of
 
 # The relief by the colours of the white band alone: a linear estimate, refined by prediction and comparison.
 

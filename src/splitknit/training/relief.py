@@ -1,7 +1,7 @@
 """Training of the relief network, which separates relief from specular reflection for the `metric` method.
 
 What photometric stereo leaves of the light of skin is split by how it turns with the light's azimuth
-(:mod:`splitknit.skin.features`); the network learns on simulated fingers what of it is relief and what is specular
+(:mod:`splitknit.skin.learned`); the network learns on simulated fingers what of it is relief and what is specular
 reflection (here: glare).
 """
 
@@ -55,7 +55,7 @@ from splitknit.training.trainer import Sample as Stored
 NAME = "relief"
 FILES = files_of(NAME, "fingers")
 WHAT = (
-    "relief and glare of skin: the fields of splitknit.skin.features to the relief in 0.02 mm, seven "
+    "relief and glare of skin: the fields of splitknit.skin.learned to the relief in 0.02 mm, seven "
     "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
     "variance"
 )

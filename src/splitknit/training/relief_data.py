@@ -34,12 +34,10 @@ from splitknit.simulator.sensor import SensorSettings, record
 from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import TwinSettings
-from splitknit.skin.bands import BandImages
-from splitknit.skin.features import RIDGE_BAND_MM, azimuth_waves, features
-from splitknit.skin.grid import Grid, coarsen
+from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
-from splitknit.skin.learned import RELIEF_MM
+from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, azimuth_waves, features
 from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
 from splitknit.skin.surface import first_shape
 from splitknit.training.scenes import (

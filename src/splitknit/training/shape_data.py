@@ -25,10 +25,9 @@ from splitknit.settings import Limits
 from splitknit.simulator.renderer import RenderSettings
 from splitknit.simulator.rig import default_rig
 from splitknit.simulator.twin import TwinSettings
-from splitknit.skin.features import RIDGE_BAND_MM
 from splitknit.skin.grid import Grid, coarsen
 from splitknit.skin.images import skin_images
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, Networks, can_learn
+from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, SHAPE_SLOPE, Networks, can_learn
 from splitknit.skin.light import slant_of, trust_of
 from splitknit.skin.surface import reconstruct_skin
 from splitknit.training.fields import FIELDS

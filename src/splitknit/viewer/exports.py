@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.io import surface_mesh, write_ply
-from splitknit.io.glb import glb_chunks
 from splitknit.io.images import decode_image
-from splitknit.io.stl import stl_chunks, stl_size
+from splitknit.io.mesh import glb_chunks, stl_chunks, stl_size
 from splitknit.model import FloatArray
 from splitknit.viewer.catalogue import Entry, Pieces, open_below, read_below
 from splitknit.viewer.surface import Surface, read_members

@@ -1,6 +1,5 @@
 """Views of one finger, from the front and in mirrors, as one surface around it."""
 
-from splitknit.mirrors.rolled.bands import ridge_band
 from splitknit.mirrors.rolled.blend import (
     Blended,
     BlendSettings,
@@ -10,12 +9,19 @@ from splitknit.mirrors.rolled.blend import (
     seam_steps,
     view_weight,
 )
-from splitknit.mirrors.rolled.chart import Chart, chart_over, read, sampled, surface_normals
-from splitknit.mirrors.rolled.light import facing_share, mirrored_share, reflected_corners
-from splitknit.mirrors.rolled.reflection import Plane, led_image, plane_of, reflect_points, reflect_vectors
-from splitknit.mirrors.rolled.register import Correction, Seen, align, shifts_by
+from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, heights, read, sampled, surface_normals
+from splitknit.mirrors.rolled.reflection import (
+    Plane,
+    facing_share,
+    led_image,
+    mirrored_share,
+    plane_of,
+    reflect_points,
+    reflect_vectors,
+    reflected_corners,
+)
+from splitknit.mirrors.rolled.register import Correction, Seen, align, ridge_band, shifts_by
 from splitknit.mirrors.rolled.search import Found, SearchSettings, search
-from splitknit.mirrors.rolled.sight import Sight, heights
 
 __all__ = [
     "BlendSettings",

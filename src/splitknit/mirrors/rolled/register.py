@@ -13,10 +13,31 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.mirrors.rolled.bands import evened
-from splitknit.mirrors.rolled.chart import Chart
-from splitknit.mirrors.rolled.sight import Sight
+from splitknit.mirrors.rolled.chart import Chart, Sight
 from splitknit.model import BoolArray, FloatArray
+
+# Ridges by themselves: a relief without what is smooth in it.
+
+
+def ridge_band(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 0.32) -> FloatArray:
+    """(n, m) relief less its local mean over `known`, zero elsewhere."""
+    weight = known.astype(np.float32)
+    filled = np.where(known, relief, np.float32(0.0)).astype(np.float32)
+    sigma = sigma_mm / pitch_mm
+    mean = cv2.GaussianBlur(filled, (0, 0), sigma) / np.maximum(
+        cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-3)
+    )
+    return np.where(known, filled - mean, np.float32(0.0)).astype(np.float32)
+
+
+def evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
+    """(n, m) ridge band over its local standard deviation."""
+    size = sigma_mm / pitch_mm
+    share = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
+    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / share
+    typical = float(np.median(power[known])) if known.any() else 1.0
+    return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
+
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled.chart import Chart
+from splitknit.mirrors.rolled.chart import Chart, Sight
 from splitknit.mirrors.rolled.register import shifts_by
-from splitknit.mirrors.rolled.sight import Sight
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 
