@@ -17,7 +17,7 @@ from pathlib import Path
 from splitknit.apps.simulate_population import simulate_population
 from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
 from splitknit.capture.enrolment import FINGERS
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 from timing import machine
 
 OUT = Path(__file__).parent / "out" / "batch"

@@ -33,9 +33,9 @@ from splitknit.matching import (
 from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_enhance import enhance_print
 from splitknit.matching.minutiae_record import pack_minutiae
+from splitknit.model import default_rig
 from splitknit.prints.ridges import relief_print
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.surface import Surface
 from timing import machine, print_table, race
 

@@ -23,8 +23,9 @@ from splitknit.recipe.finger import find_finger
 from splitknit.recipe.steady import register, resampled
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from timing import machine
 
 

@@ -22,8 +22,8 @@ from splitknit.matching import Prepared, make_template, pack, ridge_band, unpack
 from splitknit.matching.code import code_model, code_of, code_size, probe_codes
 from splitknit.matching.code_field import ridge_field
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 SCALE = 0.15

@@ -18,9 +18,8 @@ from splitknit.apps.evaluation_page import roc_chart
 from splitknit.evaluation import BootstrapSettings, bootstrap, comparisons, roc, scores_of_comparisons
 from splitknit.finger.orientation import find_upright
 from splitknit.matching import Prepared, Template, make_template, ridge_band, ridge_match
-from splitknit.simulator.finger import draw_finger, finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 PHALANGE_MM, NOISE_UM = 20.0, 12.0
 

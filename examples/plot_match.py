@@ -21,7 +21,8 @@ from splitknit.matching import ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_print, surface_template
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def marked(image: np.ndarray, minutiae: Minutiae) -> np.ndarray:

@@ -20,8 +20,9 @@ from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import upright_frame
 from splitknit.io import write_image
 from splitknit.recipe.presets import PRESETS
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

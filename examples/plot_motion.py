@@ -19,8 +19,9 @@ from splitknit.apps.compare import compare
 from splitknit.io import write_image
 from splitknit.recipe.matchable import surface_of, surface_print
 from splitknit.recipe.presets import PRESETS
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -19,7 +19,8 @@ from splitknit.apps.printing_sources import read_source
 from splitknit.io import write_capture, write_image
 from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.prints import as_print, ridge_mask, thin
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 METHODS = ("relief", "unroll", "curvature", "photo")
 

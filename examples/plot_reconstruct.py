@@ -19,7 +19,8 @@ from splitknit.apps.figures import render_views
 from splitknit.apps.pictures import grey, on_paper, to_frame, upright_frame
 from splitknit.imaging import linear_image
 from splitknit.io import write_image
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def describe(result: splitknit.Reconstruction) -> None:

@@ -14,13 +14,14 @@ from splitknit.apps.cli import main
 from splitknit.errors import BadInput
 from splitknit.imaging import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
 from splitknit.io import read_capture, read_rig, write_capture, write_rig
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import PRESETS, reconstruct
 from splitknit.recipe.coloured import COMPOSED, balanced, colour_factors, composed
 from splitknit.recipe.settings_document import LATER, settings_document
 from splitknit.settings import override
-from splitknit.simulator.coloured import CROSSTALK, coloured_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 MIXING = np.array(CROSSTALK)
 

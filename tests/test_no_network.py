@@ -19,7 +19,7 @@ import pytest
 
 from splitknit.apps.cli import build_parser
 from splitknit.apps.simulate_population import simulate_population
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 Event = tuple[str, str]
 """``address``, ``lookup`` or ``write``, and of what."""

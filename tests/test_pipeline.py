@@ -22,8 +22,9 @@ from splitknit.recipe import surfaces
 from splitknit.recipe.memory import Memory
 from splitknit.recipe.settings_document import settings_document
 from splitknit.settings import flatten
-from splitknit.simulator.finger import Pose
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 Truth = dict[str, np.ndarray]
 

@@ -18,9 +18,10 @@ from splitknit.recipe.memory import Memory
 from splitknit.recipe.steady import find_steady_finger
 from splitknit.recipe.stopwatch import Stopwatch
 from splitknit.settings import override
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 OFF = {"motion.correct": "off"}
 

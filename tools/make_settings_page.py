@@ -29,9 +29,9 @@ from splitknit.pipeline import PRESETS
 from splitknit.recipe.matchable import MatchingSettings
 from splitknit.rig.circuit import CircuitSettings
 from splitknit.rig.part_settings import PartSettings
-from splitknit.simulator.device import TwinDeviceSettings
-from splitknit.simulator.population import PopulationSettings
-from splitknit.simulator.twin import TwinSettings
+from splitknit.simulator.camera.device import TwinDeviceSettings
+from splitknit.simulator.population.sessions import PopulationSettings
+from splitknit.simulator.scene import TwinSettings
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "settings.md"
 INTRODUCTION = """# Settings

@@ -11,7 +11,7 @@ from splitknit.apps.batch_verb import _case
 from splitknit.apps.cli import main
 from splitknit.apps.simulate_population import simulate_population
 from splitknit.errors import BadInput
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 
 def test_a_population_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

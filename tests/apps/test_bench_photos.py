@@ -11,7 +11,7 @@ import pytest
 from splitknit.apps.cli import main
 from splitknit.io import read_capture, read_image, read_rig, write_rig
 from splitknit.model import Led, Rig
-from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.rigs import built_rig
 
 SCALE = 0.06
 

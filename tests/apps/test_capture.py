@@ -16,9 +16,9 @@ import pytest
 from splitknit.apps import capture_devices
 from splitknit.apps.cli import main
 from splitknit.io import read_capture, write_rig
-from splitknit.simulator.faults import Faults, FaultyScene
-from splitknit.simulator.finger_scene import FingerScene
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.camera.device import Faults, FaultyScene
+from splitknit.simulator.twin import FingerScene
 
 SMALL = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
 Captured = pytest.CaptureFixture[str]

@@ -13,8 +13,8 @@ import pytest
 from perfect_results import write_perfect
 from splitknit.apps.cli import main
 from splitknit.io import read_npz, read_print_png, write_npz
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from splitknit.apps.training.relief_crops import TRIM_PX, training_crops
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.errors import BadInput
 from splitknit.imaging.view import pixel_axes_mm
-from splitknit.simulator.renderer import BandLight
+from splitknit.simulator.light.renderer import BandLight
 from splitknit.training.relief_batches import CHANNELS, FIELDS, GLARE, RELIEF, WEIGHT
 
 SMALL = ReliefData(scale=0.15, crop_usual_share=1.0, crop_px=180, crops=3)

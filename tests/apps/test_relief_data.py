@@ -11,10 +11,9 @@ from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on
 from splitknit.apps.training.relief_scenes import ReliefData, draw_scene
 from splitknit.apps.training.scene_ranges import photograph_scene
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.pipeline import preset_settings
 from splitknit.simulator import twin
-from splitknit.simulator.rig import default_rig
 from splitknit.skin.bands import BandImages
 from splitknit.skin.features import COUNT, features
 from splitknit.skin.grid import Grid

@@ -22,7 +22,7 @@ from splitknit.capture.enrolment import open_enrolment
 from splitknit.io import read_capture
 from splitknit.io.npz import read_npz
 from splitknit.settings import override
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 SMALL = ("--scale", "0.08", "--subjects", "2", "--fingers", "right_index,left_thumb", "--sessions", "2")
 Captured = pytest.CaptureFixture[str]

@@ -15,7 +15,7 @@ from splitknit.batch.features import BANDS, QUALITY, feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.store import open_store
 from splitknit.capture.enrolment import open_enrolment
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 
 @pytest.fixture(scope="session")

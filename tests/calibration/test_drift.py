@@ -8,10 +8,10 @@ import pytest
 from splitknit.calibration.drift import DriftSettings, drift_words, led_drift
 from splitknit.errors import BadInput
 from splitknit.imaging import linear_stack
-from splitknit.model import Rig
+from splitknit.model import Rig, default_rig
 from splitknit.photometric.light_field import light_field
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 NAMES = [f"white {k}" for k in range(7)]
 AZIMUTH = 2 * np.pi * np.arange(7) / 7

@@ -19,7 +19,7 @@ from splitknit.capture import pi_camera, pi_lights
 from splitknit.capture.enrolment import Place
 from splitknit.capture.focus import Focus, FocusWatch
 from splitknit.io import read_capture, write_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
 
 CAMERA = ("--set", "pi.image_size=[220, 320]")
 

@@ -30,7 +30,7 @@ from splitknit.gallery.entry import Entry
 from splitknit.gallery.gallery import Gallery, NewCapture
 from splitknit.gallery.key import Key
 from splitknit.matching import Template, pack
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 KEYS = [Key(bytes([k] * 32), raw=True) for k in range(2)]
 BATCH = replace(EA, matchers=("ridge",), chunk_captures=1)

@@ -62,7 +62,7 @@ NO_READERS = {
     "apps.capture_devices.read_settings": "sorts settings that are read already",
     "apps.printing_rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.network.load_torch": "imports a package",
-    "simulator.diffusion.load_walks": "reads a table of the package",
+    "simulator.light.skin.load_walks": "reads a table of the package",
 }
 """Functions named as readers that need no target, and why."""
 

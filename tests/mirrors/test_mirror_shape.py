@@ -11,7 +11,7 @@ from mirrored import Scene, scene, turned
 
 from splitknit.errors import BadInput
 from splitknit.mirrors import MirrorShapeSettings, Slopes, Views, mirror_shape
-from splitknit.simulator.finger import Pose
+from splitknit.simulator.finger.finger import Pose
 
 
 @pytest.fixture(scope="module")

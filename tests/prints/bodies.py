@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.prints import GridSettings, SurfaceGrid, surface_grid
-from splitknit.simulator.master_print import MasterPrint
+from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.surface import Surface
 
 PX_PER_MM = 16.0

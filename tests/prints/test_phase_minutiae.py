@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.prints import PhaseMinutiaeSettings, gabor_enhance, phase_minutiae
-from splitknit.simulator.master_print import MasterPrintSettings, ink_print, master_print
+from splitknit.simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
 PERIOD_PX = 9.0
 

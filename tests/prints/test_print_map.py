@@ -9,7 +9,7 @@ from bodies import Twin
 
 from splitknit.errors import BadInput
 from splitknit.prints import PrintMap, ink, plane_map, relief_print, resample, ridge_field, unroll, unrolled_map
-from splitknit.simulator.master_print import ink_print
+from splitknit.simulator.finger.master_print import ink_print
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import pytest
 import splitknit
 from splitknit.apps.compare import compare
 from splitknit.imaging.view import view_of
-from splitknit.model import Camera
+from splitknit.model import Camera, default_rig
 from splitknit.recipe.finer import coarser, finer_grid, finer_images
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from splitknit.skin.bands import BandImages
 from splitknit.skin.grid import Grid
 

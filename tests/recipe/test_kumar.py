@@ -10,14 +10,14 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.io import read_capture
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
+from splitknit.model import default_rig
 from splitknit.pipeline import PRESETS, preset_settings, reconstruct
 from splitknit.recipe.matchable import Surface
 from splitknit.recipe.smooth import smoothed
 from splitknit.recipe.space_minutiae import space_minutiae
 from splitknit.recipe.surface_codes import surface_code
 from splitknit.settings import override
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:

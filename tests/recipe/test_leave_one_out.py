@@ -24,7 +24,8 @@ from splitknit.recipe.leave_one_out import (
     voted_minutiae,
 )
 from splitknit.recipe.matchable import surface_print
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 ZHENG = preset_settings("zheng")
 

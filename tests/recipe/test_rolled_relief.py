@@ -10,8 +10,9 @@ from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled_capture import find_mirror_views
 from splitknit.recipe.rolled_settings import RolledSettings
 from splitknit.recipe.rolled_work import Work
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from splitknit.rig.evaluate_rig import (
 from splitknit.rig.photo import photograph
 from splitknit.rig.photons import PhotonSettings, intensity_w_sr
 from splitknit.rig.study import Study
-from splitknit.simulator.diffusion import load_walks
+from splitknit.simulator.light.skin import load_walks
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)
 STUDY = Study(fingers=1)

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging import decode_table
-from splitknit.simulator.sensor import RESPONSE, SensorSettings, record
+from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, record
 
 
 def _grey(value: float, size: int = 128) -> np.ndarray:

@@ -13,7 +13,7 @@ from splitknit.model import BoolArray, FloatArray
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.separation.direct import direct_light
-from splitknit.simulator.skin import SkinRanges
+from splitknit.simulator.light.skin import SkinRanges
 from splitknit.training import network as train_network
 from splitknit.training.train import (
     DataSettings,

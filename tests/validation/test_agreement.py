@@ -76,7 +76,7 @@ def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     """Directions run along the true ridges, with the right sign; ours of the true relief are mostly true ones."""
     from splitknit.apps.printing_sources import Source
     from splitknit.io import write_npz
-    from splitknit.simulator.population import PopulationSettings, population_capture
+    from splitknit.simulator.population.sessions import PopulationSettings, population_capture
 
     settings = PopulationSettings(seed=31, scale=0.3)
     shown = population_capture(settings, settings.person(1), "left_ring", 2)

@@ -191,7 +191,8 @@ def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None
 def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
     from splitknit.pipeline import reconstruct
     from splitknit.recipe.matchable import surface_images, surface_of
-    from splitknit.simulator.twin import TwinSettings, simulate_capture
+    from splitknit.simulator.scene import TwinSettings
+    from splitknit.simulator.twin import simulate_capture
 
     scales = thesis("scales")
     capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))

@@ -21,7 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-import splitknit.simulator.finger as drawing
+import splitknit.simulator.finger.finger as drawing
 from splitknit.apps.compare import compare
 from splitknit.apps.matching import false_match_rate
 from splitknit.apps.printing_folder import advice, enhance, make_print, measured
@@ -33,9 +33,10 @@ from splitknit.model import Reconstruction
 from splitknit.pipeline import reconstruct
 from splitknit.recipe.matchable import MatchingSettings, surface_of, surface_template
 from splitknit.recipe.memory import Memory
-from splitknit.simulator.conditions import Condition
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.conditions import Condition
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 KINDS = ("wet", "dry", "dusty", "scarred", "glossy")

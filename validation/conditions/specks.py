@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from run import KINDS, SEEDS, photographed
 
-import splitknit.simulator.finger as drawing
+import splitknit.simulator.finger.finger as drawing
 from splitknit.io import read_capture
 from splitknit.model import Capture
 from splitknit.pipeline import preset_settings

@@ -27,8 +27,9 @@ from splitknit.photometric.left_out import left_out
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.recipe.finger import find_finger
 from splitknit.recipe.stopwatch import Stopwatch
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 FIRST_SEED = 4100
 KEPT = ("normals_mean_deg", "ridge_correlation", "ridge_gain", "ridge_rms_um", "shape_rms_mm", "ridge_good_area")

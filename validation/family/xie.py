@@ -32,8 +32,9 @@ import splitknit
 from splitknit.imaging import linear_channels
 from splitknit.model import Capture
 from splitknit.photometric import hanrahan_krueger, lambertian
-from splitknit.simulator.skin import SkinRanges
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.light.skin import SkinRanges
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 Array = NDArray[Any]
 HERE = Path(__file__).resolve().parent

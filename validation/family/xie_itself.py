@@ -11,7 +11,8 @@ from xie_ways import SHIPPED, error_deg
 
 from splitknit.photometric import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian
 from splitknit.photometric.hanrahan_krueger_fit import Pixels
-from splitknit.simulator.twin import TwinSettings, lay_down
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import lay_down
 
 SKINS = {
     "skin of the book": Skin(),

@@ -17,8 +17,8 @@ from splitknit.io.atomic import atomic_file
 from splitknit.matching import Template
 from splitknit.matching.code_field import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
 from splitknit.model import FloatArray
-from splitknit.simulator.orientation_field import orientation_field
-from splitknit.simulator.people import FINGERS, OwnFinger, draw_person
+from splitknit.simulator.finger.ridges import orientation_field
+from splitknit.simulator.population.people import FINGERS, OwnFinger, draw_person
 
 PITCH_MM = 0.5
 MARGIN = 4

@@ -21,7 +21,8 @@ from splitknit.evaluation import Scores, bootstrap, ids_of
 from splitknit.finger.orientation import find_upright
 from splitknit.matching import Prepared, ThesisSettings, ridge_match, thesis_match
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 HERE = Path(__file__).resolve().parent
 

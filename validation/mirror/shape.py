@@ -29,8 +29,9 @@ from splitknit.model import Capture, Mirror
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.mirrors import found_views, skin_slopes
 from splitknit.settings import override
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parent / "shape.json"
 SEEDS = tuple(range(9101, 9117))

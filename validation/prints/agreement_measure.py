@@ -26,7 +26,7 @@ from splitknit.io import read_capture
 from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.matching.minutiae_enhance import EnhanceSettings
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
-from splitknit.simulator.press import press_finger
+from splitknit.simulator.finger.deformation import press_finger
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

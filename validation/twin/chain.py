@@ -21,8 +21,8 @@ from inversion import CHANNELS, PIXEL_MM, likeness
 from measure import drift_mm, lights
 from scipy import ndimage
 
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import SkinSettings
+from splitknit.model import default_rig
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.skin import MetricSettings, reconstruct_skin
 from splitknit.skin import SkinSettings as AssumedSkin
 from splitknit.skin.bands import BandImages

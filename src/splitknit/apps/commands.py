@@ -16,8 +16,9 @@ from splitknit.io import atomic_folder, read_capture, read_npz, read_rig, with_r
 from splitknit.model import Capture, Rig
 from splitknit.pipeline import preset_settings, reconstruct
 from splitknit.settings import override
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 Progress = Callable[[str, float], None]
 

@@ -26,7 +26,7 @@ from splitknit.errors import BadInput, refusing, require
 from splitknit.io import atomic_file, atomic_folder, plain_json, provenance, write_capture
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import settings_hash
-from splitknit.simulator.population import DRAWS, PopulationSettings, population_capture
+from splitknit.simulator.population.sessions import DRAWS, PopulationSettings, population_capture
 
 POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
 _FORMAT, _VERSION = "splitknit-population", 1

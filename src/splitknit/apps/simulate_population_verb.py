@@ -42,7 +42,7 @@ def run_population(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.simulate_population import simulate_population  # noqa: PLC0415
     from splitknit.capture.enrolment import FINGERS  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.simulator.population import PopulationSettings  # noqa: PLC0415
+    from splitknit.simulator.population.sessions import PopulationSettings  # noqa: PLC0415
 
     names = ("pattern", "rig", "motion", "condition", "severity", "mirrors")
     unused = [name for name in names if getattr(options, name) is not None]

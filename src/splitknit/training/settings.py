@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from splitknit.errors import require
-from splitknit.simulator.skin import SkinRanges
+from splitknit.simulator.light.skin import SkinRanges
 
 MAY_CHANGE = ("threads", "device", "precision", "epochs", "decay")
 """Settings that may differ when a training is taken up again: where it runs, and how long it goes on."""

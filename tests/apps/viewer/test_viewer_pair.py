@@ -15,8 +15,8 @@ from splitknit.apps.viewer.pair import Alignment, align, matched_marks
 from splitknit.apps.viewer.surface import read_surface
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import rotation_about
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="module")

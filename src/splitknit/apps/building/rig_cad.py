@@ -20,7 +20,7 @@ from splitknit.apps.pictures import ColourArray
 from splitknit.apps.targets import check_target
 from splitknit.errors import BadInput
 from splitknit.io import atomic_folder, file_hash, plain_json, provenance, read_rig, write_image
-from splitknit.model import Rig
+from splitknit.model import Rig, default_rig
 from splitknit.rig.assembly import STACK, STACK_BELOW, RigPart, build_parts, require_build123d
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimension_table import dimension_table
@@ -30,7 +30,6 @@ from splitknit.rig.part_reports import report_part
 from splitknit.rig.part_settings import PartSettings
 from splitknit.rig.stl import Triangles, read_stl, write_stl
 from splitknit.settings import override
-from splitknit.simulator.rig import default_rig
 
 # Pictures of parts: a z-buffer renderer of triangle meshes, in numpy.
 #

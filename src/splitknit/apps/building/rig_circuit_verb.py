@@ -38,10 +38,10 @@ def run(options: argparse.Namespace) -> Outcome:
     from splitknit.apps.targets import check_target  # noqa: PLC0415
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.rig import read_rig, write_rig  # noqa: PLC0415
+    from splitknit.model import default_rig  # noqa: PLC0415
     from splitknit.rig.circuit import CircuitSettings  # noqa: PLC0415
     from splitknit.rig.netlist import design_circuit, kicad_netlist  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.simulator.rig import default_rig  # noqa: PLC0415
 
     check_target(options.out, "circuit.net", "an earlier board")
     changes = dict(read_changes(options.settings, options.assignments))

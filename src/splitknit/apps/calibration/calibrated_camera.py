@@ -24,8 +24,7 @@ from splitknit.calibration.plane import PlanePose, PlaneScale, mean_pose, plane_
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import file_hash, provenance, read_rig, write_rig
 from splitknit.io.images import DEFAULTS, decode_image
-from splitknit.model import Camera, PixelArray, Rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import Camera, PixelArray, Rig, default_rig
 
 Progress = Callable[[str, float], None]
 _SENSOR_COLUMNS = 3280

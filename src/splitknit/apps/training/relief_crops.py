@@ -16,15 +16,12 @@ from splitknit.apps.training.relief_data import TruthOnGrid, assembled, light_on
 from splitknit.apps.training.relief_scenes import ReliefData
 from splitknit.apps.training.scene_ranges import draw_base, draw_finger_of, moved_rig
 from splitknit.errors import require
-from splitknit.model import FloatArray, Rig
+from splitknit.model import FloatArray, Rig, default_rig
 from splitknit.pipeline import preset_settings
-from splitknit.simulator.diffusion import WalkTable, load_walks
-from splitknit.simulator.finger import finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.renderer import BandLight, RenderSettings, render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings, record
-from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.finger.finger import PoseRanges, finger_surface
+from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_band
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
 from splitknit.simulator.surface import Surface
 from splitknit.skin.bands import BandImages
 from splitknit.skin.grid import Grid

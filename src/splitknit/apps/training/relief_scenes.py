@@ -15,9 +15,9 @@ from splitknit.apps.training.scene_ranges import (
     moved_rig,
 )
 from splitknit.errors import require
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings
+from splitknit.model import default_rig
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
 
 
 @dataclass(frozen=True, slots=True)

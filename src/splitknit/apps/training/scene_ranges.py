@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Capture, Rig
-from splitknit.simulator.finger import Finger, draw_finger, finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.skin import SkinRanges, SkinSettings
-from splitknit.simulator.twin import TwinSettings, photograph
+from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger, finger_surface
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import photograph
 
 Range = tuple[float, float]
 

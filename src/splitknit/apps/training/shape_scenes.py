@@ -8,9 +8,9 @@ import numpy as np
 
 from splitknit.apps.training.scene_ranges import Range, Scene, SceneRanges, draw_base, draw_finger_of, moved_rig
 from splitknit.errors import require
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings
+from splitknit.model import default_rig
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class ShapeData(SceneRanges):
     scale: Range = (0.36, 0.5)
     """Size of the images relative to the full frame of 2200 x 3200 pixels."""
     rim_exponent: Range = (0.0, 1.0)
-    """Of the light at the finger's outline, see :class:`splitknit.simulator.renderer.RenderSettings`: the least certain
-    part of the twin's physics."""
+    """Of the light at the finger's outline, see :class:`splitknit.simulator.light.renderer.RenderSettings`: the least
+    certain part of the twin's physics."""
     gain: float = 0.93
     """Mean height of the relief that the reconstruction is given, over the true one."""
     gain_spread: float = 0.06
