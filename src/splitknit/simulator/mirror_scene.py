@@ -12,6 +12,7 @@ from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig
 from splitknit.simulator.light.lighting import UNIT, Patch, cut_out, finger_window, light_on, white_card
 from splitknit.simulator.light.renderer import (
+    LED_RADIUS_MM,
     BandLight,
     Diffusion,
     relief_gains,
@@ -22,6 +23,7 @@ from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTabl
 from splitknit.simulator.mirror_view import Coverage, Light, View, lights_of, outline_coverage
 from splitknit.simulator.rigs import HolderProfile, MirrorViews
 from splitknit.simulator.scene import (
+    BACKGROUND_MM,
     BackgroundSettings,
     Scene,
     Taken,
@@ -140,7 +142,7 @@ class MirrorScene:
         optics = [skin.channel(channel) for channel in BAND_CHANNELS[name]]
 
         def shine(k: int) -> tuple[FloatArray, FloatArray, None]:
-            entering, gloss = light_through(patch, lights[k], skin.roughness, settings.led_radius_mm)
+            entering, gloss = light_through(patch, lights[k], skin.roughness, LED_RADIUS_MM)
             return entering, gloss * np.float32(skin.glare), None
 
         blur = Diffusion(patch, optics, self.walks, settings, skin.roughness)
@@ -149,7 +151,7 @@ class MirrorScene:
     def _frame(self, front: BandLight, sides: Sequence[BandLight], k: int, led: Led) -> FloatArray:
         """(H, W, 3) radiance of the whole picture under light k."""
         camera = self.rig.camera
-        card = white_card(camera, led, -self.settings.background.depth_mm)
+        card = white_card(camera, led, -BACKGROUND_MM)
         frame = self.front.frame(front, k, card)
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             inside = background_of(plates, camera, led)
@@ -200,7 +202,7 @@ class MirrorScene:
                 view.surface, level, optics, roughness=self.skin.roughness, walks=self.walks,
                 settings=self.settings.render, up=up,
             )  # fmt: skip
-            albedo = np.float32(0.5 * level * self.settings.mirrors.plastic_albedo)
+            albedo = np.float32(0.5 * level * _PLASTIC_ALBEDO)
             inside = np.full_like(frame, albedo)
             window = finger_window(view.surface)
             _put(inside, view.surface, window, light, None)
@@ -231,6 +233,10 @@ def _put(
 
 Array = NDArray[np.float64]
 
+_PLASTIC_ALBEDO = 0.04
+"""Of holders and tube: black print."""
+_GLASS_ALBEDO = 0.12
+"""Of the mirrors' ground upper edge."""
 _TUBE_MM = 52.0
 """Inner radius of the tube around the finger."""
 
@@ -300,10 +306,10 @@ def mirror_frame(
         return Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
 
     low, high = profile.glass
-    glass = plate(low, high, views.glass_albedo)
-    back = plate(*profile.back, views.plastic_albedo)
+    glass = plate(low, high, _GLASS_ALBEDO)
+    back = plate(*profile.back, _PLASTIC_ALBEDO)
     inside, outside, start = profile.lip
-    lip = (plate(outside, start, views.plastic_albedo), plate(inside, outside, views.plastic_albedo))
+    lip = (plate(outside, start, _PLASTIC_ALBEDO), plate(inside, outside, _PLASTIC_ALBEDO))
     shown = tuple(
         replace(one, coverage=outline_coverage(camera, view.reflection.points(profile.quad(name, camera, *ends))))
         for one, ends in ((plate(*profile.shade, 0.0), profile.shade), (lip[1], (inside, outside)))
@@ -314,7 +320,7 @@ def mirror_frame(
         if other.name != name
     )
     middle = np.append(_TUBE_MM * inwards[:2], -5.0)
-    wall = Plate(view.coverage, middle, -inwards, views.plastic_albedo)
+    wall = Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
     specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
     return Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
 

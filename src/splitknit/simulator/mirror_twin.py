@@ -22,6 +22,8 @@ from splitknit.simulator.mirror_view import View, as_built, mirror_view
 from splitknit.simulator.rigs import mirror_rig, stop_y_mm
 from splitknit.simulator.scene import TwinSettings, surface_truth, take_capture
 
+_INSERTION_MM = (28.7, 30.3)
+"""From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
 _FADE_MM = 3.0
 """Width over which the ridges fade."""
 
@@ -54,7 +56,7 @@ def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator
     if settings.rig is None and ranges.insertion_mm == PoseRanges().insertion_mm:
         _, lower, _ = picture_on_plane(camera)
         stop = stop_y_mm(views.parts, camera) - lower
-        low, high = views.insertion_mm
+        low, high = _INSERTION_MM
         ranges = replace(ranges, insertion_mm=(min(low, stop), min(high, stop)))
     return ranges.draw(rng, camera)
 

@@ -135,14 +135,18 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     return [Light(led), *images]
 
 
+_TURN_MOST_DEG, _SHIFT_MOST_MM = 3.0, 2.0
+"""Turns about any axis and shifts along any axis beyond this are cut off to it."""
+
+
 def as_built(mirrors: Sequence[Mirror], views: MirrorViews, seed: int) -> tuple[Mirror, ...]:
     """Draw where the mirrors truly are: turned about their middle and shifted against the drawing."""
     drawn = []
     for mirror in mirrors:
         number = ("left", "right", "tip").index(mirror.name)
         rng = np.random.default_rng(np.random.SeedSequence([seed, 0x3117, number]))
-        turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -views.turn_most_deg, views.turn_most_deg)
-        shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -views.shift_most_mm, views.shift_most_mm)
+        turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -_TURN_MOST_DEG, _TURN_MOST_DEG)
+        shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -_SHIFT_MOST_MM, _SHIFT_MOST_MM)
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
         middle = mirror.point_mm
         corners = (np.asarray(mirror.corners_mm) - middle) @ rotation.T + middle + shift

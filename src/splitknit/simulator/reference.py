@@ -13,12 +13,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray, Led
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, diffuse_transmittance
 from splitknit.simulator.reference_scene import INSET_MM, ReferenceScene, Seen, build, see
 from splitknit.simulator.surface import Surface
@@ -246,48 +247,40 @@ class _Smooth(_Diffuse):
 LLVM = ("lib/*/libLLVM.so.19*", "lib/llvm-19/lib/libLLVM.so*", "lib64/libLLVM.so.19*")
 """Where LLVM 19 is, below /usr."""
 
+BATCHES = 8
+"""Independent parts of the walks, from which the standard errors come; they share the samples evenly."""
+
 
 @dataclass(frozen=True, slots=True)
-class ReferenceSettings:
+class ReferenceSettings(Checked):
     """Boundary and effort of the reference."""
 
-    boundary: str = "diffuse"
+    boundary: Literal["diffuse", "smooth"] = "diffuse"
     """``diffuse``: what passes the boundary or is reflected inside is spread as by a matt surface; ``smooth``: it is
     refracted or mirrored at the triangles. Skin lies between them."""
-    samples: int = 128
+    samples: Annotated[int, Limits(1)] = 128
     """Walks for each pixel."""
-    batches: int = 8
-    """Independent parts of the walks, from which the standard errors come; they share `samples` evenly."""
     seed: int = 0
     """What the walks are drawn from."""
-    binning: int = 2
+    binning: Annotated[int, Limits(1)] = 2
     """Pixels of the surface's map along each side of one pixel of the result."""
-    margin_mm: float = 4.0
+    margin_mm: Annotated[float, Limits(0.0)] = 4.0
     """Ridged skin around the crop; a map that ends earlier is continued by mirroring."""
-    spread_rad: float = 0.08
+    spread_rad: Annotated[float, Limits(0.01, 0.3)] = 0.08
     """Standard deviation of a light's direction under a smooth boundary, through which a point is never found."""
     led_radius_mm: float = 1.5
     """Radius of an LED's emitting face; it widens the glare."""
-    bounces: int = 2
+    bounces: Annotated[int, Limits(1)] = 2
     """Reflections off the surface that glare counts: 1 is no inter-reflection."""
-    threads: int = 1
+    threads: Annotated[int, Limits(1)] = 1
     """The result does not depend on it."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
-            self.boundary in ("diffuse", "smooth"),
-            f"reference.boundary must be 'diffuse' or 'smooth', but it is '{self.boundary}'.",
+            self.samples % BATCHES == 0,
+            f"reference.samples must be a multiple of the {BATCHES} independent parts, but it is {self.samples}.",
         )
-        require(self.batches >= 2, f"reference.batches must be at least 2, but it is {self.batches}.")
-        require(
-            self.samples >= self.batches and self.samples % self.batches == 0,
-            f"reference.samples must be a multiple of batches ({self.batches}), but it is {self.samples}.",
-        )
-        require(self.binning >= 1, f"reference.binning must be at least 1, but it is {self.binning}.")
-        require(self.margin_mm >= 0, f"reference.margin_mm must not be negative, but it is {self.margin_mm}.")
-        require(0.01 <= self.spread_rad <= 0.3, f"reference.spread_rad must be 0.01 to 0.3, not {self.spread_rad}.")
-        require(self.bounces >= 1, f"reference.bounces must be at least 1, but it is {self.bounces}.")
-        require(self.threads >= 1, f"reference.threads must be at least 1, but it is {self.threads}.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -351,7 +344,7 @@ def reference_scene(
 
 def render_volume(crop: ReferenceScene, optics: ChannelOptics, settings: ReferenceSettings) -> ReferenceImage:
     """Random walks of one channel; see :func:`render_crop`."""
-    parts, walks = settings.batches, settings.samples // settings.batches
+    parts, walks = BATCHES, settings.samples // BATCHES
     smooth = settings.boundary == "smooth"
     seeds = np.random.SeedSequence([settings.seed, 0x3EF]).generate_state(2, np.uint64)
     seen = see(crop, parts, int(seeds[0]))
@@ -379,19 +372,17 @@ def render_glare(
     light that had more than one reflection.
     """
     require(0.01 <= roughness <= 1, f"roughness must lie in [0.01, 1], but it is {roughness}.")
-    rays = (samples or settings.samples) // settings.batches
-    require(rays >= 1, f"samples must be at least the number of batches, {settings.batches}, but it is {samples}.")
+    rays = (samples or settings.samples) // BATCHES
+    require(rays >= 1, f"samples must be at least the number of batches, {BATCHES}, but it is {samples}.")
     seeds = np.random.SeedSequence([settings.seed, 0x91A]).generate_state(2, np.uint64)
-    seen = see(crop, settings.batches * rays, int(seeds[0]))
+    seen = see(crop, BATCHES * rays, int(seeds[0]))
     orders = reflect(
         crop, seen, roughness, radius_mm=settings.led_radius_mm, bounces=settings.bounces, seed=int(seeds[1])
     )
     sums = np.array([[np.asarray(one) for one in order] for order in orders], dtype=np.float64)
     by_part = sums.reshape(*sums.shape[:2], -1, rays).mean(axis=-1)
     total = by_part.sum(axis=0)
-    return ReferenceImage(
-        _images(crop, list(total), settings.batches), float(by_part[1:].sum() / max(total.sum(), 1e-30)), 1.0
-    )
+    return ReferenceImage(_images(crop, list(total), BATCHES), float(by_part[1:].sum() / max(total.sum(), 1e-30)), 1.0)
 
 
 def _images(crop: ReferenceScene, lights: list[Any], parts: int) -> FloatArray:

@@ -6,7 +6,8 @@ The rig as it is drawn is :func:`splitknit.model.default_rig`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -26,55 +27,43 @@ from splitknit.model import (
     nominal_rig,
     shared_exposures,
 )
+from splitknit.settings import Checked, Limits, check_fields
 
 
 @dataclass(frozen=True, slots=True)
-class Tolerances:
+class Tolerances(Checked):
     """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
 
-    led_position_mm: float = 0.7
+    led_position_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
     """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
     off its lens's axis and 1 mm along it from lot to lot."""
-    led_beam_deg: float = 2.0
+    led_beam_deg: Annotated[float, Limits(0.0, 15.0)] = 2.0
     """Per axis: data sheets of 5 mm LEDs allow the beam +-5 deg against the package (2 deg as a deviation); the seat
     adds half a degree."""
-    led_half_angle: float = 0.08
+    led_half_angle: Annotated[float, Limits(0.0, 0.3)] = 0.08
     """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
-    led_intensity: float = 0.1
+    led_intensity: Annotated[float, Limits(0.0, 0.3)] = 0.1
     """Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
-    focal_length: float = 0.01
+    focal_length: Annotated[float, Limits(0.0, 0.2)] = 0.01
     """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
-    camera_height_mm: float = 0.5
+    camera_height_mm: Annotated[float, Limits(0.0, 20.0)] = 0.5
     """Of the lens's pupil: printed height 0.2 mm, and the pupil's place in the lens is not on its drawing."""
-    camera_tilt_deg: float = 0.3
+    camera_tilt_deg: Annotated[float, Limits(0.0, 5.0)] = 0.3
     """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
-    camera_shift_mm: float = 0.3
+    camera_shift_mm: Annotated[float, Limits(0.0, 10.0)] = 0.3
     """Per axis, of the camera against the LEDs' circle: the play of its screws."""
-    principal_point: float = 0.005
+    principal_point: Annotated[float, Limits(0.0, 0.1)] = 0.005
     """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
-    corner_distortion: float = 0.005
+    corner_distortion: Annotated[float, Limits(0.0, 0.05)] = 0.005
     """Largest shift of the image's corners by distortion, relative (evenly drawn, either sign): long lenses distort by
     well below 1 %."""
-    corner_vignetting: tuple[float, float] = (0.10, 0.20)
+    corner_vignetting: Annotated[tuple[float, float], Limits(0.0, 0.8)] = (0.10, 0.20)
     """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
 
     def __post_init__(self) -> None:
-        for name, high in (
-            ("led_position_mm", 10.0),
-            ("led_beam_deg", 15.0),
-            ("led_half_angle", 0.3),
-            ("led_intensity", 0.3),
-            ("focal_length", 0.2),
-            ("camera_height_mm", 20.0),
-            ("camera_tilt_deg", 5.0),
-            ("camera_shift_mm", 10.0),
-            ("principal_point", 0.1),
-            ("corner_distortion", 0.05),
-        ):
-            value = getattr(self, name)
-            require(0.0 <= value <= high, f"tolerances.{name} must lie between 0 and {high}, but it is {value}.")
+        check_fields(self)
         low, high = self.corner_vignetting
-        require(0.0 <= low <= high <= 0.8, "tolerances.corner_vignetting must be (low, high) within 0 to 0.8.")
+        require(low <= high, f"tolerances.corner_vignetting must be (low, high), but it is ({low}, {high}).")
 
 
 def built_rig(seed: int, *, scale: float = 1.0, tolerances: Tolerances | None = None) -> Rig:
@@ -207,47 +196,48 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
 
 SIDES = ("left", "right", "tip")
 
+_Length = Annotated[float, Limits(0.0, 200.0)]
+_REFLECTANCE = 0.9
+"""Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
+
 
 @dataclass(frozen=True, slots=True)
-class MirrorParts:
+class MirrorParts(Checked):
     """The printed parts that carry the mirrors: dimensions as ``splitknit rig cad`` draws them, mm.
 
     The values are those of a rig whose mirrors show the whole side of most fingers: larger mirrors, and a finger plane
     higher above the base, than the parts for a finger alone have (``docs/twin.md`` names the options of ``rig cad``).
     """
 
-    long_mm: float = 30.0
+    _group = "mirrors.parts"
+
+    long_mm: _Length = 30.0
     """Of a mirror, along its lower edge."""
-    wide_mm: float = 30.0
+    wide_mm: _Length = 30.0
     """Of a mirror, up its slope."""
-    thick_mm: float = 2.0
+    thick_mm: _Length = 2.0
     """Of a mirror's glass."""
-    gap_mm: float = 1.0
+    gap_mm: _Length = 1.0
     """Between the groove's block and a holder."""
-    lip_mm: float = 0.8
+    lip_mm: _Length = 0.8
     """How much of the mirror's lower edge the holder's lip covers."""
-    clearance_mm: float = 0.2
+    clearance_mm: _Length = 0.2
     """Of all joints."""
-    wall_mm: float = 2.4
+    wall_mm: _Length = 2.4
     """Of the printed walls: the groove's, the stop's, and the holder's top behind the mirror."""
-    pad_height_mm: float = 21.2
+    pad_height_mm: _Length = 21.2
     """Of the finger plane over the groove's bottom."""
-    widest_mm: float = 22.0
+    widest_mm: _Length = 22.0
     """Of the fingers."""
-    finger_clearance_mm: float = 2.0
+    finger_clearance_mm: _Length = 2.0
     """Between the widest finger and the walls of the groove, both sides together."""
-    tip_margin_mm: float = 27.0
+    tip_margin_mm: _Length = 27.0
     """From the fingertip's stop to the picture's upper border."""
-    phalanx_mm: float = 30.0
+    phalanx_mm: _Length = 30.0
     """Of the last phalanx, tip to crease: in a large picture its middle lies in the picture's."""
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            require(
-                bool(np.isfinite(value)) and 0.0 <= value <= 200.0,
-                f"mirrors.parts.{item.name} must lie between 0 and 200, but it is {value}.",
-            )
+        check_fields(self)
         require(
             self.wide_mm > self.lip_mm + 1.0 and self.long_mm > 1.0,
             "mirrors.parts.wide_mm must be at least 1 mm more than what the lip covers, and long_mm above 1.",
@@ -255,75 +245,41 @@ class MirrorParts:
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorViews:
+class MirrorViews(Checked):
     """What the twin's mirrors are; without names there are none."""
+
+    _group = "mirrors"
 
     names: tuple[str, ...] = ()
     """Of ``left``, ``right`` and ``tip``. A rig that is given with mirrors has those."""
-    reflectance: float = 0.9
-    """Share of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
-    turn_sd_deg: float = 1.0
+    turn_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 1.0
     """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder, a mirror that
     rocks in its seat."""
-    turn_most_deg: float = 3.0
-    """Turns beyond this, about any axis, are cut off to it; 0 to 10."""
-    shift_sd_mm: float = 0.7
+    shift_sd_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
     """Standard deviation of the true mirrors' places against the drawing, along each axis; 0 to 10."""
-    shift_most_mm: float = 2.0
-    """Shifts beyond this, along any axis, are cut off to it; 0 to 10."""
     pose_seed: int | None = None
     """Of the true poses; None: they follow from the finger's seed, and are the same in all its impressions."""
-    px_per_mm: float = 43.0
+    px_per_mm: Annotated[float, Limits(1.0, 200.0)] = 43.0
     """Of the full frame: all views must fit."""
-    image_size: tuple[int, int] = (2464, 3280)
+    image_size: Annotated[tuple[int, int], Limits(64)] = (2464, 3280)
     """Rows and columns of the full frame: all of the IMX219."""
-    model: str = "orthographic"
+    model: Literal["orthographic", "perspective"] = "orthographic"
     """Of the camera: ``orthographic``, or ``perspective`` from 140 mm with a lens without distortion. A given `rig` has
     its own camera."""
-    insertion_mm: tuple[float, float] = (28.7, 30.3)
-    """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
     nir: bool = True
     """Whether the rig has its NIR LEDs: mirrors can do without."""
-    ridges_to_deg: float = 112.0
+    ridges_to_deg: Annotated[float, Limits(60.0, 180.0)] = 112.0
     """Around the finger, from the pad's top: there the ridged skin ends; 180: it goes all around."""
-    dust_per_cm2: float = 0.0
+    dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
     """Bright specks on the mirrors."""
-    plastic_albedo: float = 0.04
-    """Of holders and tube: black print."""
-    glass_albedo: float = 0.12
-    """Of the mirrors' ground upper edge."""
-    truth_pitch_mm: float = 0.08
+    truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
     """Of the grid around the finger in the truth."""
     parts: MirrorParts = field(default_factory=MirrorParts)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         known = all(name in SIDES for name in self.names) and len(set(self.names)) == len(self.names)
         require(known, f"mirrors.names are some of left, right and tip, each once, but they are {list(self.names)}.")
-        for name, low, high in (
-            ("reflectance", 1e-6, 1.0),
-            ("turn_sd_deg", 0.0, 10.0),
-            ("turn_most_deg", 0.0, 10.0),
-            ("shift_sd_mm", 0.0, 10.0),
-            ("shift_most_mm", 0.0, 10.0),
-            ("px_per_mm", 1.0, 200.0),
-            ("ridges_to_deg", 60.0, 180.0),
-            ("dust_per_cm2", 0.0, 1000.0),
-            ("plastic_albedo", 0.0, 1.0),
-            ("glass_albedo", 0.0, 1.0),
-            ("truth_pitch_mm", 0.02, 2.0),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"mirrors.{name} must lie between {low:g} and {high:g}, but it is {value}.",
-            )
-        require(
-            self.model in ("orthographic", "perspective"),
-            f"mirrors.model is orthographic or perspective, not '{self.model}'.",
-        )
-        low_mm, high_mm = self.insertion_mm
-        require(0.0 < low_mm <= high_mm, f"mirrors.insertion_mm must be (low, high), but it is {self.insertion_mm}.")
-        require(min(self.image_size) >= 64, "mirrors.image_size must be at least 64 x 64 pixels.")
 
 
 Array = NDArray[np.float64]
@@ -357,7 +313,7 @@ def nominal_mirrors(views: MirrorViews, camera: Camera) -> tuple[Mirror, ...]:
         Mirror(
             name,
             tuple((float(x), float(y), float(z)) for x, y, z in profile.quad(name, camera, *profile.face)),
-            views.reflectance,
+            _REFLECTANCE,
         )
         for name in views.names
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import COLOURS, Band, Camera, Capture, FloatArray, Led, PixelArray, Rig
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit.simulator.finger.conditions import Condition
@@ -30,44 +31,28 @@ from splitknit.simulator.light.skin import (
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.surface import Surface
 
+BACKGROUND_MM = 10.0
+"""Distance of the background below the finger plane."""
+_DUST_ALBEDO = 0.3
+"""Largest albedo of a speck; they lie between a tenth of it and all of it."""
+_SHADED_ROWS = 0.25
+"""Fraction of the frame, from its last row, that the hand's shadow covers."""
+
 
 @dataclass(frozen=True, slots=True)
-class BackgroundSettings:
+class BackgroundSettings(Checked):
     """The scene around the finger."""
 
-    albedo: float = 0.006
+    albedo: Annotated[float, Limits(0.0, 1.0)] = 0.006
     """Diffuse reflectance of the black background."""
-    depth_mm: float = 10.0
-    """Distance of the background below the finger plane."""
-    gradient: float = 0.0
+    gradient: Annotated[float, Limits(-1.0, 1.0)] = 0.0
     """Relative change of the background's albedo from one edge of the frame to the other."""
-    dust_per_cm2: float = 0.0
+    dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
     """Bright specks on the background."""
-    dust_albedo: float = 0.3
-    """Largest albedo of a speck; they lie between a tenth of it and all of it."""
-    hand_shadow: float = 0.0
+    hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
     """Share of the light that the hand takes away at the finger's base, 0 to 1."""
-    hand_shadow_share: float = 0.25
-    """Share of the frame, from its last row, that the hand's shadow covers."""
-    ambient: float = 0.002
+    ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
     """Room light: radiance of a white card relative to the same card under one LED."""
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("albedo", 0.0, 1.0),
-            ("depth_mm", 0.0, 200.0),
-            ("gradient", -1.0, 1.0),
-            ("dust_per_cm2", 0.0, 1000.0),
-            ("dust_albedo", 0.0, 1.0),
-            ("hand_shadow", 0.0, 1.0),
-            ("hand_shadow_share", 0.01, 1.0),
-            ("ambient", 0.0, 1.0),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"background.{name} must lie between {low} and {high}, but it is {value}.",
-            )
 
 
 def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
@@ -81,14 +66,14 @@ def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.rand
         albedo *= np.maximum(1.0 + settings.gradient * (across + along), 0.0).astype(np.float32)
     area_cm2 = height * width / (10.0 * camera.px_per_mm) ** 2
     for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
-        _speck(albedo, camera.px_per_mm, settings.dust_albedo, rng)
+        _speck(albedo, camera.px_per_mm, _DUST_ALBEDO, rng)
     return albedo
 
 
 def hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
     """(H, 1) share of the light that reaches each row: the hand's shadow has a soft edge."""
     height = camera.image_size[0]
-    below = (np.arange(height) / (height - 1) - (1.0 - settings.hand_shadow_share)) / (0.3 * settings.hand_shadow_share)
+    below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
     share = np.clip(below, 0.0, 1.0)
     smooth = share * share * (3.0 - 2.0 * share)
     return (1.0 - settings.hand_shadow * smooth).astype(np.float32)[:, None]
@@ -113,7 +98,7 @@ def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng:
 
 
 @dataclass(frozen=True, slots=True)
-class TwinSettings:
+class TwinSettings(Checked):
     """One simulated capture."""
 
     scale: float = 0.5
@@ -132,7 +117,7 @@ class TwinSettings:
     rig: Rig | None = None
     """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
     `scale`, `rig_seed` and `intensity_spread`."""
-    sensor_scale: float | None = None
+    sensor_scale: Annotated[float | None, Limits(0.0, 1.0, above=True)] = None
     """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
     binned. None: as :func:`splitknit.simulator.camera.sensor.binning_scale` tells it of the camera."""
     motion: HandMotion = field(default_factory=HandMotion)
@@ -143,6 +128,7 @@ class TwinSettings:
     """State of the finger's skin: clean unless `condition.kind` says wet, dry, dusty, scarred or glossy."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             not self.condition.active or (self.motion.amplitude_mm == 0 and not self.between_mirrors),
             "a finger in some condition lies still and without mirrors in the twin; leave out motion and mirrors, or "
@@ -151,10 +137,6 @@ class TwinSettings:
         require(
             self.motion.amplitude_mm == 0 or not self.between_mirrors,
             "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
-        )
-        require(
-            self.sensor_scale is None or 0.0 < self.sensor_scale <= 1.0,
-            f"twin.sensor_scale must lie in (0, 1] or be None, but it is {self.sensor_scale}.",
         )
 
     @property
@@ -275,7 +257,7 @@ class Scene:
         mixing = self._mixing
         frame = ambient.copy()
         for k in group:
-            lit = self.frame(light, k, white_card(self.rig.camera, leds[k], -self.settings.background.depth_mm))
+            lit = self.frame(light, k, white_card(self.rig.camera, leds[k], -BACKGROUND_MM))
             if leds[k].colour:
                 c = COLOURS.index(leds[k].colour)
                 frame += lit[..., c : c + 1] * mixing[:, c].astype(np.float32)

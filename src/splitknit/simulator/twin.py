@@ -14,12 +14,13 @@ from splitknit.errors import require
 from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Rig, default_rig
 from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
-from splitknit.simulator.finger.motion import moving_finger
+from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
 from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
 from splitknit.simulator.mirror_twin import mirror_pose, photograph_between_mirrors, rig_with_mirrors
 from splitknit.simulator.scene import (
+    BACKGROUND_MM,
     Scene,
     Taken,
     TwinSettings,
@@ -198,7 +199,7 @@ def _photograph_moving(
     background_seed, noise_seed = photo_seed.spawn(2)
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
-    exposed_px = settings.motion.exposure_s * rig.camera.px_per_mm
+    exposed_px = EXPOSURE_S * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
         # the same dust in every shot
         scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
@@ -372,7 +373,7 @@ class FingerScene:
         for index in lit:
             band = self._rendered(self.leds[index].band)
             members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
-            card = white_card(self.camera, self.leds[index], -self.settings.background.depth_mm)
+            card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
             frame += ((card * scene.albedo) * scene.shade)[..., None]
             planes = band.planes[members.index(index)]
             shade = scene.shade[band.window[0]]

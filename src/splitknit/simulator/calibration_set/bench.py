@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.special import ndtr
 
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led, PixelArray
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera import lens
 from splitknit.simulator.camera.device import Scene
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
@@ -161,30 +162,17 @@ Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True)
-class BenchSettings:
+class BenchSettings(Checked):
     """What surrounds the things that are photographed."""
 
-    ambient: float = 0.002
+    ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
     """Room light: radiance of a white card relative to the same card at the origin under one LED (mean of all)."""
-    led_radius_mm: float = 1.5
+    led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
     """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
-    aperture_mm: float = 0.0
+    aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
     """Diameter of the camera's pupil; 0 is a pinhole, sharp at every depth."""
-    focus_mm: float = 0.0
+    focus_mm: Annotated[float, Limits(-50.0, 50.0)] = 0.0
     """z of the plane in focus."""
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("ambient", 0.0, 1.0),
-            ("led_radius_mm", 0.0, 10.0),
-            ("aperture_mm", 0.0, 20.0),
-            ("focus_mm", -50.0, 50.0),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"bench.{name} must lie between {low} and {high}, but it is {value}.",
-            )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

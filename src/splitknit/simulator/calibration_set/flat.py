@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import Camera
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.calibration_set.bench import (
     Array,
     GroundScene,
@@ -54,29 +56,21 @@ class CardScene(GroundScene):
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class Board(Checked):
     """A printed checkerboard."""
 
-    rows: int = 7
+    rows: Annotated[int, Limits(2)] = 7
     """Inner corners, down."""
-    columns: int = 10
+    columns: Annotated[int, Limits(2)] = 10
     """Inner corners, across."""
-    square_mm: float = 3.0
-    margin_mm: float = 3.0
+    square_mm: Annotated[float, Limits(0.1, 100.0)] = 3.0
+    margin_mm: Annotated[float, Limits(0.0, 100.0)] = 3.0
     """White paper around the outer squares."""
-    paper: float = 0.85
+    paper: Annotated[float, Limits(0.0, 1.0)] = 0.85
     """Reflectances."""
-    ink: float = 0.05
-    print_blur_mm: float = 0.02
+    ink: Annotated[float, Limits(0.0, 1.0)] = 0.05
+    print_blur_mm: Annotated[float, Limits(0.0, 1.0)] = 0.02
     """Standard deviation of the print's edges: a 600 dpi laser printer's dots are 0.042 mm wide."""
-
-    def __post_init__(self) -> None:
-        require(self.rows >= 2 and self.columns >= 2, "a board needs at least 2 x 2 inner corners.")
-        for name, low, high in (("square_mm", 0.1, 100.0), ("margin_mm", 0.0, 100.0), ("print_blur_mm", 0.0, 1.0)):
-            value = getattr(self, name)
-            require(low <= value <= high, f"the board's {name} must lie between {low} and {high}, but it is {value}.")
-        _check_share(self.paper, "board's paper")
-        _check_share(self.ink, "board's ink")
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -216,7 +210,15 @@ def _check_share(value: float, name: str) -> None:
     require(bool(np.isfinite(value)) and 0.0 <= value <= 1.0, f"the {name} must lie in [0, 1], but it is {value}.")
 
 
-TRIES = 200
+_TRIES = 200
+_TILT_DEG = (10.0, 35.0)
+"""Range of the board's tilt against the finger plane, about any axis in it; this and the next are drawn evenly."""
+_TURN_DEG = (-15.0, 15.0)
+"""Of its turn about its own normal."""
+_MIDDLE_MM = (-5.0, 5.0)
+"""Of z of its middle."""
+_EDGE = 0.02
+"""Fraction of the picture's height that stays free around the outer squares."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,30 +229,7 @@ class BoardPose:
     translation_mm: tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class HandRanges:
-    """Ranges from which poses are drawn, evenly."""
-
-    tilt_deg: tuple[float, float] = (10.0, 35.0)
-    """Against the finger plane, about any axis in it."""
-    turn_deg: tuple[float, float] = (-15.0, 15.0)
-    """About the board's own normal."""
-    height_mm: tuple[float, float] = (-5.0, 5.0)
-    """z of the board's middle."""
-    edge: float = 0.02
-    """Share of the picture's height that stays free around the outer squares."""
-
-    def __post_init__(self) -> None:
-        for name in ("tilt_deg", "turn_deg", "height_mm"):
-            low, high = getattr(self, name)
-            require(bool(np.isfinite([low, high]).all()) and low <= high, f"board range {name} must be (low, high).")
-        require(self.tilt_deg[0] >= 0.0 and self.tilt_deg[1] <= 60.0, "board tilts must lie between 0 and 60 deg.")
-        require(0.0 <= self.edge < 0.5, f"board edge must lie in [0, 0.5), but it is {self.edge}.")
-
-
-def board_poses(
-    seed: int, count: int, camera: Camera, board: Board | None = None, ranges: HandRanges | None = None
-) -> list[BoardPose]:
+def board_poses(seed: int, count: int, camera: Camera, board: Board | None = None) -> list[BoardPose]:
     """Draw poses of a board, all of its squares in the picture.
 
     Parameters
@@ -258,7 +237,7 @@ def board_poses(
     seed : the same seed gives the same poses; more poses begin with the same ones
     count : of poses
     camera : that looks on
-    board, ranges : defaults
+    board : None takes the default one
 
     Returns
     -------
@@ -270,11 +249,11 @@ def board_poses(
         If the board does not fit into the picture.
     """
     require(seed >= 0 and count >= 1, "seed must not be negative and count must be at least one.")
-    board, ranges = board or Board(), ranges or HandRanges()
+    board = board or Board()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
     poses: list[BoardPose] = []
-    for _ in range(TRIES * count):
-        pose = _draw(rng, camera, board, ranges)
+    for _ in range(_TRIES * count):
+        pose = _draw(rng, camera, board)
         if pose is not None:
             poses.append(pose)
             if len(poses) == count:
@@ -286,18 +265,16 @@ def board_poses(
     )
 
 
-def _draw(rng: np.random.Generator, camera: Camera, board: Board, ranges: HandRanges) -> BoardPose | None:
+def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> BoardPose | None:
     """One pose, or None where so turned a board does not fit."""
-    tilt, turn, height = (
-        low + (high - low) * rng.random() for low, high in (ranges.tilt_deg, ranges.turn_deg, ranges.height_mm)
-    )
+    tilt, turn, height = (low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM))
     axis = 2.0 * np.pi * rng.random()
     beside = rng.random(2)
     lean = cv2.Rodrigues(np.deg2rad(tilt) * np.array([np.cos(axis), np.sin(axis), 0.0]))[0]
     spin = cv2.Rodrigues(np.array([0.0, 0.0, np.deg2rad(turn)]))[0]
     rotation = cv2.Rodrigues(lean @ spin)[0].ravel()
     rows, columns = camera.image_size
-    free = ranges.edge * rows
+    free = _EDGE * rows
     # held under the camera's axis, how far could it be moved until it leaves the picture?
     places = _outer_corners(rotation, np.array([0.0, 0.0, height]), camera, board)
     least = free - places.min(axis=0)

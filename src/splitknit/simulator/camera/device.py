@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from splitknit.devices import ExposureRange, Frame
 from splitknit.devices.guard import Closing, GuardedLights
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 
 
@@ -50,41 +51,36 @@ class Clock:
         self.now_s += seconds
 
 
+_SHORTEST_S = 4 * 18.904e-6
+"""Shortest exposure time: four rows of the IMX219."""
+_LONGEST_S = 0.2
+"""Longest exposure time."""
+_HIGHEST_GAIN = 10.6
+"""Largest gain; the smallest is 1."""
+_LINE_S = 18.904e-6
+"""Time to read a row; exposures are whole numbers of it."""
+_READOUT_S = 0.0466
+"""From the first row to the last."""
+_FRAME_S = 0.0477
+"""Shortest time from frame to frame."""
+_TRANSFER_S = 0.07
+"""From the end of the readout until the program has the picture."""
+_LAG_FRAMES = 3
+"""Frames until a new exposure takes effect."""
+_PREVIEW_COLUMNS = 800
+"""Width of a preview in pixels, about: it is reduced by a whole number."""
+
+
 @dataclass(frozen=True, slots=True)
-class TwinDeviceSettings:
+class TwinDeviceSettings(Checked):
     """Timing and sensitivity of the twin's devices."""
 
-    sensitivity_per_s: float = 500.0
-    """Share of full scale that light of radiance one (rig's units) gives in a second at gain one."""
-    shortest_s: float = 4 * 18.904e-6
-    """Shortest exposure time: four rows of the IMX219. Above 0."""
-    longest_s: float = 0.2
-    """Longest exposure time, above the shortest, 10 at most."""
-    highest_gain: float = 10.6
-    """Largest gain, 1 to 40; the smallest is 1."""
-    line_s: float = 18.904e-6
-    """Time to read a row; exposures are whole numbers of it."""
-    readout_s: float = 0.0466
-    """From the first row to the last."""
-    least_frame_s: float = 0.0477
-    """Shortest time from frame to frame."""
-    transfer_s: float = 0.07
-    """From the end of the readout until the program has the picture."""
-    lag_frames: int = 3
-    """Frames until a new exposure takes effect."""
-    settle_s: float = 0.02
-    """Until an LED has its full brightness."""
-    preview_columns: int = 800
-    """Width of a preview in pixels, about: it is reduced by a whole number. At least 50."""
+    _group = "device"
 
-    def __post_init__(self) -> None:
-        require(self.sensitivity_per_s > 0, "device.sensitivity_per_s must be positive.")
-        require(0 < self.shortest_s < self.longest_s <= 10, "device.shortest_s and longest_s must be a range of times.")
-        require(1 <= self.highest_gain <= 40, "device.highest_gain must be 1 to 40.")
-        for name in ("line_s", "readout_s", "least_frame_s", "transfer_s", "lag_frames", "settle_s"):
-            require(0 <= getattr(self, name) <= 10, f"device.{name} must be 0 to 10.")
-        require(self.line_s > 0 and self.least_frame_s > 0, "device.line_s and least_frame_s must be positive.")
-        require(self.preview_columns >= 50, "device.preview_columns must be at least 50.")
+    sensitivity_per_s: Annotated[float, Limits(0.0, above=True)] = 500.0
+    """Share of full scale that light of radiance one (rig's units) gives in a second at gain one."""
+    settle_s: Annotated[float, Limits(0.0, 10.0)] = 0.02
+    """Until an LED has its full brightness."""
 
 
 class TwinLightBank(GuardedLights):
@@ -160,15 +156,15 @@ class TwinCamera(Closing):
     @property
     def exposures(self) -> ExposureRange:
         """See :class:`splitknit.devices.Camera`."""
-        return ExposureRange(self._settings.shortest_s, self._settings.longest_s, 1.0, self._settings.highest_gain)
+        return ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.Camera`."""
         self.exposures.check(exposure_s, gain)
         require(band in RESPONSE, f"the bands are white and nir, not '{band}'.")
-        self._exposure_s = round(exposure_s / self._settings.line_s) * self._settings.line_s
+        self._exposure_s = round(exposure_s / _LINE_S) * _LINE_S
         self._gain, self._band = float(gain), band
-        self._fresh = self._settings.lag_frames
+        self._fresh = _LAG_FRAMES
 
     def capture(self) -> Frame:
         """See :class:`splitknit.devices.Camera`."""
@@ -180,7 +176,7 @@ class TwinCamera(Closing):
 
     def preview(self) -> Frame:
         """See :class:`splitknit.devices.Camera`."""
-        return self._expose(max(1, round(self.image_size[1] / self._settings.preview_columns)))
+        return self._expose(max(1, round(self.image_size[1] / _PREVIEW_COLUMNS)))
 
     def close(self) -> None:
         """See :class:`splitknit.devices.Camera`."""
@@ -189,7 +185,7 @@ class TwinCamera(Closing):
     def _expose(self, reduction: int) -> Frame:
         require(not self._closed, "the camera is closed; open it again.")
         settings = self._settings
-        frame_s = max(self._exposure_s + 0.001, settings.least_frame_s)
+        frame_s = max(self._exposure_s + 0.001, _FRAME_S)
         begins_s = np.ceil(self._clock.now_s / frame_s - 1e-9) * frame_s + self._fresh * frame_s
         discarded, self._fresh = 1 + self._fresh, 0  # the one that was being exposed when we were called
         light = self._light(begins_s)
@@ -201,8 +197,8 @@ class TwinCamera(Closing):
         seed = np.random.SeedSequence([self._seed, 0xCA, self._exposed])
         pixels = record(light * share, self._band, seed, sensor, self._scale / reduction)
         self._exposed += 1
-        ended_s = begins_s + self._exposure_s + settings.readout_s
-        self._clock.advance(float(ended_s) + settings.transfer_s - self._clock.now_s)
+        ended_s = begins_s + self._exposure_s + _READOUT_S
+        self._clock.advance(float(ended_s) + _TRANSFER_S - self._clock.now_s)
         return Frame(pixels, self._exposure_s, self._gain, 0.0, float(ended_s), discarded)
 
     def _light(self, at_s: float) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, PixelArray
+from splitknit.settings import Checked, Limits
 
 RESPONSE: Mapping[str, tuple[float, float, float]] = {
     "white": (0.90, 1.00, 0.47),
@@ -31,20 +33,20 @@ ROWS_AT_A_TIME = 64
 
 
 @dataclass(frozen=True, slots=True)
-class SensorSettings:
+class SensorSettings(Checked):
     """How light becomes stored integers."""
 
-    exposure: float = 0.7
+    exposure: Annotated[float, Limits(0.05, 1.0)] = 0.7
     """Share of full scale that the brightest diffusely lit skin reaches; glare may clip."""
-    full_well_e: float = 4700.0
+    full_well_e: Annotated[float, Limits(100.0)] = 4700.0
     """Electrons at full scale, a pixel of the full frame."""
-    read_noise_e: float = 2.5
+    read_noise_e: Annotated[float, Limits(0.0)] = 2.5
     """Standard deviation of the noise of reading out, electrons, a pixel of the full frame; 0 or more."""
-    raw_bits: int = 10
+    raw_bits: Annotated[int, Limits(8, 16)] = 10
     """Bits of the sensor's own levels, before they are brought to `bits`; 8 to 16."""
-    bits: int = 8
+    bits: Literal[8, 16] = 8
     """Bits of the stored files: 8 or 16."""
-    encoding: str = "linear"
+    encoding: Literal["linear", "srgb"] = "linear"
     """``linear`` or ``srgb``."""
     binned: bool = True
     """At a scale below one a pixel collects the electrons of the full-frame pixels it covers."""
@@ -52,14 +54,6 @@ class SensorSettings:
     """Store one colour a pixel (RGGB) and interpolate bilinearly: softer, with correlated noise."""
     noise: bool = True
     """False keeps exact light, quantised."""
-
-    def __post_init__(self) -> None:
-        require(0.05 <= self.exposure <= 1.0, f"sensor.exposure must be 0.05 to 1, but it is {self.exposure}.")
-        require(self.full_well_e >= 100, "sensor.full_well_e must be at least 100 electrons.")
-        require(self.read_noise_e >= 0, "sensor.read_noise_e must not be negative.")
-        require(8 <= self.raw_bits <= 16, f"sensor.raw_bits must be 8 to 16, but it is {self.raw_bits}.")
-        require(self.bits in (8, 16), f"sensor.bits must be 8 or 16, but it is {self.bits}.")
-        require(self.encoding in ("linear", "srgb"), f"sensor.encoding '{self.encoding}' is not known.")
 
 
 def binning_scale(camera: Camera) -> float:

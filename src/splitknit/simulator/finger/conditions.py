@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.finger.finger import Finger, Pose, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
@@ -317,23 +318,13 @@ _TOP_MM = 0.006
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class Condition(Checked):
     """What is the matter with the skin."""
 
-    kind: str = "none"
+    kind: Kind = "none"
     """``none``, ``wet``, ``dry``, ``dusty``, ``scarred`` or ``glossy``."""
-    severity: float = 1.0
+    severity: Annotated[float, Limits(0.0, 1.0)] = 1.0
     """0 (nothing) to 1 (the worst that is modelled)."""
-
-    def __post_init__(self) -> None:
-        require(
-            self.kind in KINDS,
-            f"condition.kind must be one of {', '.join(KINDS)}, but it is '{self.kind}'; choose one.",
-        )
-        require(
-            bool(np.isfinite(self.severity)) and 0.0 <= self.severity <= 1.0,
-            f"condition.severity must lie in [0, 1], but it is {self.severity}; 0 is nothing, 1 the worst.",
-        )
 
     @property
     def active(self) -> bool:

@@ -9,6 +9,7 @@ where they touch; the harder they are pressed the wider they are.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
 
 from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.finger.finger import Finger, Pose
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
@@ -155,86 +157,56 @@ def deformed_minutiae(minutiae: Array, deformation: Deformation) -> Array:
 _FINER = 2
 """Samples per pixel and side: the sensor's pixels average what touches and what does not."""
 
+_INDENTATION_MM = 1.1
+"""At 1 N, of the undeformed body by the plane."""
+_STIFFENING = 0.4
+"""Indentation grows with this power of the force; Hertz's ball has 2/3, a finger pad stiffens (Pawluk and Howe
+1999; Dzidek et al. 2017)."""
+_PITCH_DEG = 6.0
+"""Mean of the finger's pitch; positive lifts the tip towards the glass."""
+_SMOOTH_MM = 5.0
+"""Over which the shift of the skin is smooth."""
+_LEVEL = 0.85
+"""Ridge height (0 valley, 1 top) from which skin touches where the pressure is smallest."""
+_WIDENING = 0.45
+"""By how much that falls where the pressure is 4 times that of 1 N in the middle; ridges widen."""
+_SOFTNESS = 0.09
+"""Of the step between touching and not, in ridge heights."""
+_BLUR_PX = 0.55
+"""Standard deviation of the optics' blur."""
+_BRIGHT_GREY, _DARK_GREY = 235.0, 45.0
+"""Grey levels where nothing touches, and where skin touches."""
+_MARGIN_MM = 1.0
+"""Around the contact patch."""
+
 
 @dataclass(frozen=True, slots=True)
-class PressSettings:
+class PressSettings(Checked):
     """How a finger is pressed, and what the sensor makes of it. Every number is ours unless a source is named."""
 
-    force_n: float = 1.5
+    force_n: Annotated[float, Limits(0.1, 20.0)] = 1.5
     """Normal force; sensors are touched with 0.5 to 5 N."""
-    indentation_mm: float = 1.1
-    """At 1 N, of the undeformed body by the plane."""
-    stiffening: float = 0.4
-    """Indentation grows with this power of the force; Hertz's ball has 2/3, a finger pad stiffens (Pawluk and Howe
-    1999; Dzidek et al. 2017)."""
-    turn_sd_deg: float = 6.0
+    turn_sd_deg: Annotated[float, Limits(0.0, 20.0)] = 6.0
     """Standard deviation of the finger's turn on the glass."""
-    roll_sd_deg: float = 4.0
+    roll_sd_deg: Annotated[float, Limits(0.0, 15.0)] = 4.0
     """Of its roll about its axis."""
-    pitch_deg: float = 6.0
-    """Mean of its pitch; positive lifts the tip towards the glass."""
-    pitch_sd_deg: float = 3.0
+    pitch_sd_deg: Annotated[float, Limits(0.0, 8.0)] = 3.0
     """Its standard deviation; 0 to 8."""
-    shift_mm: float = 0.35
+    shift_mm: Annotated[float, Limits(0.0, 0.75)] = 0.35
     """Largest smooth shift of the skin on the glass."""
-    smooth_mm: float = 5.0
-    """Over which it is smooth."""
-    stretch: float = 0.015
+    stretch: Annotated[float, Limits(0.0, 0.1)] = 0.015
     """Skin that is pressed spreads by this share."""
-    level: float = 0.85
-    """Ridge height (0 valley, 1 top) from which skin touches where the pressure is least."""
-    widening: float = 0.45
-    """By how much that falls where the pressure is 4 times that of 1 N in the middle; ridges widen."""
-    softness: float = 0.09
-    """Of the step between touching and not, in ridge heights."""
-    patches: float = 0.06
+    patches: Annotated[float, Limits(0.0, 0.3)] = 0.06
     """Standard deviation of the level over a print, over distances of 2.5 mm: moisture."""
-    blur_px: float = 0.55
-    """Standard deviation of the optics' blur."""
-    noise_grey: float = 5.0
+    noise_grey: Annotated[float, Limits(0.0, 60.0)] = 5.0
     """Standard deviation of the sensor's noise, grey levels."""
-    bright_grey: float = 235.0
-    """Where nothing touches."""
-    dark_grey: float = 45.0
-    """Where skin touches."""
-    ppi: float = 500.0
+    ppi: Annotated[float, Limits(250.0, 2000.0)] = 500.0
     """Pixels per inch of the print, 250 to 2000."""
-    margin_mm: float = 1.0
-    """Around the contact patch."""
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("force_n", 0.1, 20.0),
-            ("indentation_mm", 0.2, 3.0),
-            ("stiffening", 0.1, 1.0),
-            ("turn_sd_deg", 0.0, 20.0),
-            ("roll_sd_deg", 0.0, 15.0),
-            ("pitch_deg", -15.0, 15.0),
-            ("pitch_sd_deg", 0.0, 8.0),
-            ("smooth_mm", 2.0, 20.0),
-            ("shift_mm", 0.0, 0.15 * self.smooth_mm),
-            ("stretch", 0.0, 0.1),
-            ("level", 0.2, 1.0),
-            ("widening", 0.0, 0.8),
-            ("softness", 0.02, 0.5),
-            ("patches", 0.0, 0.3),
-            ("blur_px", 0.0, 3.0),
-            ("noise_grey", 0.0, 60.0),
-            ("dark_grey", 0.0, self.bright_grey - 20.0),
-            ("bright_grey", 40.0, 255.0),
-            ("ppi", 250.0, 2000.0),
-            ("margin_mm", 0.0, 10.0),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"press.{name} must lie in [{low:g}, {high:g}], but it is {value}.",
-            )
 
     @property
     def depth_mm(self) -> float:
         """How far the glass goes beyond the highest point of the body."""
-        return float(self.indentation_mm * self.force_n**self.stiffening)
+        return float(_INDENTATION_MM * self.force_n**_STIFFENING)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,11 +256,11 @@ def press_finger(
     roll, pitch, turn = (float(np.clip(rng.standard_normal(), -2.0, 2.0)) for _ in range(3))
     pose = Pose(
         roll_rad=float(np.deg2rad(s.roll_sd_deg * roll)),
-        pitch_rad=float(np.deg2rad(s.pitch_deg + s.pitch_sd_deg * pitch)),
+        pitch_rad=float(np.deg2rad(_PITCH_DEG + s.pitch_sd_deg * pitch)),
     )
-    deformation = draw_deformation(rng, master, s.shift_mm, s.smooth_mm, s.stretch)
+    deformation = draw_deformation(rng, master, s.shift_mm, _SMOOTH_MM, s.stretch)
     depth_at, middle, reach = _touching(FingerBody(finger.shape), pose, s.depth_mm, deformation)
-    half = 0.5 * reach + s.margin_mm
+    half = 0.5 * reach + _MARGIN_MM
     turn_rad = float(np.deg2rad(s.turn_sd_deg * turn))
     step = 25.4 / s.ppi
     size = (2 * int(np.ceil(half[1] / step)), 2 * int(np.ceil(half[0] / step)))
@@ -298,13 +270,12 @@ def press_finger(
     pressed = np.clip(inside, 0.0, 1.0) * np.sqrt(s.force_n / 4.0)
     skin = skin_map(deformed(master, deformation), finger.skin)
     height = 1.0 + skin.displacement(u, v) / (1e-3 * finger.skin.ridge_depth_um)
-    level = s.level - s.widening * pressed + s.patches * smooth_noise(rng, u.shape, 2.5 * _FINER / step)
-    touching = 1.0 / (1.0 + np.exp(np.clip((level - height) / s.softness, -50.0, 50.0)))
+    level = _LEVEL - _WIDENING * pressed + s.patches * smooth_noise(rng, u.shape, 2.5 * _FINER / step)
+    touching = 1.0 / (1.0 + np.exp(np.clip((level - height) / _SOFTNESS, -50.0, 50.0)))
     touching /= 1.0 + np.exp(np.clip(-inside / 0.02, -50.0, 50.0))
     share = cv2.resize(touching, (size[1], size[0]), interpolation=cv2.INTER_AREA)
-    if s.blur_px > 0:
-        share = cv2.GaussianBlur(share, (0, 0), s.blur_px)
-    grey = s.bright_grey - (s.bright_grey - s.dark_grey) * share + s.noise_grey * rng.standard_normal(size)
+    share = cv2.GaussianBlur(share, (0, 0), _BLUR_PX)
+    grey = _BRIGHT_GREY - (_BRIGHT_GREY - _DARK_GREY) * share + s.noise_grey * rng.standard_normal(size)
     return PressedPrint(
         np.round(np.clip(grey, 0.0, 255.0)).astype(np.uint8),
         cv2.resize(inside, (size[1], size[0]), interpolation=cv2.INTER_AREA) > 0,

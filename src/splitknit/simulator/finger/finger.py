@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.finger.raycast import NOTHING_SEEN, Placement, above, cast_block, hits
@@ -48,38 +49,24 @@ class Finger:
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(Checked):
     """How a finger lies under the camera. It enters from the lower image border, tip towards row 0.
 
     The finger turns about its axis (roll), then about x (pitch), then about the camera's axis (yaw).
     """
 
-    yaw_rad: float = 0.0
+    yaw_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
     """Counter-clockwise in the image: the tip turns to the left. Up to 0.35 (20 deg)."""
-    pitch_rad: float = 0.0
+    pitch_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
     """Positive lifts the tip towards the camera. Up to 0.14 (8 deg)."""
-    roll_rad: float = 0.0
+    roll_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
     """Positive turns the pad to the right. Up to 0.35 (20 deg)."""
-    x_mm: float = 0.0
+    x_mm: Annotated[float, Limits()] = 0.0
     """Where the middle of the distal phalanx lies beside the image centre."""
-    insertion_mm: float = 32.0
+    insertion_mm: Annotated[float, Limits(0.0, above=True)] = 32.0
     """From the lower image border to the tip, along the rows, as measured on the finger plane."""
-    height_mm: float = 0.0
+    height_mm: Annotated[float, Limits()] = 0.0
     """z of the highest point of the pad (shape without ridges): at 0 the finger plane touches the pad."""
-
-    def __post_init__(self) -> None:
-        for name in ("yaw_rad", "pitch_rad", "roll_rad"):
-            value = getattr(self, name)
-            require(
-                np.isfinite(value) and abs(value) <= 0.6, f"pose.{name} must lie in [-0.6, 0.6], but it is {value}."
-            )
-        require(
-            np.isfinite(self.insertion_mm) and self.insertion_mm > 0,
-            f"pose.insertion_mm must be positive, but it is {self.insertion_mm}.",
-        )
-        for name in ("x_mm", "height_mm"):
-            value = getattr(self, name)
-            require(np.isfinite(value), f"pose.{name} must be a finite number, but it is {value}.")
 
     def rotation(self) -> Array:
         """(3, 3) from the finger's frame to the camera's."""

@@ -7,6 +7,7 @@ length. :func:`ink_print` shows it as ink on paper does, mirrored.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.errors import require
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.finger.ridges import (
     PATTERNS,
     OrientationField,
@@ -100,58 +102,46 @@ def _stamp(shape: tuple[int, int], x: Array, y: Array, sigma: Array, depth: Arra
     return np.asarray(image[reach : reach + shape[0], reach : reach + shape[1]], dtype=np.float32)
 
 
+PERIOD_VARIATION = 0.05
+"""Standard deviation of the ridge period within a finger, relative, over distances of about 5 mm."""
+PROXIMAL_WIDENING = 0.14
+"""How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer per area)."""
+FAN_WIDENING = 0.8
+"""How far ridges that fan out grow wider before new ones start between them: 0 not at all, 1 as far as they can."""
+_ROUGHNESS = 0.06
+"""Standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude."""
+_PORE_SPACING_MM = 0.65
+"""Mean distance of the pores along a ridge (9 to 18 a centimetre)."""
+_PORE_DIAMETER_MM = 0.13
+"""Mean full width at half depth of a pore."""
+
+
 @dataclass(frozen=True, slots=True)
-class MasterPrintSettings:
+class MasterPrintSettings(Checked):
     """How a master print is drawn."""
 
-    period_mm: float = 0.43
+    period_mm: Annotated[float, Limits(0.0, above=True)] = 0.43
     """Mean ridge period of the population: 23 ridges per cm."""
-    period_spread: float = 0.07
+    period_spread: Annotated[float, Limits(0.0, 0.15)] = 0.07
     """Standard deviation between fingers, relative to `period_mm`."""
-    period_variation: float = 0.05
-    """Standard deviation within a finger, relative, over distances of about 5 mm."""
-    proximal_widening: float = 0.14
-    """How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer per area)."""
-    fan_widening: float = 0.8
-    """How far ridges that fan out grow wider before new ones start between them: 0 not at all, 1 as far as they can."""
-    half_width_mm: float = 15.0
+    half_width_mm: Annotated[float, Limits(0.0, above=True)] = 15.0
     """The map spans u in [-half_width_mm, half_width_mm]."""
-    distal_mm: float = 33.0
+    distal_mm: Annotated[float, Limits(0.0, above=True)] = 33.0
     """The map's extent from the first crease towards the tip."""
-    proximal_mm: float = 24.0
+    proximal_mm: Annotated[float, Limits(0.0, above=True)] = 24.0
     """The map's extent from the first crease towards the palm."""
-    pitch_mm: float = 0.04
+    pitch_mm: Annotated[float, Limits(0.0, above=True)] = 0.04
     """Grid pitch of the map."""
-    iterations: int = 5
+    iterations: Annotated[int, Limits(1)] = 5
     """Passes of the growth filter; fewer leave more minutiae (5: about 0.2 per square millimetre, as people have)."""
-    roughness: float = 0.06
-    """Standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude."""
-    pore_spacing_mm: float = 0.65
-    """Mean distance of the pores along a ridge (9 to 18 a centimetre)."""
-    pore_diameter_mm: float = 0.13
-    """Mean full width at half depth of a pore."""
-    pattern_scale: float = 1.0
+    pattern_scale: Annotated[float, Limits(0.5, 2.0)] = 1.0
     """Size of the pattern (cores, deltas and the bends of its ridges, not their period): a finger's over the mean."""
 
     def __post_init__(self) -> None:
-        for name in ("period_mm", "half_width_mm", "distal_mm", "proximal_mm", "pitch_mm", "pore_spacing_mm"):
-            value = getattr(self, name)
-            require(np.isfinite(value) and value > 0, f"master_print.{name} must be positive, but it is {value}.")
+        check_fields(self)
         require(
             self.pitch_mm <= self.period_mm / 8,
             f"master_print.pitch_mm must be an eighth of the ridge period or less, but it is {self.pitch_mm}.",
-        )
-        require(self.iterations >= 1, f"master_print.iterations must be at least 1, but it is {self.iterations}.")
-        require(
-            0.5 <= self.pattern_scale <= 2.0,
-            f"master_print.pattern_scale must lie in [0.5, 2], but it is {self.pattern_scale}.",
-        )
-        for name in ("period_spread", "period_variation"):
-            value = getattr(self, name)
-            require(0 <= value <= 0.15, f"master_print.{name} must lie in [0, 0.15], but it is {value}.")
-        require(
-            0.08 <= self.pore_diameter_mm <= 0.3,
-            f"master_print.pore_diameter_mm must lie in [0.08, 0.3], but it is {self.pore_diameter_mm}.",
         )
 
 
@@ -227,8 +217,8 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
             fine,
             pitch_mm=settings.pitch_mm,
             period_mm=mean_period,
-            spacing_mm=settings.pore_spacing_mm,
-            diameter_mm=settings.pore_diameter_mm,
+            spacing_mm=_PORE_SPACING_MM,
+            diameter_mm=_PORE_DIAMETER_MM,
         ),
         fine_u,
         fine_v,
@@ -262,9 +252,9 @@ def _periods(
     center = field.cores_mm[0][1] if field.cores_mm else 14.0
     pitch = float(u_mm[1] - u_mm[0])
     shape = (v_mm.size, u_mm.size)
-    widening = settings.proximal_widening * rng.uniform(0.4, 1.6)
-    logs = settings.period_variation * np.clip(smooth_noise(rng, shape, 4.0 / pitch), -2.5, 2.5)
-    logs += settings.fan_widening * fan_log_period(field.angle_rad, pitch)
+    widening = PROXIMAL_WIDENING * rng.uniform(0.4, 1.6)
+    logs = PERIOD_VARIATION * np.clip(smooth_noise(rng, shape, 4.0 / pitch), -2.5, 2.5)
+    logs += FAN_WIDENING * fan_log_period(field.angle_rad, pitch)
     logs = 0.2 * np.tanh(logs / 0.2)
     logs += (widening * 0.5 * (1.0 - np.tanh((v_mm - 0.45 * center) / 4.0)))[:, None]
     logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u_mm) / 10.0, 0.0, 1.5) ** 2)[None, :]
@@ -293,7 +283,7 @@ def ridge_profile(rng: np.random.Generator, wave: Array32, settings: MasterPrint
     steep = rng.uniform(1.5, 2.2)
     wave = np.tanh(1.2 * wave) / np.tanh(1.2)  # evens out the amplitude
     flank = np.maximum(1.0 - wave * wave, 0.0)
-    level = steep * (wave + duty + settings.roughness * flank * rough)
+    level = steep * (wave + duty + _ROUGHNESS * flank * rough)
     low = np.tanh(steep * (duty - 1.1))  # interpolation overshoots 1 a little
     ridge = ((np.tanh(level) - low) / (1.0 - low)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(ridge, (0, 0), 0.02 / pitch), dtype=np.float32)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.deformation import Deformation, deformed, draw_deformation
 from splitknit.simulator.finger.finger import Finger, Pose, finger_surface, place
@@ -25,43 +26,32 @@ from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
 
+_SHOT_S = 0.5
+"""Time from shot to shot; the thesis takes 14 in 7 s."""
+EXPOSURE_S = 0.02
+"""Time that a shot takes; tremor blurs it."""
+_TREMOR_HZ = (8.0, 12.0)
+"""Physiological tremor (Elble and Koller 1990)."""
+_ROLL_DEG_PER_MM = 1.5
+"""Largest difference of roll about the finger's axis between two shots, for each mm of amplitude."""
+_SLIP = 0.1
+"""Largest slip of the skin between two shots, over the amplitude."""
+_SLIP_SMOOTH_MM = 5.0
+"""Length over which the slip is smooth."""
+
 
 @dataclass(frozen=True, slots=True)
-class HandMotion:
+class HandMotion(Checked):
     """How far and how a finger moves during a capture. Every number is ours unless a source is named."""
 
-    amplitude_mm: float = 0.0
-    """Largest distance, over all pairs of shots, between the places of the finger's middle; 0 = it lies still."""
-    shot_s: float = 0.5
-    """Time from shot to shot; the thesis takes 14 in 7 s."""
-    exposure_s: float = 0.02
-    """Time that a shot takes; tremor blurs it."""
-    tremor_share: float = 0.05
-    """Standard deviation of the tremor over the amplitude of the drift."""
-    tremor_hz: tuple[float, float] = (8.0, 12.0)
-    """Physiological tremor (Elble and Koller 1990)."""
-    yaw_deg_per_mm: float = 1.5
-    """Largest difference of yaw between two shots, for each mm of amplitude."""
-    roll_deg_per_mm: float = 1.5
-    """The same of the roll about the finger's axis."""
-    slip_share: float = 0.1
-    """Largest slip of the skin between two shots, over the amplitude."""
-    slip_smooth_mm: float = 5.0
-    """Length over which the slip is smooth."""
+    _group = "motion"
 
-    def __post_init__(self) -> None:
-        require(
-            0 <= self.amplitude_mm <= 3, f"motion.amplitude_mm must lie in [0, 3], but it is {self.amplitude_mm:g}."
-        )
-        require(0 < self.shot_s <= 10, f"motion.shot_s must lie in (0, 10], but it is {self.shot_s:g}.")
-        require(0 <= self.exposure_s <= self.shot_s, "motion.exposure_s must lie between 0 and motion.shot_s.")
-        low, high = self.tremor_hz
-        require(0 < low <= high <= 30, "motion.tremor_hz must be two rising frequencies of at most 30 Hz.")
-        require(0 <= self.tremor_share <= 0.5, "motion.tremor_share must lie in [0, 0.5].")
-        for name in ("yaw_deg_per_mm", "roll_deg_per_mm"):
-            require(0 <= getattr(self, name) <= 10, f"motion.{name} must lie in [0, 10].")
-        require(0 <= self.slip_share <= 0.5, "motion.slip_share must lie in [0, 0.5].")
-        require(2 <= self.slip_smooth_mm <= 30, "motion.slip_smooth_mm must lie in [2, 30].")
+    amplitude_mm: Annotated[float, Limits(0.0, 3.0)] = 0.0
+    """Largest distance, over all pairs of shots, between the places of the finger's middle; 0 = it lies still."""
+    tremor_share: Annotated[float, Limits(0.0, 0.5)] = 0.05
+    """Standard deviation of the tremor over the amplitude of the drift."""
+    yaw_deg_per_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
+    """Largest difference of yaw between two shots, for each mm of amplitude."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,9 +86,9 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
     require(shots >= 2, f"motion needs at least 2 shots, but there are {shots}.")
     reference = shots // 4 if reference is None else reference
     require(0 <= reference < shots, f"the reference shot must lie in 0 to {shots - 1}, but it is {reference}.")
-    time: Array = np.asarray(np.arange(shots) * settings.shot_s, dtype=np.float64)
+    time: Array = np.asarray(np.arange(shots) * _SHOT_S, dtype=np.float64)
     drift = _walk(rng, shots, 2)
-    frequency = rng.uniform(*settings.tremor_hz, (3, 2))
+    frequency = rng.uniform(*_TREMOR_HZ, (3, 2))
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
     angle = 2.0 * np.pi * frequency * time[:, None, None] + phase
     tremor = np.sin(angle).sum(axis=1) * (settings.tremor_share * np.sqrt(2.0 / 3.0))
@@ -118,8 +108,8 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
         yaw_rad=against(yaw * turned * settings.yaw_deg_per_mm),
-        roll_rad=against(roll * turned * settings.roll_deg_per_mm),
-        slip=against(slip * settings.amplitude_mm * settings.slip_share),
+        roll_rad=against(roll * turned * _ROLL_DEG_PER_MM),
+        slip=against(slip * settings.amplitude_mm * _SLIP),
         reference=reference,
     )
 
@@ -234,8 +224,8 @@ def moving_finger(  # noqa: PLR0917
     path_seed, slip_seed = seed.spawn(2)
     path = draw_path(np.random.default_rng(path_seed), shots, motion, reference)
     rng = np.random.default_rng(slip_seed)
-    unit_mm = 0.1 * motion.slip_smooth_mm
-    first, second = (_scaled(draw_deformation(rng, master, unit_mm, motion.slip_smooth_mm), 1 / unit_mm) for _ in "12")
+    unit_mm = 0.1 * _SLIP_SMOOTH_MM
+    first, second = (_scaled(draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM), 1 / unit_mm) for _ in "12")
     return MovingFinger(finger, pose, camera, master, path, (first, second), workers)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
 from splitknit.model import Camera
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.finger.master_print import MasterPrintSettings, ridge_profile, scatter_pores, twice_as_fine
 from splitknit.simulator.finger.ridges import grow_ridges, smooth_noise
 from splitknit.simulator.surface import Surface
@@ -235,6 +237,16 @@ def draw_shape(
 
 Array32 = NDArray[np.float32]
 
+_PERIOD_VARIATION = 0.06
+"""Relative standard deviation of the ridge period within a palm, over distances of about 5 mm."""
+_TURN_PER_MM = 0.02
+"""Standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis."""
+_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)
+"""Depth of the principal lines and of the finer ones."""
+_DARKENING = (0.05, 0.25)
+"""Loss of diffuse reflectance at the bottom of a line of 0.2 mm."""
+_MOTTLING = (0.01, 0.06)
+"""Standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm."""
 FLATTENED_MM = 0.12
 """Ridges flatten inside grooves of about this depth."""
 
@@ -277,7 +289,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
     pick = draws[0]
     period = float(pick.uniform(*settings.period_mm))
     depth_um = float(pick.uniform(*settings.ridge_depth_um))
-    darkening, mottling = float(pick.uniform(*settings.darkening)), float(pick.uniform(*settings.mottling))
+    darkening, mottling = float(pick.uniform(*_DARKENING)), float(pick.uniform(*_MOTTLING))
     x_mm, y_mm = _axes(settings)
     angle, triradius = _direction(draws[1], settings, x_mm, y_mm)
     wave = twice_as_fine(_ridges(draws[2], settings, angle, period))
@@ -294,8 +306,8 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
         half,
         principal=int(draws[4].integers(*settings.principal, endpoint=True)),
         wrinkles=int(draws[4].integers(*settings.wrinkles, endpoint=True)),
-        principal_depth_mm=1e-3 * float(draws[4].uniform(*settings.principal_depth_um)),
-        wrinkle_depth_mm=1e-3 * float(draws[4].uniform(*settings.wrinkle_depth_um)),
+        principal_depth_mm=1e-3 * float(draws[4].uniform(*_PRINCIPAL_UM)),
+        wrinkle_depth_mm=1e-3 * float(draws[4].uniform(*_WRINKLE_UM)),
     )
     groove = groove_map(lines, fine_x, fine_y)
     uneven = np.clip(1.0 + 0.15 * smooth_noise(draws[5], wave.shape, 4.0 / settings.pitch_mm), 0.5, 1.5)
@@ -378,7 +390,7 @@ def _direction(
     pitch = float(x_mm[1] - x_mm[0])
     shape = (y_mm.size, x_mm.size)
     x, y = np.meshgrid(x_mm, y_mm)
-    turn = np.clip(settings.turn_per_mm * rng.standard_normal(2), -2 * settings.turn_per_mm, 2 * settings.turn_per_mm)
+    turn = np.clip(_TURN_PER_MM * rng.standard_normal(2), -2 * _TURN_PER_MM, 2 * _TURN_PER_MM)
     angle = rng.uniform(0.0, np.pi) + turn[0] * x + turn[1] * y
     angle += rng.uniform(0.1, 0.3) * smooth_noise(rng, shape, 9.0 / pitch)
     angle += rng.uniform(0.03, 0.09) * smooth_noise(rng, shape, 2.5 / pitch)
@@ -392,7 +404,7 @@ def _direction(
 def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, period_mm: float) -> Array32:
     """(H, W) wave of the ridges on the coarse grid."""
     pitch = 2.0 * settings.pitch_mm
-    logs = settings.period_variation * np.clip(smooth_noise(rng, angle.shape, 4.0 / pitch), -2.5, 2.5)
+    logs = _PERIOD_VARIATION * np.clip(smooth_noise(rng, angle.shape, 4.0 / pitch), -2.5, 2.5)
     noise = rng.standard_normal(angle.shape).astype(np.float32)
     return grow_ridges(noise, angle, period_mm * np.exp(logs) / pitch)
 
@@ -418,60 +430,33 @@ def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> Array32
 
 
 @dataclass(frozen=True, slots=True)
-class PalmSettings:
+class PalmSettings(Checked):
     """Ranges that a palm is drawn from."""
 
     size_mm: tuple[float, float] = (44.0, 34.0)
     """Width and height of the patch."""
     pitch_mm: float = 0.05
     """Grid pitch of the patch's relief."""
-    period_mm: tuple[float, float] = (0.48, 0.62)
+    period_mm: Annotated[tuple[float, float], Limits(0.3, 1.0)] = (0.48, 0.62)
     """Mean ridge period."""
-    period_variation: float = 0.06
-    """Relative standard deviation within a palm, over distances of about 5 mm."""
-    ridge_depth_um: tuple[float, float] = (20.0, 60.0)
+    ridge_depth_um: Annotated[tuple[float, float], Limits(0.0, 200.0)] = (20.0, 60.0)
     """Mean height of ridges over valleys: flatter than on fingers."""
-    turn_per_mm: float = 0.02
-    """Standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis."""
-    delta_share: float = 0.15
+    delta_share: Annotated[float, Limits(0.0, 1.0)] = 0.15
     """Share of the patches that hold a triradius."""
-    principal: tuple[int, int] = (0, 3)
+    principal: Annotated[tuple[int, int], Limits(0, 10)] = (0, 3)
     """Principal lines in the patch, inclusive."""
-    principal_depth_um: tuple[float, float] = (90.0, 280.0)
-    """Of the principal lines, 0 to 300."""
-    wrinkles: tuple[int, int] = (10, 60)
+    wrinkles: Annotated[tuple[int, int], Limits(0, 400)] = (10, 60)
     """Finer lines, inclusive."""
-    wrinkle_depth_um: tuple[float, float] = (18.0, 50.0)
-    """Of the finer lines, 0 to 100."""
-    darkening: tuple[float, float] = (0.05, 0.25)
-    """Loss of diffuse reflectance at the bottom of a line of 0.2 mm."""
-    mottling: tuple[float, float] = (0.01, 0.06)
-    """Standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm."""
-    radius_mm: tuple[float, float] = (35.0, 150.0)
+    radius_mm: Annotated[tuple[float, float], Limits(20.0, 1000000.0)] = (35.0, 150.0)
     """Radii of curvature of the patch along its two axes."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(min(self.size_mm) >= 4.0, f"palm.size_mm must be at least 4 mm each way, but it is {self.size_mm}.")
-        for name, low, high in (
-            ("period_mm", 0.3, 1.0),
-            ("ridge_depth_um", 0.0, 200.0),
-            ("principal", 0, 10),
-            ("principal_depth_um", 0.0, 300.0),
-            ("wrinkles", 0, 400),
-            ("wrinkle_depth_um", 0.0, 100.0),
-            ("darkening", 0.0, 0.8),
-            ("mottling", 0.0, 0.2),
-            ("radius_mm", 20.0, 1e6),
-        ):
-            least, most = getattr(self, name)
-            require(
-                low <= least <= most <= high,
-                f"palm.{name} must be (low, high) within {low} to {high}, but it is ({least}, {most}).",
-            )
+        for name in ("period_mm", "ridge_depth_um", "principal", "wrinkles", "radius_mm"):
+            low, high = getattr(self, name)
+            require(low <= high, f"palm.{name} must be (low, high), but it is ({low}, {high}).")
         require(
             0 < self.pitch_mm <= self.period_mm[0] / 8,
             f"palm.pitch_mm must be an eighth of the least ridge period or less, but it is {self.pitch_mm}.",
         )
-        require(0 <= self.period_variation <= 0.15, "palm.period_variation must lie in [0, 0.15].")
-        require(0 <= self.turn_per_mm <= 0.2, "palm.turn_per_mm must lie in [0, 0.2].")
-        require(0 <= self.delta_share <= 1, "palm.delta_share must lie in [0, 1].")

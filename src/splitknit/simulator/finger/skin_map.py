@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
 
@@ -18,14 +19,14 @@ Array32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Crease:
+class Crease(Checked):
     """A flexion crease: parallel grooves across the finger."""
 
     v_mm: float = 0.0
     """Where it crosses the middle line: arc length from the first crease, towards the tip."""
-    depth_mm: float = 0.35
+    depth_mm: Annotated[float, Limits(0.0, 1.0)] = 0.35
     """Depth of its main groove."""
-    width_mm: float = 0.3
+    width_mm: Annotated[float, Limits(0.1, 1.0)] = 0.3
     """Standard deviation of the groove's profile."""
     tilt: float = 0.0
     """Rise over the breadth: dv / du."""
@@ -35,38 +36,24 @@ class Crease:
     """Arc length from the middle line at which the groove has half its depth."""
     side_lines: int = 2
     """Fainter lines beside the main groove."""
-    darkening: float = 0.25
+    darkening: Annotated[float, Limits(0.0, 0.8)] = 0.25
     """Loss of diffuse reflectance at the bottom."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.depth_mm <= 1.0, f"crease.depth_mm must lie in [0, 1], but it is {self.depth_mm}.")
-        require(0.1 <= self.width_mm <= 1.0, f"crease.width_mm must lie in [0.1, 1], but it is {self.width_mm}.")
-        require(0 <= self.darkening <= 0.8, f"crease.darkening must lie in [0, 0.8], but it is {self.darkening}.")
 
 
 @dataclass(frozen=True, slots=True)
-class SkinSettings:
+class SkinSettings(Checked):
     """Depths on one finger's skin."""
 
-    ridge_depth_um: float = 65.0
+    ridge_depth_um: Annotated[float, Limits(0.0, 200.0)] = 65.0
     """Mean height of ridges over valleys; people: 40-100."""
     depth_variation: float = 0.12
     """Relative standard deviation of the depth over distances of about 5 mm."""
-    pore_depth_um: float = 25.0
+    pore_depth_um: Annotated[float, Limits(0.0, 100.0)] = 25.0
     """Mean depth of the deepest pores."""
     pore_darkening: float = 0.06
     """Loss of diffuse reflectance at a pore."""
     creases: tuple[Crease, ...] = (Crease(), Crease(v_mm=-23.0, depth_mm=0.5, side_lines=3))
     """From the first crease towards the palm."""
-
-    def __post_init__(self) -> None:
-        require(
-            0 <= self.ridge_depth_um <= 200,
-            f"skin.ridge_depth_um must lie in [0, 200], but it is {self.ridge_depth_um}.",
-        )
-        require(
-            0 <= self.pore_depth_um <= 100, f"skin.pore_depth_um must lie in [0, 100], but it is {self.pore_depth_um}."
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

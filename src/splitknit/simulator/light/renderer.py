@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.model import FloatArray, Led
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on
 from splitknit.simulator.light.skin import (
@@ -30,40 +30,28 @@ from splitknit.simulator.light.skin import (
 )
 from splitknit.simulator.surface import Surface
 
+LED_RADIUS_MM = 1.5
+"""Radius of an LED's emitting face; it widens the glare."""
+_RELIEF_LOW_MM, _RELIEF_HIGH_MM = 0.03, 0.32
+"""Standard deviations of the smoothing and of the high-pass of the relief in the relief term."""
+
 
 @dataclass(frozen=True, slots=True)
-class RenderSettings:
+class RenderSettings(Checked):
     """What of the light is modelled."""
 
-    led_radius_mm: float = 1.5
-    """Radius of an LED's emitting face; it widens the glare."""
-    relief_low_mm: float = 0.03
-    """Standard deviation of the smoothing of the relief in the relief term."""
-    relief_high_mm: float = 0.32
-    """Standard deviation of the high-pass of the relief in the relief term."""
-    reach_mm: float = 6.0
+    reach_mm: Annotated[float, Limits(0, 30, above=True)] = 6.0
     """Diffusion over longer distances may wrap around the image; larger costs time."""
-    aperture_mm: float = 0.0
+    aperture_mm: Annotated[float, Limits(0, 50)] = 0.0
     """Diameter of the lens's entrance pupil; 0 switches defocus off. f/2 at 11 mm of focal length is 5.5 mm."""
     focus_depth_mm: float = 1.5
     """Depth of the plane in focus below the finger's highest point."""
-    rim_exponent: float = 0.75
+    rim_exponent: Annotated[float, Limits(0, 1)] = 0.75
     """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by
     the share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk
     in an elliptic cylinder best (``validation/twin/volume.py``)."""
-    workers: int = 2
+    workers: Annotated[int, Limits(1)] = 2
     """Threads; the result does not depend on it."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.led_radius_mm <= 20, f"render.led_radius_mm must be 0 to 20, but it is {self.led_radius_mm}.")
-        require(
-            0 <= self.relief_low_mm < self.relief_high_mm,
-            "render.relief_low_mm must be at least 0 and below render.relief_high_mm.",
-        )
-        require(0 < self.reach_mm <= 30, f"render.reach_mm must lie in (0, 30], but it is {self.reach_mm}.")
-        require(0 <= self.aperture_mm <= 50, f"render.aperture_mm must be 0 to 50, but it is {self.aperture_mm}.")
-        require(0 <= self.rim_exponent <= 1, f"render.rim_exponent must be 0 to 1, but it is {self.rim_exponent}.")
-        require(self.workers >= 1, "render.workers must be at least 1.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,12 +102,12 @@ def render_band(
         gains = [coat.over(gain, name) for gain, name in zip(gains, channels, strict=True)]
 
         def shine(k: int) -> Shine:
-            return coat.light_on(leds[k], glare, settings.led_radius_mm)
+            return coat.light_on(leds[k], glare, LED_RADIUS_MM)
 
     else:
 
         def shine(k: int) -> Shine:
-            entering, gloss = light_on(patch, leds[k], roughness, settings.led_radius_mm)
+            entering, gloss = light_on(patch, leds[k], roughness, LED_RADIUS_MM)
             return entering, gloss * np.float32(glare), None
 
     return render_lights(patch, shine, len(leds), Diffusion(patch, optics, walks, settings, roughness), gains)
@@ -249,7 +237,7 @@ def relief_gains(
         blurred = cv2.GaussianBlur(relief, size, sigma, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(blurred / np.maximum(weight, 1e-3), dtype=np.float32)
 
-    band = smooth(settings.relief_low_mm) - smooth(settings.relief_high_mm)
+    band = smooth(_RELIEF_LOW_MM) - smooth(_RELIEF_HIGH_MM)
     pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
     for one in optics:
         yield pigment * np.clip(1.0 + np.float32(one.relief_gain_per_um) * band, 0.2, 1.8)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy.fft
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import FloatArray, Led
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on
-from splitknit.simulator.light.renderer import Diffusion, RenderSettings, relief_gains
+from splitknit.simulator.light.renderer import LED_RADIUS_MM, Diffusion, RenderSettings, relief_gains
 from splitknit.simulator.light.skin import BAND_CHANNELS, ChannelOptics, SkinSettings, WalkTable, load_walks
 from splitknit.simulator.surface import Surface
 
@@ -29,41 +30,30 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Checkerboard:
+class Checkerboard(Checked):
     """A checkerboard in all its shifts: `steps` x `steps` patterns, by a `steps`-th of the period each way."""
 
-    check_mm: float
+    check_mm: Annotated[float, Limits(0.0, 50.0, above=True)]
     """Side of one check on the finger plane."""
-    steps: int = 5
+    steps: Annotated[int, Limits(2, 32)] = 5
     """Shifts along each axis; 5 gives the thesis's 25 patterns. With an even number every checkerboard occurs twice,
     since a shift by one check along both axes changes nothing."""
-    alpha: float = 0.5
+    alpha: Annotated[float, Limits(0.05, 0.95)] = 0.5
     """Share of the plane that is lit: 0.5 is the checkerboard; below it lit squares on dark, above it dark squares on
     light, one a period of two checks."""
-    dark: float = 0.0
+    dark: Annotated[float, Limits(0.0, 0.9)] = 0.0
     """Light of the projector's dark checks, relative to its lit ones (b)."""
-    edge_mm: float = 0.0
+    edge_mm: Annotated[float, Limits(0.0)] = 0.0
     """Width over which an edge goes from dark to lit, on top of one pixel: the projector's blur."""
-    angle_rad: float = 0.0
+    angle_rad: Annotated[float, Limits()] = 0.0
     """Of the pattern's axes against the camera's, counter-clockwise."""
-    phase_mm: tuple[float, float] = (0.0, 0.0)
+    phase_mm: Annotated[tuple[float, float], Limits()] = (0.0, 0.0)
     """Where the pattern starts: displacement of the first of its shifts along its own axes."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
-            bool(np.isfinite(self.check_mm)) and 0 < self.check_mm <= 50,
-            f"checkerboard.check_mm must lie in (0, 50], but it is {self.check_mm}.",
-        )
-        require(2 <= self.steps <= 32, f"checkerboard.steps must be 2 to 32, but it is {self.steps}.")
-        require(0.05 <= self.alpha <= 0.95, f"checkerboard.alpha must be 0.05 to 0.95, but it is {self.alpha}.")
-        require(0 <= self.dark <= 0.9, f"checkerboard.dark must be 0 to 0.9, but it is {self.dark}.")
-        require(
-            0 <= self.edge_mm <= self.check_mm,
-            f"checkerboard.edge_mm must be at most one check, but it is {self.edge_mm}.",
-        )
-        require(
-            bool(np.isfinite(self.angle_rad)) and bool(np.isfinite(self.phase_mm).all()),
-            "checkerboard.angle_rad and phase_mm must be finite numbers.",
+            self.edge_mm <= self.check_mm, f"checkerboard.edge_mm must be at most one check, but it is {self.edge_mm}."
         )
 
     @property
@@ -302,7 +292,7 @@ class _Scene:
         self.diffusion = Diffusion(self.patch, media, walks or load_walks(), settings, skin.roughness)
         gains = relief_gains(surface, self.patch, media, settings)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
-        entering, gloss = light_on(self.patch, led, skin.roughness, settings.led_radius_mm)
+        entering, gloss = light_on(self.patch, led, skin.roughness, LED_RADIUS_MM)
         self.glare = np.asarray(gloss * np.float32(skin.glare), dtype=np.float32)
         self.entering = self.diffusion.pad(entering)
         self.x, self.y = (self._beyond(c, k) for k, c in enumerate(projected(self.patch, led)))

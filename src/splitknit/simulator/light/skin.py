@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import scipy.fft
@@ -24,6 +24,7 @@ from scipy.special import j1
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 
 Channel = Literal["red", "green", "blue", "nir"]
 
@@ -85,48 +86,29 @@ class ChannelOptics:
 
 
 @dataclass(frozen=True, slots=True)
-class SkinSettings:
+class SkinSettings(Checked):
     """One finger's skin. The defaults give the coefficients measured on the reference renders."""
 
-    scattering_factor: float = 1.0
+    scattering_factor: Annotated[float, Limits(0.3, 3.0)] = 1.0
     """Multiplies the reduced scattering of the power law; 0.3 to 3."""
-    melanin: float = 0.00056
+    melanin: Annotated[float, Limits(0.0, 0.05)] = 0.00056
     """Volume fraction of melanosomes in the medium: 0.0002 very light, 0.004 dark, 0.02 very dark skin."""
-    blood: float = 0.006
+    blood: Annotated[float, Limits(0.0, 0.1)] = 0.006
     """Volume fraction of whole blood (150 g/l haemoglobin)."""
-    oxygenation: float = 0.75
+    oxygenation: Annotated[float, Limits(0.0, 1.0)] = 0.75
     """Oxygenated share of the haemoglobin."""
-    water: float = 0.65
+    water: Annotated[float, Limits(0.0, 1.0)] = 0.65
     """Volume fraction of water."""
-    baseline_per_mm: float = 0.008
+    baseline_per_mm: Annotated[float, Limits(0.004, 1.0)] = 0.008
     """Grey absorption of bloodless skin; the part that depends on wavelength is Jacques's."""
-    yellow_per_mm: float = 0.105
+    yellow_per_mm: Annotated[float, Limits(0.0, 1.0)] = 0.105
     """Absorption in the blue channel by carotenoids, bilirubin and the thick horny layer of the finger pad."""
-    roughness: float = 0.25
+    roughness: Annotated[float, Limits(0.05, 1.0)] = 0.25
     """GGX alpha of the skin's surface."""
-    glare: float = 1.0
+    glare: Annotated[float, Limits(0.0, 5.0)] = 1.0
     """Weight of the surface reflection: 1 bare skin (Fresnel), 0 polarised away, above 1 oily."""
-    relief_gain: float = 0.78
+    relief_gain: Annotated[float, Limits(0.0, 3.0)] = 0.78
     """The relief gain of a channel is this number times its effective attenuation: k h = gain x mu_eff x h."""
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("scattering_factor", 0.3, 3.0),
-            ("melanin", 0.0, 0.05),
-            ("blood", 0.0, 0.1),
-            ("oxygenation", 0.0, 1.0),
-            ("water", 0.0, 1.0),
-            ("baseline_per_mm", 0.004, 1.0),
-            ("yellow_per_mm", 0.0, 1.0),
-            ("roughness", 0.05, 1.0),
-            ("glare", 0.0, 5.0),
-            ("relief_gain", 0.0, 3.0),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"skin.{name} must lie between {low} and {high}, but it is {value}.",
-            )
 
     def channel(self, name: Channel) -> ChannelOptics:
         """Return the coefficients of the channel `name`: ``red``, ``green``, ``blue`` or ``nir``."""

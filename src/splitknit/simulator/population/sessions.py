@@ -7,7 +7,7 @@ is simulated, in whatever order and by however many workers.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from scipy.special import ndtr
 
 from splitknit.errors import require
 from splitknit.model import Camera, Capture, Rig, default_rig
+from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.deformation import deformed, draw_deformation
@@ -32,86 +33,65 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class SessionRanges:
+class SessionRanges(Checked):
     """From what impressions are drawn; sources and reasons: ``docs/population.md``."""
 
-    yaw_sd_deg: float = 5.0
-    """Standard deviation of the finger's turn about the camera's axis; no turn is beyond twice that. 0 to 10."""
-    pitch_sd_deg: float = 2.0
-    """The same for the lift of the tip towards the camera; 0 to 4."""
-    roll_sd_deg: float = 6.0
-    """The same for the turn about the finger's own axis, on top of the finger's habit; 0 to 12."""
-    x_mm: Range = (-3.0, 3.0)
-    """Where the middle of the finger lies beside the image centre."""
-    insertion_mm: Range = (26.0, 28.4)
-    """From the lower image border to the tip; cut to what the picture holds."""
-    partial_share: float = 0.1
-    """Share of impressions that are laid down too short."""
-    partial_insertion_mm: Range = (18.0, 22.0)
-    """From the lower image border to the tip of those; 12 to 40."""
-    height_mm: Range = (-0.5, 0.5)
-    """z of the pad's highest point."""
-    swelling_sd: float = 0.015
-    """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
-    swelling_common: float = 0.8
-    """Share of its variance that all fingers of a person have in common."""
-    flattening: Range = (0.0, 0.02)
-    """What a resting finger gains in breadth and loses in thickness."""
-    deformation_mm: Range = (0.2, 0.5)
-    """Largest shift of the skin against the body."""
-    deformation_smooth_mm: float = 5.0
-    """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
-    moisture_common: float = 0.6
-    """Share of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
-    glare: Range = (0.5, 1.3)
-    """Weight of the surface reflection of dry and of moist skin."""
-    roughness: Range = (0.35, 0.18)
-    """GGX alpha of dry and of moist skin."""
-    ridge_contrast: Range = (0.88, 1.08)
-    """Depth of ridges and pores relative to the finger's own, dry and moist."""
-    blood_sd: float = 0.25
-    """Logarithmic standard deviation of the blood content (warmth, pressure)."""
-    blood_common: float = 0.8
-    """Share of its variance that a person's fingers have in common."""
-    oxygenation: Range = (0.6, 0.85)
-    """Oxygenated share of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
-    exposure: Range = (0.5, 0.8)
-    """Share of full scale that the brightest skin reaches."""
-    full_well_e: Range = (2500.0, 4700.0)
-    """Electrons at full scale: fewer with a higher gain."""
-    read_noise_e: Range = (2.5, 4.0)
-    """Standard deviation of the noise of reading out, electrons; 0 to 50."""
-    led_drift_sd: float = 0.007
-    """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
-    ambient: Range = (0.0005, 0.004)
-    """Room light relative to one LED."""
-    hand_shadow: Range = (0.0, 0.15)
-    """Share of the light that the hand takes away at the finger's base; 0 to 1."""
-    dust_per_cm2: Range = (0.0, 0.6)
-    """Bright specks on the background, for each square centimetre; 0 to 20."""
+    _group = "sessions"
 
-    def __post_init__(self) -> None:
-        for name, least, most in (
-            ("yaw_sd_deg", 0, 10), ("pitch_sd_deg", 0, 4), ("roll_sd_deg", 0, 12), ("partial_share", 0, 1),
-            ("swelling_sd", 0, 0.03), ("swelling_common", 0, 1), ("deformation_smooth_mm", 3, 20),
-            ("moisture_common", 0, 1), ("blood_sd", 0, 0.6), ("blood_common", 0, 1), ("led_drift_sd", 0, 0.05),
-        ):  # fmt: skip
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and least <= value <= most,
-                f"sessions.{name} must lie in [{least}, {most}], but it is {value}.",
-            )
-        for name, low, high in (
-            ("x_mm", -8, 8), ("insertion_mm", 12, 40), ("partial_insertion_mm", 12, 40), ("height_mm", -3, 3),
-            ("flattening", 0, 0.1), ("deformation_mm", 0, 0.6), ("glare", 0, 3), ("roughness", 0.1, 0.6),
-            ("ridge_contrast", 0.2, 1.5), ("oxygenation", 0.3, 1), ("exposure", 0.1, 0.95), ("full_well_e", 500, 1e5),
-            ("read_noise_e", 0, 50), ("ambient", 0, 0.2), ("hand_shadow", 0, 1), ("dust_per_cm2", 0, 20),
-        ):  # fmt: skip
-            values = getattr(self, name)
-            require(
-                all(bool(np.isfinite(value)) and low <= value <= high for value in values),
-                f"sessions.{name} must lie in [{low}, {high}], but it is {values}.",
-            )
+    yaw_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 5.0
+    """Standard deviation of the finger's turn about the camera's axis; no turn is beyond twice that. 0 to 10."""
+    pitch_sd_deg: Annotated[float, Limits(0.0, 4.0)] = 2.0
+    """The same for the lift of the tip towards the camera; 0 to 4."""
+    roll_sd_deg: Annotated[float, Limits(0.0, 12.0)] = 6.0
+    """The same for the turn about the finger's own axis, on top of the finger's habit; 0 to 12."""
+    x_mm: Annotated[Range, Limits(-8.0, 8.0)] = (-3.0, 3.0)
+    """Where the middle of the finger lies beside the image centre."""
+    insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (26.0, 28.4)
+    """From the lower image border to the tip; cut to what the picture holds."""
+    partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
+    """Share of impressions that are laid down too short."""
+    partial_insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (18.0, 22.0)
+    """From the lower image border to the tip of those; 12 to 40."""
+    height_mm: Annotated[Range, Limits(-3.0, 3.0)] = (-0.5, 0.5)
+    """z of the pad's highest point."""
+    swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
+    """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
+    swelling_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
+    """Share of its variance that all fingers of a person have in common."""
+    flattening: Annotated[Range, Limits(0.0, 0.1)] = (0.0, 0.02)
+    """What a resting finger gains in breadth and loses in thickness."""
+    deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
+    """Largest shift of the skin against the body."""
+    deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
+    """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
+    moisture_common: Annotated[float, Limits(0.0, 1.0)] = 0.6
+    """Share of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
+    glare: Annotated[Range, Limits(0.0, 3.0)] = (0.5, 1.3)
+    """Weight of the surface reflection of dry and of moist skin."""
+    roughness: Annotated[Range, Limits(0.1, 0.6)] = (0.35, 0.18)
+    """GGX alpha of dry and of moist skin."""
+    ridge_contrast: Annotated[Range, Limits(0.2, 1.5)] = (0.88, 1.08)
+    """Depth of ridges and pores relative to the finger's own, dry and moist."""
+    blood_sd: Annotated[float, Limits(0.0, 0.6)] = 0.25
+    """Logarithmic standard deviation of the blood content (warmth, pressure)."""
+    blood_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
+    """Share of its variance that a person's fingers have in common."""
+    oxygenation: Annotated[Range, Limits(0.3, 1.0)] = (0.6, 0.85)
+    """Oxygenated share of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
+    exposure: Annotated[Range, Limits(0.1, 0.95)] = (0.5, 0.8)
+    """Share of full scale that the brightest skin reaches."""
+    full_well_e: Annotated[Range, Limits(500.0, 100000.0)] = (2500.0, 4700.0)
+    """Electrons at full scale: fewer with a higher gain."""
+    read_noise_e: Annotated[Range, Limits(0.0, 50.0)] = (2.5, 4.0)
+    """Standard deviation of the noise of reading out, electrons; 0 to 50."""
+    led_drift_sd: Annotated[float, Limits(0.0, 0.05)] = 0.007
+    """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
+    ambient: Annotated[Range, Limits(0.0, 0.2)] = (0.0005, 0.004)
+    """Room light relative to one LED."""
+    hand_shadow: Annotated[Range, Limits(0.0, 1.0)] = (0.0, 0.15)
+    """Share of the light that the hand takes away at the finger's base; 0 to 1."""
+    dust_per_cm2: Annotated[Range, Limits(0.0, 20.0)] = (0.0, 0.6)
+    """Bright specks on the background, for each square centimetre; 0 to 20."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,12 +194,12 @@ LARGE = ("normals", "glare_white", "glare_nir")
 
 
 @dataclass(frozen=True, slots=True)
-class PopulationSettings:
+class PopulationSettings(Checked):
     """A whole population; how many people, fingers and sessions of it are simulated is not part of it."""
 
-    seed: int = 0
+    seed: Annotated[int, Limits(0)] = 0
     """What all people, fingers and captures are drawn from: the same number gives the same bytes. 0 or more."""
-    scale: float = 0.5
+    scale: Annotated[float, Limits(0.05, 1.0)] = 0.5
     """Size of the images relative to the full frame of 2200 x 3200 pixels."""
     rig_seed: int | None = 0
     """Seed of the LEDs' individual intensities; None makes them equal."""
@@ -228,11 +208,6 @@ class PopulationSettings:
     render: RenderSettings = field(default_factory=lambda: RenderSettings(workers=1))
     truth: Literal["surface", "full"] = "surface"
     """``surface``: heights, shape, relief, mask, landmarks; ``full``: normals and glare, too (five times as large)."""
-
-    def __post_init__(self) -> None:
-        require(0.05 <= self.scale <= 1.0, f"population.scale must lie in [0.05, 1], but it is {self.scale}.")
-        require(self.seed >= 0, f"population.seed must not be negative, but it is {self.seed}.")
-        require(self.truth in ("surface", "full"), f"population.truth must be surface or full, not '{self.truth}'.")
 
     def rig(self) -> Rig:
         """The rig as it was calibrated."""
