@@ -14,10 +14,12 @@ import json
 import shutil
 from pathlib import Path
 
-from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
+from splitknit.batch.engine import run_batch
+from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.simulate import simulate_population
+from splitknit.batch.store import Store
 from splitknit.capture.enrolment import FINGERS
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 from timing import machine
 
 OUT = Path(__file__).parent / "out" / "batch"

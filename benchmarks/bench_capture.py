@@ -20,7 +20,7 @@ from bench_reconstruct import OUT, run_process, splitknit
 from splitknit.capture.exposure import grey_light, measure_focus
 from splitknit.capture.shots import CheckSettings, Examiner
 from splitknit.devices import Frame
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.io.images import encode_image
 from timing import machine
 

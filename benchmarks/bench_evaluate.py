@@ -15,17 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.evaluation import (
-    BootstrapSettings,
-    Scores,
-    auc,
-    bootstrap,
-    comparisons,
-    equal_error,
-    gar_at_far,
-    roc,
-    scores_of_comparisons,
-)
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit.evaluation.rates import auc, equal_error, gar_at_far, roc
+from splitknit.evaluation.scores import Scores
 from timing import machine, print_table, race
 
 

@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from splitknit.gallery.entry import Entry
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.entry import Entry, NewCapture
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.matching.code import CODE_VERSION, code_size
 

@@ -16,7 +16,9 @@ from peers import (
     masked_pyamg,
     shapelets_scale_by_scale,
 )
-from splitknit.integration import PoissonSettings, ShapeletSettings, frankot_chellappa, poisson, shapelets
+from splitknit.integration.frankot_chellappa import frankot_chellappa
+from splitknit.integration.poisson import PoissonSettings, poisson
+from splitknit.integration.shapelets import ShapeletSettings, shapelets
 from timing import machine, print_table, race
 
 

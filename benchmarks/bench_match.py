@@ -16,25 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.orientation import find_upright
-from splitknit.matching import (
-    FingerImages,
-    Prepared,
-    Template,
-    ThesisSettings,
-    finger_features,
-    finger_images,
-    make_template,
-    pack,
-    ridge_band,
-    ridge_match,
-    thesis_match,
-    unpack,
-)
 from splitknit.matching.minutiae import enhance_print, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import pack_minutiae
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.template import Template, make_template, pack, unpack
+from splitknit.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
+from splitknit.model import default_rig
 from splitknit.prints.ridges import relief_print
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.surface import Surface
 from timing import machine, print_table, race
 

@@ -18,15 +18,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.mirrors import mirror_shape, view_binning
 from splitknit.mirrors.captured import views_in
-from splitknit.pipeline import preset_settings
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface, place
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.mirror_parts import mirror_rig
-from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.mirrors.mirror import mirror_shape
+from splitknit.mirrors.views import view_binning
+from splitknit.presets import preset_settings
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.mirror_view import mirror_view
-from splitknit.simulator.skin_map import skin_map
+from splitknit.simulator.rigs import MirrorViews, mirror_rig
 from timing import machine
 
 SIZE = (2000, 3000)

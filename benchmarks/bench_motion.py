@@ -20,10 +20,11 @@ import numpy as np
 from splitknit.finger.locate import find_finger
 from splitknit.finger.steady import register, resampled
 from splitknit.model import Capture
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from timing import machine
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from cases import shadow_case
 from peers import batched_weighted_photometric_stereo, pinv_photometric_stereo
 from splitknit.model import Camera, Led, Rig
-from splitknit.photometric import NearLightSettings, lambertian, near_light, pseudo_normals, robust
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.near_light import NearLightSettings, near_light, pseudo_normals
+from splitknit.photometric.robust import robust
 from timing import machine, print_table, race
 
 

@@ -25,11 +25,12 @@ import numpy as np
 
 from splitknit.finger.orientation import find_upright
 from splitknit.matching.minutiae import nfiq2
-from splitknit.prints import CurvatureSettings, curvature, gabor_enhance, ridge_mask, stft_enhance, thin
+from splitknit.model import default_rig
+from splitknit.prints.curvature import CurvatureSettings, curvature
+from splitknit.prints.enhance import gabor_enhance, ridge_mask, stft_enhance, thin
 from splitknit.prints.make import Print, enhance, make_print
 from splitknit.prints.sources import Source
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from timing import machine
 
 PRINTS = Path(__file__).resolve().parents[2] / "shared" / "data" / "fvc2002_db1b"

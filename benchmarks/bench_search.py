@@ -18,11 +18,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from splitknit.matching import Prepared, make_template, pack, ridge_band, unpack
 from splitknit.matching.code import code_model, code_of, code_size, probe_codes, ridge_field
+from splitknit.matching.ridge import Prepared
+from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.matching.template import make_template, pack, unpack
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 SCALE = 0.15

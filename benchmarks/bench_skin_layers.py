@@ -12,9 +12,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from cases import shadow_case
-from splitknit.photometric import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian, robust
-from splitknit.photometric.hanrahan_krueger_fit import Pixels, directions, fitted
-from splitknit.photometric.skin_layers import reflected
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, directions, fitted
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import robust
+from splitknit.photometric.skin_layers import SkinLayers, reflected
 from timing import machine, print_table, race
 
 NOISE = 0.01

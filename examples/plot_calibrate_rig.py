@@ -17,8 +17,8 @@ from splitknit.calibration.lights import Circle, by_circle
 from splitknit.calibration.nail import by_joint_fit
 from splitknit.model import Rig
 from splitknit.rig.netlist import design_circuit
-from splitknit.simulator.bench_nail import NailScene
-from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.calibration_set.solids import NailScene
+from splitknit.simulator.rigs import built_rig
 
 PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 

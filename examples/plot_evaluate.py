@@ -14,13 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.evaluation import BootstrapSettings, bootstrap, comparisons, roc, scores_of_comparisons
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit.evaluation.rates import roc
 from splitknit.finger.orientation import find_upright
-from splitknit.matching import Prepared, Template, make_template, ridge_band, ridge_match
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.template import Template, make_template
+from splitknit.model import default_rig
 from splitknit.report.evaluation import roc_chart
-from splitknit.simulator.finger import draw_finger, finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 PHALANGE_MM, NOISE_UM = 20.0, 12.0
 

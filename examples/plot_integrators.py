@@ -12,7 +12,9 @@ import argparse
 
 import numpy as np
 
-from splitknit.integration import ShapeletSettings, frankot_chellappa, poisson, shapelets
+from splitknit.integration.frankot_chellappa import frankot_chellappa
+from splitknit.integration.poisson import poisson
+from splitknit.integration.shapelets import ShapeletSettings, shapelets
 
 Array = np.ndarray
 

@@ -16,12 +16,13 @@ import numpy as np
 
 import splitknit
 from splitknit.evaluation.accuracy import compare
-from splitknit.io import write_image
+from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
 from splitknit.report.figures import render_views
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

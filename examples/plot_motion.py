@@ -16,12 +16,13 @@ import numpy as np
 
 import splitknit
 from splitknit.evaluation.accuracy import compare
-from splitknit.io import write_image
+from splitknit.io.images import write_image
 from splitknit.model import surface_of
 from splitknit.presets import PRESETS
 from splitknit.prints.ridges import surface_print
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

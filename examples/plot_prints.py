@@ -14,12 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.io import write_capture, write_image
+from splitknit.io.capture import write_capture
+from splitknit.io.images import write_image
 from splitknit.matching.minutiae import extract, nfiq2
-from splitknit.prints import as_print, ridge_mask, thin
+from splitknit.prints.enhance import as_print, ridge_mask, thin
 from splitknit.prints.make import enhance, make_print
 from splitknit.prints.sources import read_source
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 METHODS = ("relief", "unroll", "curvature", "photo")
 

@@ -15,11 +15,12 @@ import numpy as np
 
 import splitknit
 from splitknit.evaluation.accuracy import compare
-from splitknit.imaging import linear_image
-from splitknit.io import write_image
+from splitknit.imaging.band import linear_image
+from splitknit.io.images import write_image
 from splitknit.io.pictures import grey, on_paper, to_frame, upright_frame
 from splitknit.report.figures import render_views
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def describe(result: splitknit.Reconstruction) -> None:

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.io import write_image
-from splitknit.model import Camera
-from splitknit.separation import Separation, StackSettings, checkerboard, single_image
-from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
-from splitknit.simulator.projector import Checkerboard, pattern_states
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.separation import checkerboard_stack, separate_truth
-from splitknit.simulator.skin import SkinSettings
+from splitknit.io.images import write_image
+from splitknit.model import Camera, default_rig
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.single_image import single_image
+from splitknit.separation.stacks import Separation, StackSettings
+from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
+from splitknit.simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
+from splitknit.simulator.light.skin import SkinSettings
 
 CHECK_MM, PX_PER_MM, BLOCK = 0.4, 20.0, 16
 UNBOUNDED = StackSettings(clip_level=None)  # simulated light does not clip

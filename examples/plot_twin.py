@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.io import write_image
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.io.images import write_image
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 Array = np.ndarray
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.io import write_capture
-from splitknit.simulator.finger import Pose
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.io.capture import write_capture
+from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # started in the background by a shell: what tests interrupt would inherit the deafness

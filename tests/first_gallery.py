@@ -10,8 +10,7 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from splitknit.gallery.entry import encode_entry
-from splitknit.gallery.gallery import NewCapture
+from splitknit.gallery.entry import NewCapture, encode_entry
 from splitknit.gallery.key import Key
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from splitknit.finger.orientation import Upright, find_upright
-from splitknit.io import write_npz, write_print_png
+from splitknit.io.npz import write_npz
+from splitknit.io.prints import write_print_png
 from splitknit.model import Camera
 from splitknit.prints.ridges import relief_print
 

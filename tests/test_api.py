@@ -11,9 +11,10 @@ import pytest
 
 import splitknit
 from splitknit.errors import BadInput
-from splitknit.io import plain_json, write_capture
+from splitknit.io.capture import write_capture
+from splitknit.io.provenance import plain_json
 from splitknit.model import Capture, Reconstruction
-from splitknit.simulator.twin import TwinSettings
+from splitknit.simulator.scene import TwinSettings
 
 SRC = Path(splitknit.__file__).parent
 

@@ -12,15 +12,17 @@ import pytest
 from small_capture import edit
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.imaging import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
+from splitknit.imaging.band import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
 from splitknit.imaging.coloured import COMPOSED, balanced, colour_factors, composed
-from splitknit.io import read_capture, read_rig, write_capture, write_rig
-from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.pipeline import PRESETS, reconstruct
-from splitknit.presets import settings_document
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
+from splitknit.pipeline import reconstruct
+from splitknit.presets import PRESETS, settings_document
 from splitknit.settings import override
-from splitknit.simulator.coloured import CROSSTALK, coloured_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 MIXING = np.array(CROSSTALK)
 

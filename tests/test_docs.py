@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import splitknit
-from splitknit.io import write_image
+from splitknit.io.images import write_image
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("benchmarks/*.md")])

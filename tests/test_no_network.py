@@ -19,7 +19,7 @@ import pytest
 
 from splitknit.batch.simulate import simulate_population
 from splitknit.cli.main import build_parser
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 Event = tuple[str, str]
 """``address``, ``lookup`` or ``write``, and of what."""
@@ -62,7 +62,8 @@ for arguments in json.loads(sys.argv[1]):
 PROCESSES = """
 import sys
 from pathlib import Path
-from splitknit.batch import BatchSettings, preset_cases, run_batch
+from splitknit.batch.settings import BatchSettings, preset_cases
+from splitknit.batch.engine import run_batch
 people = sys.argv[1]
 assert main(["enroll", "all.skg", "--population", people, "--workers", "2", "--preset", "snk"]) == 0
 settings = BatchSettings(cases=preset_cases(("snk",)), matchers=(), chunk_captures=1)

@@ -15,14 +15,16 @@ from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
 from splitknit.imaging.view import pixel_axes_mm
-from splitknit.io import read_capture, read_npz
+from splitknit.io.capture import read_capture
+from splitknit.io.npz import read_npz
 from splitknit.io.results import _upright_mesh
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
-from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
-from splitknit.presets import settings_document
+from splitknit.pipeline import reconstruct, undoes_blur
+from splitknit.presets import PRESETS, PipelineSettings, preset_settings, settings_document
 from splitknit.settings import flatten
-from splitknit.simulator.finger import Pose
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
 
 Truth = dict[str, np.ndarray]

@@ -10,7 +10,8 @@ import pytest
 
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 @pytest.fixture(scope="module")

@@ -15,15 +15,17 @@ import kinds
 from small_capture import copy_of, edit
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
-from splitknit.io import read_capture, read_image, read_npz, write_capture
-from splitknit.model import Capture, Reconstruction
-from splitknit.pipeline import PRESETS, reconstruct
-from splitknit.simulator.background import BackgroundSettings
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.skin import SkinSettings
-from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import read_image
+from splitknit.io.npz import read_npz
+from splitknit.model import Capture, Reconstruction, default_rig
+from splitknit.pipeline import reconstruct
+from splitknit.presets import PRESETS
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.scene import BackgroundSettings, TwinSettings
+from splitknit.simulator.twin import photograph, simulate_capture
 
 Truth = dict[str, np.ndarray]
 

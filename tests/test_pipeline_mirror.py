@@ -13,12 +13,13 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
-from splitknit.io import write_capture
+from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.finger import Pose
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 Photographed = tuple[Capture, dict[str, Any]]
 

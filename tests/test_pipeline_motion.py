@@ -13,12 +13,13 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
 from splitknit.finger.steady import find_steady_finger
-from splitknit.io import write_capture
-from splitknit.pipeline import preset_settings
+from splitknit.io.capture import write_capture
+from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
 
 OFF = {"motion.correct": "off"}

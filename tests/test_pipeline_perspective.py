@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.model import Camera, Capture
+from splitknit.model import Camera, Capture, default_rig
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.finger import Pose
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 SCALE = 0.18
 Truth = dict[str, Any]

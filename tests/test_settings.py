@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import pytest
 
 from splitknit.errors import BadInput, require
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 from splitknit.settings import Checked, Limits, check_fields, flatten, override
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.model import Capture, Reconstruction
-from splitknit.pipeline import PRESETS, reconstruct
+from splitknit.pipeline import reconstruct
+from splitknit.presets import PRESETS
 from splitknit.settings import flatten
 
 

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.io import write_capture, write_image
+from splitknit.io.capture import write_capture
+from splitknit.io.images import write_image
 from splitknit.model import Band, Capture, Rig
-from splitknit.simulator.bench import BenchSettings, CardScene, DarkScene, photograph_bench, well_exposed
-from splitknit.simulator.built_rig import built_rig
-from splitknit.simulator.sensor import SensorSettings
+from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.flat import CardScene
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.rigs import built_rig
 
 SENSOR = SensorSettings(bits=16)
 

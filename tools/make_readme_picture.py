@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 import splitknit
-from splitknit.imaging import linear_image
+from splitknit.imaging.band import linear_image
 from splitknit.io.pictures import Frame, grey, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
-from splitknit.prints import relief_print
+from splitknit.prints.ridges import relief_print
 from splitknit.report.figures import oblique_view, upright_surface
 from splitknit.report.result import PRINT_PPI
 

@@ -24,14 +24,14 @@ from splitknit.capture.pi import PiCameraSettings
 from splitknit.capture.session import SessionSettings
 from splitknit.matching.search import SearchSettings
 from splitknit.matching.surface import MatchingSettings
-from splitknit.pipeline import PRESETS
+from splitknit.presets import PRESETS
 from splitknit.prints.make import PrintingSettings
 from splitknit.rig.circuit import CircuitSettings
 from splitknit.rig.part_settings import PartSettings
 from splitknit.simulator.bench_photos import BenchPhotos
-from splitknit.simulator.device import TwinDeviceSettings
-from splitknit.simulator.population import PopulationSettings
-from splitknit.simulator.twin import TwinSettings
+from splitknit.simulator.camera.device import TwinDeviceSettings
+from splitknit.simulator.population.sessions import PopulationSettings
+from splitknit.simulator.scene import TwinSettings
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "settings.md"
 INTRODUCTION = """# Settings

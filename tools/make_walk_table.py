@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.simulator.diffusion import walk
+from splitknit.simulator.light.skin import walk
 
 WALKS = 6_000_000
 SEED = 20261120

@@ -9,12 +9,15 @@ from splitknit.errors import BadInput, require
 from splitknit.finger.contrast import ClaheSettings
 from splitknit.finger.locate import FingerSettings
 from splitknit.imaging.coloured import LightsSettings
-from splitknit.integration import PoissonSettings, ShapeletSettings
 from splitknit.integration.knit import KnitSettings
+from splitknit.integration.poisson import PoissonSettings
+from splitknit.integration.shapelets import ShapeletSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.photometric import HanrahanKruegerSettings, RobustSettings
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
+from splitknit.photometric.robust import RobustSettings
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit.skin import MetricSettings, SkinSettings
+from splitknit.skin.diffusion import SkinSettings
+from splitknit.skin.surface import MetricSettings
 
 
 @dataclass(frozen=True, slots=True)

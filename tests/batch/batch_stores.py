@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.batch import BatchSettings, Store, preset_cases
 from splitknit.batch.chunks import SUFFIX
-from splitknit.matching import make_template, pack
+from splitknit.batch.settings import BatchSettings, preset_cases
+from splitknit.batch.store import Store
 from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.template import make_template, pack
 
 EA = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=2)
 

@@ -8,14 +8,15 @@ from pathlib import Path
 import pytest
 from batch_stores import EA, waves
 
-from splitknit.batch import BatchSettings, preset_cases, run_batch
 from splitknit.batch.chunks import SUFFIX, write_chunk
+from splitknit.batch.engine import run_batch
 from splitknit.batch.features import BANDS, QUALITY, feature_schema
 from splitknit.batch.population import read_population
+from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.simulate import simulate_population
 from splitknit.batch.store import open_store
 from splitknit.capture.enrolment import open_enrolment
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 
 @pytest.fixture(scope="session")

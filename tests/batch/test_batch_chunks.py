@@ -9,10 +9,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from splitknit.batch import Store
 from splitknit.batch.chunks import column_type, read_chunk, read_origin, write_chunk
 from splitknit.batch.export import names_of
 from splitknit.batch.scores import score_schema
+from splitknit.batch.store import Store
 from splitknit.errors import BadInput
 
 NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_1/right_index")

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from batch_stores import EA, chunks, pairs_of
 
-from splitknit.batch import Store, run_batch
+from splitknit.batch.engine import run_batch
+from splitknit.batch.store import Store
 from splitknit.errors import BadInput
 from splitknit.matching.minutiae3d import minutiae3d_match
 from splitknit.matching.minutiae_record import unpack_space_minutiae

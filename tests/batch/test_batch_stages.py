@@ -12,16 +12,22 @@ import numpy as np
 import pytest
 from batch_stores import EA, chunks, pairs_of
 
-from splitknit.batch import BatchSettings, Case, Store, preset_cases, run_batch, to_scores
 from splitknit.batch.chunks import read_chunk, read_origin
+from splitknit.batch.engine import run_batch
+from splitknit.batch.export import to_scores
+from splitknit.batch.settings import BatchSettings, Case, preset_cases
+from splitknit.batch.store import Store
 from splitknit.errors import BadInput
-from splitknit.io import read_capture, read_print_png
+from splitknit.io.capture import read_capture
+from splitknit.io.prints import read_print_png
 from splitknit.io.scores import read_scores
-from splitknit.matching import TemplateSettings, ThesisSettings, pack, ridge_match, thesis_match, unpack
+from splitknit.matching.ridge import ridge_match
 from splitknit.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit.matching.template import TemplateSettings, pack, unpack
+from splitknit.matching.thesis import ThesisSettings, thesis_match
 from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.prints import relief_print
+from splitknit.prints.ridges import relief_print
 
 RIDGE = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",))
 

@@ -7,17 +7,18 @@ from pathlib import Path
 import pytest
 from batch_stores import chunks
 
-from splitknit.batch import BatchSettings, Store, preset_cases, run_batch
 from splitknit.batch.chunks import read_chunk, read_origin
+from splitknit.batch.engine import run_batch
 from splitknit.batch.population import read_population
-from splitknit.batch.store import open_store
+from splitknit.batch.settings import BatchSettings, preset_cases
+from splitknit.batch.store import Store, open_store
 from splitknit.errors import BadInput
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.matching.leave_one_out import LeaveOneOutSettings, voted_minutiae
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.voted_minutiae import VoteSettings
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 
 MATCHING = MatchingSettings(
     leave_one_out=LeaveOneOutSettings(pictures=("albedo",)), voted=VoteSettings(least_share=0.3)

@@ -23,9 +23,11 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from splitknit.batch import BatchSettings, Cluster, Store, preset_cases, run_batch
 from splitknit.batch.chunks import load
-from splitknit.batch.execution import connected, run_tasks
+from splitknit.batch.engine import run_batch
+from splitknit.batch.execution import Cluster, connected, run_tasks
+from splitknit.batch.settings import BatchSettings, preset_cases
+from splitknit.batch.store import Store
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 

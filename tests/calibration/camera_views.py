@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.calibration import Board
+from splitknit.calibration.targets import Board
 
 BOARD = Board(9, 6, 3.0)
 SIZE = (550, 800)

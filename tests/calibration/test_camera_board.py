@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from camera_views import MATRIX, seen, turned
 
-from splitknit.calibration import Board, BoardSettings, find_board, size_in_view
+from splitknit.calibration.targets import Board, BoardSettings, find_board, size_in_view
 from splitknit.errors import BadInput
 
 SIZE = (400, 560)

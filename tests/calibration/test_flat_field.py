@@ -18,10 +18,9 @@ from splitknit.calibration.card_model import (
 )
 from splitknit.calibration.flat_field import FlatFieldSettings, fit_flat_field, fit_order
 from splitknit.errors import BadInput
-from splitknit.imaging import lens_shading
-from splitknit.model import Led
-from splitknit.simulator.built_rig import built_rig, nominal_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.imaging.view import lens_shading
+from splitknit.model import Led, default_rig, nominal_rig
+from splitknit.simulator.rigs import built_rig
 from white_cards import as_placed, scene_of
 
 STEP = 6

@@ -12,7 +12,7 @@ from splitknit.calibration.lights import Circle
 from splitknit.calibration.nail import NailModel, NailSettings, by_joint_fit, radius_95
 from splitknit.errors import BadInput
 from splitknit.model import Camera
-from splitknit.simulator.lens import pixels_of_points
+from splitknit.simulator.camera.lens import pixels_of_points
 
 ORTHOGRAPHIC = Camera(px_per_mm=75.7, image_size=(2200, 3200))
 FOCAL = 140 * 75.7

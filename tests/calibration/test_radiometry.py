@@ -20,8 +20,8 @@ from splitknit.errors import BadInput
 from splitknit.io.provenance import canonical_json
 from splitknit.io.rig import rig_from_json, rig_to_json
 from splitknit.model import Rig
-from splitknit.simulator.built_rig import built_rig
-from splitknit.simulator.sensor import SensorSettings
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.rigs import built_rig
 from white_cards import as_placed, photograph, scene_of
 
 EXPOSURES = (6.0, 6.0)

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.calibration.sensor import dark_frames, noise_model, noise_samples
 from splitknit.errors import BadInput
-from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.camera.sensor import SensorSettings, record
 
 SIZE = (150, 220)
 FULL = 65535

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.calibration.sensor import ResponseSettings, fit_response
 from splitknit.errors import BadInput
-from splitknit.simulator.sensor import SensorSettings, record
+from splitknit.simulator.camera.sensor import SensorSettings, record
 
 TIMES = np.array([1.0, 2.0, 4.0, 8.0])
 LIGHT = np.random.default_rng(0).uniform(0.01, 0.12, 400)

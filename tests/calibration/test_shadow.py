@@ -7,9 +7,10 @@ import pytest
 
 from splitknit.calibration.shadow import Shape, find_nail, hull_distance
 from splitknit.errors import BadInput
-from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
-from splitknit.simulator.built_rig import built_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.calibration_set.bench import photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.solids import NailScene
+from splitknit.simulator.rigs import built_rig
 
 SCALE = 0.15
 NAMES = [f"white_{k}.png" for k in range(7)]

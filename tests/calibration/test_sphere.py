@@ -7,8 +7,8 @@ import pytest
 
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput
-from splitknit.simulator.bench import SphereScene
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.calibration_set.solids import SphereScene
 
 BALL = Ball(81.3, 58.6, 41.5)
 SIZE = (120, 160)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import pytest
 from twin_bench import Devices, twin_devices
 
-from splitknit.simulator.faults import Faults, FaultyScene
-from splitknit.simulator.finger import Pose
-from splitknit.simulator.finger_scene import FingerScene
-from splitknit.simulator.twin import TwinSettings
+from splitknit.simulator.camera.device import Faults, FaultyScene
+from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import FingerScene
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from contract import CameraContract, LightContract
 
-from splitknit.simulator.device import Clock, TwinCamera, TwinLightBank
-from splitknit.simulator.finger_scene import FingerScene
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.camera.device import Clock, TwinCamera, TwinLightBank
+from splitknit.simulator.twin import FingerScene
 
 
 class DarkRoom:

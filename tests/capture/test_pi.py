@@ -16,7 +16,7 @@ from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
 from splitknit.capture.pi import PiCamera, PiCameraSettings, developed, linear_tuning, open_camera, open_lights, open_pi
 from splitknit.errors import BadInput
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
 
 SMALL = PiCameraSettings(image_size=(64, 96))
 

@@ -13,13 +13,14 @@ import pytest
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from test_contract_pi import PINS, mock_pins
 
-from splitknit.capture import pi_camera, pi_lights
+from splitknit.capture import pi
 from splitknit.capture.enrolment import Place
 from splitknit.capture.exposure import Focus, FocusWatch
 from splitknit.cli import capture as capture_verb
 from splitknit.cli.main import main
-from splitknit.io import read_capture, write_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.io.capture import read_capture
+from splitknit.io.rig import write_rig
+from splitknit.model import default_rig
 
 CAMERA = ("--set", "pi.image_size=[220, 320]")
 
@@ -52,8 +53,8 @@ def rig_of_pi(monkeypatch, finger, tmp_path):
     monkeypatch.setattr(SceneCamera, "world", world)
     monkeypatch.setattr(SceneCamera, "scene", finger)
     monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=SceneCamera))
-    monkeypatch.setattr(pi_camera.time, "clock_gettime_ns", lambda clock: world.now_ns)
-    monkeypatch.setattr(pi_lights.PiLightBank, "_wait", lambda self, seconds: world.sleep(seconds))
+    monkeypatch.setattr(pi.time, "clock_gettime_ns", lambda clock: world.now_ns)
+    monkeypatch.setattr(pi.PiLightBank, "_wait", lambda self, seconds: world.sleep(seconds))
     mock_pins()
     write_rig(default_rig(0.1, 0), tmp_path / "rig.json")
     yield ["capture", "--device", "pi", "--rig", str(tmp_path / "rig.json"), *CAMERA], world

@@ -8,7 +8,7 @@ import pytest
 
 from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS, led_names, pins_of
 from splitknit.errors import BadInput
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
 
 
 def with_pins(pins):

@@ -12,10 +12,9 @@ from splitknit.capture.exposure import ExposureSettings
 from splitknit.capture.session import SessionSettings, check_fit, run_session
 from splitknit.capture.shots import CheckSettings
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_stack
-from splitknit.simulator.device import TwinDeviceSettings
-from splitknit.simulator.faults import Faults, FaultyScene
-from splitknit.simulator.rig import default_rig
+from splitknit.imaging.band import linear_stack
+from splitknit.model import default_rig
+from splitknit.simulator.camera.device import Faults, FaultyScene, TwinDeviceSettings
 
 # photographs of a session that measures focus once
 FOCUS, WHITE_AMBIENT, WHITE, NIR_AMBIENT, NIR = 0, 1, 2, 9, 10

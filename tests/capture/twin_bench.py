@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from splitknit.simulator.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.camera.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
 
 Devices = tuple[TwinCamera, TwinLightBank, Clock]
 

@@ -16,7 +16,7 @@ import pytest
 
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
-from splitknit.io import write_image
+from splitknit.io.images import write_image
 
 Damage = Callable[[Path], object]
 Captured = pytest.CaptureFixture[str]

@@ -11,7 +11,7 @@ from splitknit.batch.simulate import simulate_population
 from splitknit.cli.batch import _case
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 
 def test_a_population_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import read_capture, read_image, read_rig, write_rig
+from splitknit.io.capture import read_capture
+from splitknit.io.images import read_image
+from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Led, Rig
-from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.rigs import built_rig
 
 SCALE = 0.06
 

@@ -11,13 +11,14 @@ import pytest
 
 from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig
 from splitknit.cli.main import main
-from splitknit.io import read_rig, write_image, write_rig
+from splitknit.io.images import write_image
+from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Mirror
-from splitknit.simulator import bench
-from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.calibration_set import bench, flat
+from splitknit.simulator.rigs import built_rig
 
 SCALE, SEED, COUNT = 0.15, 2, 7
-PRINTED = bench.Board(columns=9, rows=6, square_mm=3.0)
+PRINTED = flat.Board(columns=9, rows=6, square_mm=3.0)
 LIT = range(7)
 
 
@@ -32,14 +33,14 @@ def photos(tmp_path_factory):
     (place / "boards").mkdir()
     rig = built_rig(SEED, scale=SCALE)
     common = {"camera": rig.camera, "leds": rig.leds}
-    for k, pose in enumerate(bench.board_poses(SEED, COUNT, rig.camera, PRINTED)):
+    for k, pose in enumerate(flat.board_poses(SEED, COUNT, rig.camera, PRINTED)):
         held = {"rotation_vector": pose.rotation_vector, "translation_mm": pose.translation_mm}
-        write_image(place / f"boards/{k}.png", photograph(bench.BoardScene(**common, board=PRINTED, **held), k))
+        write_image(place / f"boards/{k}.png", photograph(flat.BoardScene(**common, board=PRINTED, **held), k))
     tilt = rig.provenance["base_tilt_deg"]
     turn = (*np.deg2rad(tilt), 0.0)
-    write_image(place / "plane.png", photograph(bench.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100))
-    write_image(place / "disc.png", photograph(bench.DiscScene(**common, tilt_deg=tilt, rotation_deg=9.0), 101))
-    write_image(place / "oblique.png", photograph(bench.DiscScene(**common, tilt_deg=(2.0, 0.0)), 102))
+    write_image(place / "plane.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100))
+    write_image(place / "disc.png", photograph(flat.DiscScene(**common, tilt_deg=tilt, rotation_deg=9.0), 101))
+    write_image(place / "oblique.png", photograph(flat.DiscScene(**common, tilt_deg=(2.0, 0.0)), 102))
     return place, rig
 
 

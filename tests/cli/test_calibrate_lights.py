@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import read_image, read_rig, write_image, write_rig
-from splitknit.model import Mirror
-from splitknit.simulator.bench import NailScene, SphereScene, photograph_bench, well_exposed
-from splitknit.simulator.built_rig import built_rig, nominal_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.io.images import read_image, write_image
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.model import Mirror, default_rig, nominal_rig
+from splitknit.simulator.calibration_set.bench import photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit.simulator.rigs import built_rig
 
 THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"
 RIG = (

@@ -13,8 +13,9 @@ import pytest
 
 from small_capture import edit, repaint
 from splitknit.cli.main import main
-from splitknit.io import read_image, read_rig, write_image, write_rig
-from splitknit.simulator.built_rig import built_rig
+from splitknit.io.images import read_image, write_image
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.simulator.rigs import built_rig
 from white_cards import as_placed, card_folder
 
 SCALE = 0.08
@@ -122,7 +123,7 @@ def test_a_later_card(card: Path, calibrated: Path, own: Path, capsys: pytest.Ca
 
 
 def test_srgb_files_must_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from splitknit.simulator.sensor import SensorSettings
+    from splitknit.simulator.camera.sensor import SensorSettings
 
     folder = tmp_path / "srgb"
     card_folder(folder, seed=2, scale=SCALE, sensor=SensorSettings(encoding="srgb"))

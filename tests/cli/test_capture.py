@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import read_capture, write_rig
+from splitknit.io.capture import read_capture
+from splitknit.io.rig import write_rig
+from splitknit.model import default_rig
 from splitknit.rig import devices
-from splitknit.simulator.faults import Faults, FaultyScene
-from splitknit.simulator.finger_scene import FingerScene
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.camera.device import Faults, FaultyScene
+from splitknit.simulator.twin import FingerScene
 
 SMALL = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
 Captured = pytest.CaptureFixture[str]

@@ -16,7 +16,7 @@ from handmade import capture_of, finger
 from splitknit import pipeline
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io import write_capture
+from splitknit.io.capture import write_capture
 from splitknit.model import Capture, Reconstruction
 from splitknit.report.result import FILES
 

@@ -8,7 +8,7 @@ import pytest
 
 from handmade import capture_of, finger
 from splitknit.cli.main import main
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.model import Capture, Reconstruction
 from splitknit.report import demo as demo_module
 from splitknit.report.result import FILES

@@ -21,9 +21,8 @@ from first_gallery import of_version_1
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.gallery import key_file, manage
-from splitknit.gallery.entry import Entry
-from splitknit.gallery.gallery import NewCapture
-from splitknit.io import read_print_png
+from splitknit.gallery.entry import Entry, NewCapture
+from splitknit.io.prints import read_print_png
 
 PHRASE, OTHER = "a phrase for tests", "another phrase for tests"
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.evaluation import comparisons, equal_error, gar_at_far
+from splitknit.evaluation.protocol import comparisons
+from splitknit.evaluation.rates import equal_error, gar_at_far
 
 Captured = pytest.CaptureFixture[str]
 QUICK = ["--replicates", "50"]

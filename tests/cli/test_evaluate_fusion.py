@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.evaluation import comparisons
+from splitknit.evaluation.protocol import comparisons
 
 
 def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> Path:

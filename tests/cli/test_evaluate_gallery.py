@@ -13,7 +13,8 @@ from enrolled import facts_of, refusal_of
 from splitknit.cli.main import main
 from splitknit.evaluation import gallery_scores as evaluation_gallery
 from splitknit.gallery.gallery import Gallery
-from splitknit.matching import ridge_match, unpack
+from splitknit.matching.ridge import ridge_match
+from splitknit.matching.template import unpack
 
 QUICK = ("--replicates", 40)
 

@@ -10,10 +10,10 @@ import pytest
 
 from perfect_results import write_perfect
 from splitknit.cli.main import main
-from splitknit.io import read_print_png, write_print_png
+from splitknit.io.prints import read_print_png, write_print_png
 from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ import pytest
 
 from perfect_results import write_perfect
 from splitknit.cli.main import main
-from splitknit.io import write_npz
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.io.npz import write_npz
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 METHODS = ("minutiae3d", "surface-code", "tetrahedra")
 

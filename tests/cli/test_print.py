@@ -12,9 +12,10 @@ import pytest
 
 from perfect_results import write_perfect
 from splitknit.cli.main import main
-from splitknit.io import read_npz, read_print_png, write_npz
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.prints import read_print_png
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="module")
@@ -141,8 +142,9 @@ def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:
 
 def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     """Ridges are dark in it where they are high in the truth."""
-    from splitknit.prints import ink, resample
     from splitknit.prints.make import make_print
+    from splitknit.prints.print_map import resample
+    from splitknit.prints.ridges import ink
     from splitknit.prints.sources import read_source
 
     source = read_source(twin_folder, photo=True, surface=False)
@@ -238,8 +240,8 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
 def test_advice_is_chosen_by_the_worst_figure() -> None:
     from dataclasses import replace
 
-    from splitknit.prints import PrintQuality, QualityFigures, score_of
     from splitknit.prints.folder import advice
+    from splitknit.prints.print_quality import PrintQuality, QualityFigures, score_of
 
     good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
 

@@ -12,7 +12,7 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.cli.print import _words
-from splitknit.io import write_capture
+from splitknit.io.capture import write_capture
 from splitknit.io.minutiae3d import read_minutiae3d
 from splitknit.io.ply import read_ply
 from splitknit.model import Capture

@@ -11,8 +11,8 @@ from dataclasses import replace
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import write_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.io.rig import write_rig
+from splitknit.model import default_rig
 
 needs_cad = pytest.mark.skipif(
     importlib.util.find_spec("build123d") is None, reason="build123d (extra 'rig') is not installed"

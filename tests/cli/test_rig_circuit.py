@@ -11,7 +11,7 @@ import pytest
 from splitknit.capture.pins import DEFAULT_PINS, pins_of
 from splitknit.cli.main import main
 from splitknit.io.rig import read_rig, write_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
 
 
 def test_the_board_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import read_image, write_image
 from splitknit.io.float_tiff import read_light_tiff, write_light_tiff
-from splitknit.separation import checkerboard_patterns
+from splitknit.io.images import read_image, write_image
+from splitknit.separation.states import checkerboard_patterns
 
 SIZE = (40, 50)
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]

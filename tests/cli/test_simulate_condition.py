@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import read_npz
+from splitknit.io.npz import read_npz
 
 Captured = pytest.CaptureFixture[str]
 

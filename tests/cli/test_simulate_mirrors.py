@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 
 
 def test_a_mirror_capture_is_written_read_and_taken_again_with_another_roll(

@@ -19,10 +19,10 @@ import pytest
 from splitknit.batch.simulate import _jobs_of, _population_hash
 from splitknit.capture.enrolment import open_enrolment
 from splitknit.cli.main import main
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.io.npz import read_npz
 from splitknit.settings import override
-from splitknit.simulator.population import PopulationSettings
+from splitknit.simulator.population.sessions import PopulationSettings
 
 SMALL = ("--scale", "0.08", "--subjects", "2", "--fingers", "right_index,left_thumb", "--sessions", "2")
 Captured = pytest.CaptureFixture[str]

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.evaluation import Scores, cmc, comparisons, ids_of, scores_of_comparisons
-from splitknit.evaluation.identification import rank_one_interval
+from splitknit.evaluation.identification import cmc, rank_one_interval
+from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit.evaluation.scores import Scores, ids_of
 
 
 def matrix(values: list[list[float]]) -> Scores:

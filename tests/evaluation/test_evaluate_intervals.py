@@ -12,30 +12,21 @@ from scipy.optimize import brentq
 from scipy.special import betainc, ndtr
 
 from splitknit.errors import BadInput
-from splitknit.evaluation import (
-    BootstrapSettings,
-    Ids,
-    Scores,
-    auc,
-    bootstrap,
-    comparisons,
-    d_prime,
-    differences,
-    equal_error,
-    gar_at_far,
-    ids_of,
-    scores_of_comparisons,
-)
 from splitknit.evaluation.intervals import (
+    BootstrapSettings,
     Layout,
+    bootstrap,
     cell_weights,
     cluster_units,
+    differences,
     figures_of,
     make_cells,
     pair_units,
     plain_units,
 )
-from splitknit.evaluation.rates import error_bound
+from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit.evaluation.rates import auc, d_prime, equal_error, error_bound, gar_at_far
+from splitknit.evaluation.scores import Ids, Scores, ids_of
 
 LAYOUT = Layout((0.5, 0.1, 0.01), (0.03, 0.3))
 FEW = BootstrapSettings(replicates=100, curve_points=5)

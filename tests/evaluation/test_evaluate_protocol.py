@@ -8,21 +8,18 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.evaluation import (
+from splitknit.evaluation.protocol import (
     Exclusion,
-    Ids,
-    Scores,
     average_sessions,
     by_session_pair,
     comparisons,
     exclude,
-    histograms,
-    ids_of,
+    pair_up,
     scores_of_comparisons,
     session_pairs,
 )
-from splitknit.evaluation.protocol import pair_up
-from splitknit.evaluation.scores import fingers_of_subjects
+from splitknit.evaluation.rates import histograms
+from splitknit.evaluation.scores import Ids, Scores, fingers_of_subjects, ids_of
 
 
 def small(score: list[float] | None = None) -> Scores:

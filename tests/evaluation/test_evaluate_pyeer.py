@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from splitknit.evaluation import auc, d_prime, equal_error, gar_at_far
+from splitknit.evaluation.rates import auc, d_prime, equal_error, gar_at_far
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 RECORDED = {

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
 from splitknit.errors import BadInput
-from splitknit.evaluation import auc, d_prime, equal_error, gar_at_far, roc
-from splitknit.evaluation.rates import rule_of_three, sort_scores
+from splitknit.evaluation.rates import auc, d_prime, equal_error, gar_at_far, roc, rule_of_three, sort_scores
 
 GENUINE = [3.0, 5.0, 5.0, 6.0]
 IMPOSTOR = [0.0, 1.0, 2.0, 5.0]

@@ -9,8 +9,10 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
-from splitknit.evaluation import Scores, comparisons, d_prime, ids_of, scores_of_comparisons
 from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fit_linear, fit_logistic, fuse
+from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit.evaluation.rates import d_prime
+from splitknit.evaluation.scores import Scores, ids_of
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.simulator.coloured import CROSSTALK
-from splitknit.simulator.sensor import RESPONSE
+from splitknit.model import CROSSTALK
+from splitknit.simulator.camera.sensor import RESPONSE
 
 pytestmark = pytest.mark.external
 

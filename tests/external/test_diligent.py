@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.photometric import lambertian, robust
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import robust
 
 pytestmark = pytest.mark.external
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from splitknit.imaging.geometry import gradients_from_normals
-from splitknit.integration import frankot_chellappa, poisson
+from splitknit.integration.frankot_chellappa import frankot_chellappa
+from splitknit.integration.poisson import poisson
 
 pytestmark = pytest.mark.external
 

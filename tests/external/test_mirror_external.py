@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger import MaskSettings
+from splitknit.finger.mask import MaskSettings
 from splitknit.io.images import read_image
-from splitknit.mirrors import MirrorShapeSettings
 from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
 
 pytestmark = pytest.mark.external

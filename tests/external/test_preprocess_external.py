@@ -6,18 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger import (
-    capture_quality,
-    clahe,
-    find_crease,
-    find_upright,
-    finger_mask,
-    motion_warnings,
-    phalange_mask,
-    photometric_mask,
-    shot_motion,
-    touched_borders,
-)
+from splitknit.finger.contrast import clahe
+from splitknit.finger.mask import finger_mask, touched_borders
+from splitknit.finger.motion import motion_warnings, shot_motion
+from splitknit.finger.orientation import find_upright
+from splitknit.finger.phalange import find_crease, phalange_mask
+from splitknit.finger.quality import capture_quality, photometric_mask
 
 pytestmark = pytest.mark.external
 

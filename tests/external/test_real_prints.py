@@ -7,11 +7,13 @@ import itertools
 import numpy as np
 import pytest
 
-from splitknit.io import read_print_png
-from splitknit.matching import Prepared, make_template, print_band, ridge_match
+from splitknit.io.prints import read_print_png
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import pack_minutiae, unpack_minutiae
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.matching.ridge_band import print_band
 from splitknit.matching.score import joined_similarity
+from splitknit.matching.template import make_template
 
 pytestmark = pytest.mark.external
 KEPT = (1, 2, 3, 5, 7)

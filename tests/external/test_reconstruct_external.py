@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.imaging import linear_stack
-from splitknit.io import capture_from_plain_images, read_lights_txt, write_capture
+from splitknit.imaging.band import linear_stack
+from splitknit.io.capture import write_capture
+from splitknit.io.plain import capture_from_plain_images, read_lights_txt
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
-from splitknit.photometric import robust
+from splitknit.photometric.robust import robust
 from splitknit.pipeline import reconstruct
 from splitknit.report.result import FILES
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.simulator.sensor import RESPONSE
-from splitknit.simulator.skin import CHANNELS, EFFECTIVE
+from splitknit.simulator.camera.sensor import RESPONSE
+from splitknit.simulator.light.skin import CHANNELS, EFFECTIVE
 
 pytestmark = pytest.mark.external
 

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.photometric import lambertian, robust
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import robust
 
 pytestmark = pytest.mark.external
 

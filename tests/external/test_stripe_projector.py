@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.imaging import linear_image
-from splitknit.io import read_image
-from splitknit.separation import checkerboard
+from splitknit.imaging.band import linear_image
+from splitknit.io.images import read_image
+from splitknit.separation.checkerboard import checkerboard
 
 pytestmark = pytest.mark.external
 PAIRS = ("stripes_14", "stripes_16", "rows_34")

@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from splitknit.errors import BadInput
-from splitknit.finger import ClaheSettings, clahe
+from splitknit.finger.contrast import ClaheSettings, clahe
 
 
 def picture(shape=(256, 320), seed=0):

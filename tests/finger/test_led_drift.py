@@ -7,11 +7,11 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.finger.led_drift import DriftSettings, drift_words, led_drift
-from splitknit.imaging import linear_stack
+from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import light_field
-from splitknit.model import Rig
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.model import Rig, default_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 NAMES = [f"white {k}" for k in range(7)]
 AZIMUTH = 2 * np.pi * np.arange(7) / 7

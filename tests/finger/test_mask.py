@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger import (
+from splitknit.finger.mask import (
     MaskSettings,
     check_borders,
+    chromaticity,
     finger_mask,
     finger_outline,
     finger_region,
-    photometric_mask,
     touched_borders,
+    two_means,
 )
-from splitknit.finger.mask import chromaticity, two_means
+from splitknit.finger.quality import photometric_mask
 from splitknit.finger.regions import fill_holes, largest_component, remove_spurs
 
 TONES = ("very dark", "dark", "medium", "very light")

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger import motion_warnings, shot_motion
+from splitknit.finger.motion import motion_warnings, shot_motion
 
 
 def moved(stack, k, x_mm, y_mm, px_per_mm):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger import find_upright
+from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import warp
 
 CASES = [

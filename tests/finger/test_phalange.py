@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.finger import find_crease, find_upright, phalange_mask
+from splitknit.finger.orientation import find_upright
+from splitknit.finger.phalange import find_crease, phalange_mask
 
 
 def search(scene):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger import capture_quality, quality_warnings
+from splitknit.finger.quality import capture_quality, quality_warnings
 
 
 @pytest.fixture(scope="module")

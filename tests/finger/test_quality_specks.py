@@ -9,8 +9,14 @@ import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
 from splitknit.errors import BadInput
-from splitknit.finger import QualitySettings, capture_quality, quality_warnings
-from splitknit.finger.quality import SpeckSettings, short_marks_filled, speck_shares
+from splitknit.finger.quality import (
+    QualitySettings,
+    SpeckSettings,
+    capture_quality,
+    quality_warnings,
+    short_marks_filled,
+    speck_shares,
+)
 
 SIZE_MM = (14.0, 12.0)
 FINE = 44.0

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger import RegistrationSettings, Seen, register_band, register_shots, without_glare
+from splitknit.finger.registration import RegistrationSettings, register_shots, without_glare
+from splitknit.finger.registration_band import Seen, register_band
 from splitknit.finger.registration_flow import details_of, finger_family, places_of, still
 
 PX = 14.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from splitknit.finger.steady import Registered, worth_undoing
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 
 
 def registered(most_mm: float, before: float, after: float) -> Registered:

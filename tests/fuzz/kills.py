@@ -23,14 +23,14 @@ from random import Random
 import numpy as np
 from tests.batch.batch_stores import EA, chunks
 
-from splitknit.batch import run_batch
+from splitknit.batch.engine import run_batch
 from splitknit.batch.simulate import simulate_population
 from splitknit.errors import BadInput
-from splitknit.gallery.entry import Entry
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.entry import Entry, NewCapture
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
-from splitknit.matching import Template, pack
-from splitknit.simulator.population import PopulationSettings
+from splitknit.matching.template import Template, pack
+from splitknit.simulator.population.sessions import PopulationSettings
 
 KEYS = [Key(bytes([k] * 32), raw=True) for k in range(2)]
 BATCH = replace(EA, matchers=("ridge",), chunk_captures=1)

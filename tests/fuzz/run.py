@@ -62,7 +62,7 @@ NO_READERS = {
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.networks.load_torch": "imports a package",
-    "simulator.diffusion.load_walks": "reads a table of the package",
+    "simulator.light.skin.load_walks": "reads a table of the package",
 }
 """Functions named as readers that need no target, and why."""
 

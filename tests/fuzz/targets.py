@@ -34,11 +34,11 @@ from tests.fuzz.mutators import Files
 from tests.handmade import finger
 from tests.png_files import png_of
 
-from splitknit.batch import BatchSettings, Store, preset_cases
 from splitknit.batch.chunks import read_origin, write_chunk, write_timings
 from splitknit.batch.features import BANDS, QUALITY, feature_schema
 from splitknit.batch.population import read_population
-from splitknit.batch.store import open_store
+from splitknit.batch.settings import BatchSettings, preset_cases
+from splitknit.batch.store import Store, open_store
 from splitknit.batch.surfaces import pack_surface, unpack_surface
 from splitknit.calibration.camera_photos import read_photo
 from splitknit.calibration.light_table import COLUMNS, check_tips, read_tips
@@ -50,35 +50,18 @@ from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import read_truth
 from splitknit.evaluation.gallery_scores import gallery_scores
 from splitknit.evaluation.study import read_exclusion_list, read_systems
-from splitknit.gallery.entry import Entry, decode_entry, encode_entry
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.identify import IdentifySettings, Question, identify_file
 from splitknit.gallery.key import Key, ScryptSettings
 from splitknit.gallery.key_file import key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
-from splitknit.io import (
-    capture_from_plain_images,
-    image_size,
-    read_capture,
-    read_height_tiff,
-    read_image,
-    read_lights_txt,
-    read_npz,
-    read_ply,
-    read_print_png,
-    read_rig,
-    surface_mesh,
-    write_capture,
-    write_height_tiff,
-    write_npz,
-    write_ply,
-    write_print_png,
-)
-from splitknit.io.float_tiff import read_light_tiff, write_light_tiff
-from splitknit.io.images import decode_image, encode_image
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.float_tiff import read_height_tiff, read_light_tiff, write_height_tiff, write_light_tiff
+from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction, read_transaction
-from splitknit.io.mesh import read_glb, write_glb
+from splitknit.io.mesh import read_glb, surface_mesh, write_glb
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     decode_ansi378,
@@ -87,12 +70,15 @@ from splitknit.io.minutiae_files import (
     read_ansi378,
     read_minutiae_record,
 )
-from splitknit.io.prints import read_print_tiff, write_print_tiff
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.ply import read_ply, write_ply
+from splitknit.io.prints import read_print_png, read_print_tiff, write_print_png, write_print_tiff
+from splitknit.io.rig import read_rig
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq, read_print_wsq
-from splitknit.matching import VERSION, Template, make_template, pack, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.inputs import read_print, read_side
 from splitknit.matching.inputs import read_surface as read_matched
@@ -107,9 +93,10 @@ from splitknit.matching.minutiae_record import (
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
+from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 from splitknit.prints.sources import read_source
 from splitknit.rig.assembly import read_stl, write_stl
 from splitknit.rig.candidates import Candidate, Study

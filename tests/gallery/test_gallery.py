@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.gallery.entry import Entry, session_order
+from splitknit.gallery.entry import Entry, NewCapture, session_order
 from splitknit.gallery.file import APPLICATION_ID
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key, ScryptSettings
-from splitknit.matching import Template, pack
+from splitknit.matching.template import Template, pack
 
 SETTINGS = "5e" * 32
 KEY = Key(bytes(range(32)), raw=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging import (
+from splitknit.imaging.band import (
     GREY_WEIGHTS,
     bin_mean,
     decode_table,

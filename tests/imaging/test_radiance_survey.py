@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.imaging import band as band_module
-from splitknit.imaging import linear_channels, linear_image, linear_stack, linear_survey
+from splitknit.imaging.band import linear_channels, linear_image, linear_stack, linear_survey
 from splitknit.model import Band
 
 

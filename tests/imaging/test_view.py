@@ -110,7 +110,7 @@ def test_a_regular_grid_is_not_stretched() -> None:
 
 def test_a_surface_integrated_as_if_on_a_regular_grid_is_placed_right() -> None:
     """Heights whose slopes over equal steps are those of the pixels' frames, as photometric stereo makes them."""
-    from splitknit.integration import poisson
+    from splitknit.integration.poisson import poisson
 
     lens = camera(size=(360, 480))
     points, normals, _ = sphere(lens)

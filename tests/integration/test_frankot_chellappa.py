@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.integration import frankot_chellappa
+from splitknit.integration.frankot_chellappa import frankot_chellappa
 
 
 def bump(rows=96, columns=128, sigma=9.0):

@@ -9,9 +9,16 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from splitknit.errors import BadInput
-from splitknit.integration import PoissonSettings, poisson
 from splitknit.integration.gradient_field import zero_mean_by_component
-from splitknit.integration.poisson import Grid, build_grids, edge_weights, padded_size, predicted_differences
+from splitknit.integration.poisson import (
+    Grid,
+    PoissonSettings,
+    build_grids,
+    edge_weights,
+    padded_size,
+    poisson,
+    predicted_differences,
+)
 
 
 def paraboloid(rows, columns):

@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 
 from splitknit.errors import BadInput
-from splitknit.integration import ShapeletSettings, shapelet_response, shapelets
+from splitknit.integration.shapelets import ShapeletSettings, shapelet_response, shapelets
 
 VARIANTS = ("slant_tilt", "ambiguous_tilt", "slant_only", "tilt_only")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from io_shared import Build
 
-from splitknit.io import write_capture
+from splitknit.io.capture import write_capture
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
 

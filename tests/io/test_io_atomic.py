@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io import atomic_file, atomic_folder
-from splitknit.io.atomic import GROUP_READABLE
+from splitknit.io.atomic import GROUP_READABLE, atomic_file, atomic_folder
 
 
 def fill(out: Path, **files: str) -> None:

@@ -12,18 +12,11 @@ import pytest
 from io_shared import Build, edit
 
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_stack
-from splitknit.io import (
-    ReadSettings,
-    read_capture,
-    read_image,
-    read_npz,
-    read_rig,
-    write_capture,
-    write_image,
-    write_rig,
-)
-from splitknit.io.images import ImageSettings
+from splitknit.imaging.band import linear_stack
+from splitknit.io.capture import ReadSettings, read_capture, write_capture
+from splitknit.io.images import ImageSettings, read_image, write_image
+from splitknit.io.npz import read_npz
+from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Camera, Capture, Led, Rig
 
 

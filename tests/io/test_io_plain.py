@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_stack
-from splitknit.io import capture_from_plain_images, read_capture, read_lights_txt, write_capture, write_image
+from splitknit.imaging.band import linear_stack
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import write_image
+from splitknit.io.plain import capture_from_plain_images, read_lights_txt
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io import image_size, read_image, write_image
-from splitknit.io.images import ImageSettings, decode_image
+from splitknit.io.images import ImageSettings, decode_image, image_size, read_image, write_image
 from splitknit.io.png import SIGNATURE, decode_png, png_header
 
 

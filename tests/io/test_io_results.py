@@ -19,20 +19,12 @@ import tifffile
 
 import splitknit
 from splitknit.errors import BadInput
-from splitknit.io import (
-    canonical_json,
-    provenance,
-    read_height_tiff,
-    read_npz,
-    read_ply,
-    read_print_png,
-    settings_hash,
-    surface_mesh,
-    write_height_tiff,
-    write_npz,
-    write_ply,
-    write_print_png,
-)
+from splitknit.io.float_tiff import read_height_tiff, write_height_tiff
+from splitknit.io.mesh import surface_mesh
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.ply import read_ply, write_ply
+from splitknit.io.prints import read_print_png, write_print_png
+from splitknit.io.provenance import canonical_json, provenance, settings_hash
 
 
 def hill(shape: tuple[int, int] = (13, 17)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

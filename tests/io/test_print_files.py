@@ -10,8 +10,7 @@ import pytest
 import tifffile
 
 from splitknit.errors import BadInput
-from splitknit.io import read_print_png, write_print_png
-from splitknit.io.prints import read_print_tiff, write_print_tiff
+from splitknit.io.prints import read_print_png, read_print_tiff, write_print_png, write_print_tiff
 
 IMAGE = np.random.default_rng(3).integers(0, 256, (31, 23)).astype(np.uint8)
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io import surface_mesh
-from splitknit.io.mesh import glb_chunks, read_glb, stl_chunks, stl_size, write_glb, write_mesh_stl
+from splitknit.io.mesh import glb_chunks, read_glb, stl_chunks, stl_size, surface_mesh, write_glb, write_mesh_stl
 from splitknit.rig.assembly import read_stl, unit_normals
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io import atomic_folder, write_image
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.images import write_image
 from splitknit.io.targets import check_file, check_picture, check_target
 
 WRITERS = (

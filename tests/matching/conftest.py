@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from splitknit.matching import FingerImages, Template, finger_images, make_template, ridge_band
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.template import Template, make_template
+from splitknit.matching.thesis import FingerImages, finger_images
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 SCALE = 0.15
 POSES = (

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.matching import Template, failed_template, make_template
 from splitknit.matching.code import (
     CELLS,
     CHANNELS,
@@ -28,6 +27,7 @@ from splitknit.matching.code import (
     sampled,
 )
 from splitknit.matching.ridge_band import RidgeBand
+from splitknit.matching.template import Template, failed_template, make_template
 
 
 def straight(period_mm: float, direction_deg: float, shape: tuple[int, int] = (220, 200)) -> Template:

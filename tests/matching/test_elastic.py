@@ -6,8 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.matching import PatchSettings
-from splitknit.matching.elastic import Agreement, _peak, _supported, better_affine, compare_patches, patch_grid, rigid
+from splitknit.matching.elastic import (
+    Agreement,
+    PatchSettings,
+    _peak,
+    _supported,
+    better_affine,
+    compare_patches,
+    patch_grid,
+    rigid,
+)
 
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 

@@ -9,15 +9,15 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import smoothed
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.matching.space_minutiae import space_minutiae
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
 from splitknit.matching.surface_codes import surface_code
-from splitknit.model import Surface
-from splitknit.pipeline import PRESETS, preset_settings, reconstruct
+from splitknit.model import Surface, default_rig
+from splitknit.pipeline import reconstruct
+from splitknit.presets import PRESETS, preset_settings
 from splitknit.settings import override
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.matching import LbpSettings, cell_histograms, lbp_codes, lbp_features
-from splitknit.matching.features import uniform_bins
+from splitknit.matching.features import LbpSettings, cell_histograms, lbp_codes, lbp_features, uniform_bins
 
 
 @pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.3])

@@ -12,7 +12,7 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io import write_capture
+from splitknit.io.capture import write_capture
 from splitknit.matching.leave_one_out import (
     PICTURES,
     LeaveOneOutSettings,
@@ -22,9 +22,11 @@ from splitknit.matching.leave_one_out import (
 )
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.model import Band, Capture
-from splitknit.pipeline import preset_settings, reconstruct
+from splitknit.pipeline import reconstruct
+from splitknit.presets import preset_settings
 from splitknit.prints.ridges import surface_print
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 ZHENG = preset_settings("zheng")
 

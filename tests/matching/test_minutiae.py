@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from splitknit.errors import BadInput
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
-from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
 
 BORDER = 20
 SMALL = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.matching.minutiae import EDGE_MM, edge_distance, extract, inside_by
 from splitknit.matching.minutiae_record import Minutiae
-from splitknit.prints import relief_print
+from splitknit.prints.ridges import relief_print
 
 STEP_MM = 25.4 / 500
 

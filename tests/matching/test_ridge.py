@@ -11,19 +11,11 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.matching import (
-    PatchSettings,
-    PhaseSettings,
-    Prepared,
-    RidgeBand,
-    RidgeBandSettings,
-    RidgeMatchSettings,
-    Template,
-    failed_template,
-    make_template,
-    ridge_band,
-    ridge_match,
-)
+from splitknit.matching.elastic import PatchSettings
+from splitknit.matching.phase import PhaseSettings
+from splitknit.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
+from splitknit.matching.ridge_band import RidgeBand, RidgeBandSettings, ridge_band
+from splitknit.matching.template import Template, failed_template, make_template
 
 
 def test_same_fingers_are_more_alike_than_any_others(impressions, templates) -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.matching import PhaseSettings, RidgeBandSettings, print_band, ridge_band
-from splitknit.matching.phase import _PLANE_PX, peaks, views
+from splitknit.matching.phase import _PLANE_PX, PhaseSettings, peaks, views
+from splitknit.matching.ridge_band import RidgeBandSettings, print_band, ridge_band
 
 PITCH = 0.05
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.matching import (
+from splitknit.matching.score import (
     calibrate_probability,
     calibrate_scores,
     dissimilarity,

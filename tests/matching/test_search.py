@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.matching import Prepared, failed_template, ridge_match
 from splitknit.matching.code import code_of, code_size, probe_codes
+from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
+from splitknit.matching.template import failed_template
 
 
 def noise_codes(count: int, seed: int = 0) -> np.ndarray:

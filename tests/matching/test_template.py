@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.matching import Template, failed_template, make_template, pack, ridge_band, unpack
+from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.template import Template, failed_template, make_template, pack, unpack
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

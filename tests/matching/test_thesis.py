@@ -9,19 +9,17 @@ from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.matching import (
+from splitknit.matching.features import gabor_features, hog_features, shape_context_features
+from splitknit.matching.thesis import (
     FingerImages,
     ThesisSettings,
     align_masks,
     finger_features,
     finger_images,
-    gabor_features,
-    hog_features,
     intersection_over_union,
-    shape_context_features,
     thesis_match,
+    to_box,
 )
-from splitknit.matching.thesis import to_box
 
 FEATURES = ("lbp", "hog", "gabor", "shape_context")
 

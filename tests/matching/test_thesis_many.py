@@ -6,8 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.matching import FingerImages, LbpSettings, ThesisSettings, finger_features, lbp_features, thesis_match
-from splitknit.matching.thesis import ATTRIBUTES, database_finger, features_of, match_database, quick_lbp_features
+from splitknit.matching.features import LbpSettings, lbp_features
+from splitknit.matching.thesis import (
+    ATTRIBUTES,
+    FingerImages,
+    ThesisSettings,
+    database_finger,
+    features_of,
+    finger_features,
+    match_database,
+    quick_lbp_features,
+    thesis_match,
+)
 
 NAMES = ["relief", *(f"{kind}normal_{axis}" for kind in ("", "shape_") for axis in "xyz")]
 

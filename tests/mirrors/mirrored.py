@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from splitknit.mirrors import MirrorShape, Views
+from splitknit.mirrors.mirror import MirrorShape
+from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface, place
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.mirror_parts import mirror_rig
-from splitknit.simulator.mirror_settings import MirrorViews
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.mirror_view import mirror_view
-from splitknit.simulator.skin_map import skin_map
+from splitknit.simulator.rigs import MirrorViews, mirror_rig
 
 SCALE = 0.2
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.mirrors import MirrorShapeSettings, Views
-from splitknit.mirrors.rolled import plane_of
 from splitknit.mirrors.rolled.body import body_between_mirrors
+from splitknit.mirrors.rolled.reflection import plane_of
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.views import Views
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
 
 A, B, CAP, TOP = 8.0, 6.5, 8.0, -0.5

@@ -10,8 +10,11 @@ import pytest
 from mirrored import Scene, scene, turned
 
 from splitknit.errors import BadInput
-from splitknit.mirrors import MirrorShapeSettings, Slopes, Views, mirror_shape
-from splitknit.simulator.finger import Pose
+from splitknit.mirrors.mirror import mirror_shape
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.state import Slopes
+from splitknit.mirrors.views import Views
+from splitknit.simulator.finger.finger import Pose
 
 
 @pytest.fixture(scope="module")

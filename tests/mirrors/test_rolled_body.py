@@ -9,9 +9,9 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
-from splitknit.mirrors import Views
 from splitknit.mirrors.rolled.body import ROLL_OF_SHEAR, body_between_mirrors, outside, radius_of, rolled_pad
 from splitknit.mirrors.rolled.work import shape_of
+from splitknit.mirrors.views import Views
 
 RIG = scene.rig()
 MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.mirrors.rolled import ridge_band
+from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import find_mirror_views
 from splitknit.mirrors.rolled.work import Work
-from splitknit.pipeline import preset_settings
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.presets import preset_settings
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.areas import mirror_outline, without_mirrors
-from splitknit.mirrors import find_views, view_binning
+from splitknit.mirrors.views import find_views, view_binning
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 
 CAMERA = Camera(5.0, (300, 460))

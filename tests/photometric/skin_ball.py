@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.photometric import HanrahanKruegerSettings, SkinLayers
-from splitknit.photometric.skin_layers import reflected
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
+from splitknit.photometric.skin_layers import SkinLayers, reflected
 
 EQUAL = HanrahanKruegerSettings(weights="equal")
 THIN = SkinLayers(epidermis_thickness_mm=0.02)

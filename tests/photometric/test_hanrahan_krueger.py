@@ -11,13 +11,9 @@ from skin_ball import EQUAL, THIN, ball, ring
 from splitknit.errors import BadInput
 from splitknit.imaging import chunks
 from splitknit.model import Camera, Led, Rig
-from splitknit.photometric import (
-    HanrahanKruegerSettings,
-    LevenbergSettings,
-    hanrahan_krueger,
-    hanrahan_krueger_near,
-    lambertian,
-)
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger, hanrahan_krueger_near
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, LevenbergSettings
+from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.skin_layers import reflected
 
 

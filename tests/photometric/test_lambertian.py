@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric import lambertian
+from splitknit.photometric.lambertian import lambertian
 
 
 def ring(count=7, elevation_deg=55.0):

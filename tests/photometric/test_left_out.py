@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric import lambertian
-from splitknit.photometric.lambertian import left_out
+from splitknit.photometric.lambertian import lambertian, left_out
 
 
 def around(count: int) -> np.ndarray:

@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.imaging.light_field import light_field
 from splitknit.imaging.view import pixel_axes_mm
 from splitknit.model import Camera, Led, Rig
-from splitknit.photometric import (
-    NearLightSettings,
-    RobustSettings,
-    lambertian,
-    light_field,
-    near_light,
-    near_light_weights,
-    pseudo_normals,
-)
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.near_light import NearLightSettings, near_light, near_light_weights, pseudo_normals
+from splitknit.photometric.robust import RobustSettings
 
 SHAPE = (60, 80)
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric import RobustSettings, equations, lambertian, light_weights, robust
+from splitknit.photometric import equations
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import RobustSettings, light_weights, robust
 
 
 def ring(count=7, elevation_deg=55.0):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import Camera, Led, Rig, Shade
-from splitknit.photometric import light_vectors_at
 
 CAMERA = Camera(10.0, (20, 30))
 X, Y = (np.ascontiguousarray(a) for a in np.meshgrid(np.linspace(-9, 9, 300), np.linspace(5, -5, 200)))

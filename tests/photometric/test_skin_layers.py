@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric import SkinLayers
-from splitknit.photometric.skin_layers import reflected, refracted, scattered, transmitted
+from splitknit.photometric.skin_layers import SkinLayers, reflected, refracted, scattered, transmitted
 
 LAYERS = SkinLayers(epidermis_thickness_mm=0.01)
 SHARE, DEPTH, BASE, EXPOSURE = LAYERS.epidermis_share, LAYERS.epidermis_depth, 0.4, 6.0

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.prints import GridSettings, SurfaceGrid, surface_grid
-from splitknit.simulator.master_print import MasterPrint
+from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid, surface_grid
+from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.surface import Surface
 
 PX_PER_MM = 16.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from bodies import Twin
 
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="session")

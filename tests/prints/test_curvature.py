@@ -7,7 +7,7 @@ import pytest
 from bodies import PX_PER_MM, plane_points
 
 from splitknit.errors import BadInput
-from splitknit.prints import CurvatureSettings, curvature
+from splitknit.prints.curvature import CurvatureSettings, curvature
 
 PITCH = 1 / PX_PER_MM
 WIDE = CurvatureSettings(window_px=15.0 * 75.7 / PX_PER_MM / 2)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.prints import as_print, gabor_enhance, ridge_field, ridge_mask, stft_enhance, thin
+from splitknit.prints.enhance import as_print, gabor_enhance, ridge_mask, stft_enhance, thin
+from splitknit.prints.ridge_field import ridge_field
 
 ENHANCERS = (gabor_enhance, stft_enhance)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.prints import PhaseMinutiaeSettings, gabor_enhance, phase_minutiae
-from splitknit.simulator.master_print import MasterPrintSettings, ink_print, master_print
+from splitknit.prints.enhance import gabor_enhance
+from splitknit.prints.phase_minutiae import PhaseMinutiaeSettings, phase_minutiae
+from splitknit.simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
 PERIOD_PX = 9.0
 

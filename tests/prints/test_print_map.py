@@ -8,8 +8,11 @@ import pytest
 from bodies import Twin
 
 from splitknit.errors import BadInput
-from splitknit.prints import PrintMap, ink, plane_map, relief_print, resample, ridge_field, unroll, unrolled_map
-from splitknit.simulator.master_print import ink_print
+from splitknit.prints.print_map import PrintMap, plane_map, resample, unrolled_map
+from splitknit.prints.ridge_field import ridge_field
+from splitknit.prints.ridges import ink, relief_print
+from splitknit.prints.unroll import unroll
+from splitknit.simulator.finger.master_print import ink_print
 
 
 @pytest.fixture(scope="module")

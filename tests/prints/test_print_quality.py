@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.prints import (
+from splitknit.prints.print_quality import (
     Part,
     PrintQualitySettings,
     QualityFigures,
-    RidgeField,
-    ink,
     print_quality,
     quality_figures,
-    ridge_field,
     score_of,
 )
+from splitknit.prints.ridge_field import RidgeField, ridge_field
+from splitknit.prints.ridges import ink
 
 PX_PER_MM = 500 / 25.4
 ROWS, COLUMNS = 520, 360
@@ -161,7 +160,7 @@ def test_resolution_does_not_matter() -> None:
     values = waves(40.0, 0.15)
     large = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
     weight = np.ones(large.shape, np.float32)
-    from splitknit.prints import PrintSettings
+    from splitknit.prints.ridges import PrintSettings
 
     image = ink(large, weight, PrintSettings(ppi=1000.0))
     fine = quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, least_height_um=10.0)

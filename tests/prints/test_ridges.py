@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.prints import PrintSettings, relief_print
+from splitknit.prints.ridges import PrintSettings, relief_print
 
 PX_PER_MM = 1000 / 25.4  # twice the print's resolution
 

@@ -8,8 +8,8 @@ from bodies import PX_PER_MM, Twin, body_grid, plane_points
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.prints import GridSettings, SurfaceGrid, UnrollSettings, distortion, surface_grid, unroll
-from splitknit.prints.unroll import KINDS
+from splitknit.prints.unroll import KINDS, UnrollSettings, distortion, unroll
+from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid, surface_grid
 
 RADIUS = 8.0
 

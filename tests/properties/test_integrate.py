@@ -7,15 +7,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.integration import (
-    PoissonSettings,
-    ShapeletSettings,
-    frankot_chellappa,
-    poisson,
-    shapelet_response,
-    shapelets,
-)
-from splitknit.integration.poisson import difference, difference_adjoint, edge_weights
+from splitknit.integration.frankot_chellappa import frankot_chellappa
+from splitknit.integration.poisson import PoissonSettings, difference, difference_adjoint, edge_weights, poisson
+from splitknit.integration.shapelets import ShapeletSettings, shapelet_response, shapelets
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

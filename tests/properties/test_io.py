@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from png_files import PNG, chunk, png_of
 from splitknit.errors import BadInput
-from splitknit.io import canonical_json, read_npz, write_npz
+from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.png import decode_png
+from splitknit.io.provenance import canonical_json
 
 FUZZ = settings(max_examples=150, derandomize=True, deadline=None)
 SCALARS = st.none() | st.booleans() | st.integers(-(10**30), 10**30) | st.floats() | st.text(max_size=8)

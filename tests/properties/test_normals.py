@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.model import Camera, Led, Rig
-from splitknit.photometric import lambertian, near_light, robust
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.near_light import near_light
+from splitknit.photometric.robust import robust
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

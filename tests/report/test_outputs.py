@@ -11,7 +11,10 @@ import pytest
 
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
-from splitknit.io import read_height_tiff, read_npz, read_ply, read_print_png
+from splitknit.io.float_tiff import read_height_tiff
+from splitknit.io.npz import read_npz
+from splitknit.io.ply import read_ply
+from splitknit.io.prints import read_print_png
 from splitknit.io.results import _upright_mesh
 from splitknit.report import result as result_files
 from splitknit.report.result import FILES, write_results

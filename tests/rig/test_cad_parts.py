@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.rig import assembly
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
 from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of, holder_places, mirror_front
@@ -24,7 +24,6 @@ from splitknit.rig.part_settings import (
     PartSettings,
 )
 from splitknit.settings import override
-from splitknit.simulator.rig import default_rig
 
 build123d = pytest.importorskip("build123d", reason="build123d (extra 'rig') is not installed")
 

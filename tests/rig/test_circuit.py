@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS
 from splitknit.errors import BadInput
-from splitknit.model import Led
+from splitknit.model import Led, default_rig
 from splitknit.rig.circuit import (
     BC337,
     E24,
@@ -33,7 +33,6 @@ from splitknit.rig.netlist import (
     kicad_netlist,
     ohm_text,
 )
-from splitknit.simulator.rig import default_rig
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from splitknit.rig.evaluate_rig import (
     view_of,
 )
 from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph
-from splitknit.simulator.diffusion import load_walks
+from splitknit.simulator.light.skin import load_walks
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)
 STUDY = Study(fingers=1)

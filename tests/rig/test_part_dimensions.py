@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import dimensions_of, mirror_front, mirror_profile, mirror_view, nail_height, shadow_tips
 from splitknit.rig.part_reports import dimension_table
 from splitknit.rig.part_settings import JOINT_CLEARANCE_MM, MIRROR_THICK_MM, WIRE_ROOM_MM, PartSettings
 from splitknit.settings import override
-from splitknit.simulator.built_rig import built_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.simulator.rigs import built_rig
 
 
 def ring(count=6, radius=40.0, height=120.0, camera=None, **changes):

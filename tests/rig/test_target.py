@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from page_raster import draw, objects_of
 
-from splitknit.calibration import Board, find_board
 from splitknit.calibration.plane import plane_scale
-from splitknit.calibration.targets import find_disc
+from splitknit.calibration.targets import Board, find_board, find_disc
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.rig.target import (

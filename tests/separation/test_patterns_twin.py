@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.model import Camera
-from splitknit.separation.patterns import StackSettings, by_symmetry, checkerboard
-from splitknit.simulator.diffusion import load_walks
-from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
-from splitknit.simulator.projector import Checkerboard, pattern_states
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.separation import checkerboard_stack, separate_truth
-from splitknit.simulator.skin import SkinSettings
+from splitknit.model import Camera, default_rig
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.stacks import StackSettings
+from splitknit.separation.symmetry import by_symmetry
+from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
+from splitknit.simulator.light.skin import SkinSettings, load_walks
 
 CHECK_MM, PX_PER_MM = 0.4, 20.0
 UNBOUNDED = StackSettings(clip_level=None)

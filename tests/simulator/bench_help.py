@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from splitknit.model import Camera
-from splitknit.simulator.bench import BenchSettings
-from splitknit.simulator.built_rig import built_rig, nominal_rig
+from splitknit.model import Camera, nominal_rig
+from splitknit.simulator.calibration_set.bench import BenchSettings
+from splitknit.simulator.rigs import built_rig
 
 DARK_ROOM = BenchSettings(ambient=0.0)
 POINTS = BenchSettings(ambient=0.0, led_radius_mm=0.0)

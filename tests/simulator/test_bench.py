@@ -9,18 +9,10 @@ import pytest
 from bench_help import DARK_ROOM, built, drawn, grey, parallel, seen
 
 from splitknit.errors import BadInput
-from splitknit.simulator.bench import (
-    BenchSettings,
-    BoardScene,
-    CardScene,
-    DarkScene,
-    DiscScene,
-    NailScene,
-    SphereScene,
-    photograph_bench,
-    well_exposed,
-)
-from splitknit.simulator.sensor import SensorSettings
+from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene
+from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit.simulator.camera.sensor import SensorSettings
 
 PLACES = [(40, 30), (160, 110), (300, 200), (5, 215)]
 """Columns and rows in a picture of 220 x 320."""

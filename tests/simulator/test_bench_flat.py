@@ -9,9 +9,9 @@ from bench_help import DARK_ROOM, built, drawn, grey, parallel, sample, seen
 from scipy.special import ndtr
 
 from splitknit.errors import BadInput
-from splitknit.simulator.bench import Board, BoardScene, CardScene, DiscScene, HandRanges, board_poses
-from splitknit.simulator.bench_sight import inside
-from splitknit.simulator.lens import slopes_of_pixels
+from splitknit.simulator.calibration_set.bench import inside
+from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, HandRanges, board_poses
+from splitknit.simulator.camera.lens import slopes_of_pixels
 
 
 def held(things, seed=3, **changes):

@@ -8,7 +8,9 @@ from bench_help import DARK_ROOM, POINTS, built, crossing, drawn, grey, parallel
 
 from splitknit.errors import BadInput
 from splitknit.model import Led
-from splitknit.simulator.bench import BenchSettings, CardScene, NailScene
+from splitknit.simulator.calibration_set.bench import BenchSettings
+from splitknit.simulator.calibration_set.flat import CardScene
+from splitknit.simulator.calibration_set.solids import NailScene
 
 
 def share_lit(scene, led):

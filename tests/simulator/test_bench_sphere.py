@@ -9,8 +9,10 @@ from bench_help import DARK_ROOM, POINTS, built, drawn, grey, parallel, sample, 
 
 from splitknit.errors import BadInput
 from splitknit.model import Led
-from splitknit.simulator.bench import BenchSettings, CardScene, SphereScene
-from splitknit.simulator.lens import px_per_mm_at, slopes_of_pixels
+from splitknit.simulator.calibration_set.bench import BenchSettings
+from splitknit.simulator.calibration_set.flat import CardScene
+from splitknit.simulator.calibration_set.solids import SphereScene
+from splitknit.simulator.camera.lens import px_per_mm_at, slopes_of_pixels
 
 NO_WALLS = {"surround": 0.0, "ground": 0.0, "bench": DARK_ROOM}
 

@@ -7,9 +7,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig, write_rig
-from splitknit.simulator.bench_sight import base_plane
-from splitknit.simulator.built_rig import Tolerances, built_rig, lobe_exponent, nominal_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig, lobe_exponent, nominal_rig
+from splitknit.simulator.calibration_set.bench import base_plane
+from splitknit.simulator.rigs import Tolerances, built_rig
 
 EXACT = Tolerances(
     led_position_mm=0,

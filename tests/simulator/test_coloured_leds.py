@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import COLOURS
-from splitknit.simulator.coloured import CROSSTALK, coloured_rig, exposures_of, shared_exposures
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.model import COLOURS, CROSSTALK, default_rig, shared_exposures
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings, exposures_of
+from splitknit.simulator.twin import simulate_capture
 
 
 @pytest.mark.parametrize("exposures", [1, 2, 3])

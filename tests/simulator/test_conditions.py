@@ -9,18 +9,30 @@ import pytest
 from surfaces import ridged_egg
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera
-from splitknit.simulator.coat import WATER, Coat, Film, Grains
-from splitknit.simulator.coat_light import reflected, render_coated
-from splitknit.simulator.conditions import KINDS, Condition, conditioned_surface, water_level, water_of
-from splitknit.simulator.diffusion import fresnel, load_walks
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.grains import DENSITY_MG_PER_MM3, draw_grains, sphere_brightness, stamp
-from splitknit.simulator.master_print import MasterPrintSettings, master_print
-from splitknit.simulator.renderer import RenderSettings, render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import SkinSettings
-from splitknit.simulator.weathered import dried, ridge_angle, scale_reflectance, scarred
+from splitknit.model import Camera, default_rig
+from splitknit.simulator.finger.conditions import (
+    KINDS,
+    Condition,
+    conditioned_surface,
+    dried,
+    ridge_angle,
+    scale_reflectance,
+    scarred,
+    water_level,
+    water_of,
+)
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.master_print import MasterPrintSettings, master_print
+from splitknit.simulator.light.coat import (
+    DENSITY_MG_PER_MM3,
+    draw_grains,
+    reflected,
+    sphere_brightness,
+    stamp,
+)
+from splitknit.simulator.light.renderer import RenderSettings, render_band
+from splitknit.simulator.light.skin import SkinSettings, fresnel, load_walks
+from splitknit.simulator.surface import WATER, Coat, Film, Grains
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)
 CAMERA = Camera(12.0, (260, 280))
@@ -46,9 +58,8 @@ def finger():
 def _render(surface, leds=None, **skin):
     leds = leds or [led for led in default_rig(0.25, seed=3).leds if led.band == "white"][:2]
     optics = [SKIN.channel(name) for name in ("red", "green", "blue")]
-    render = render_band if surface.coat is None else render_coated
     skin = {"roughness": 0.25, "glare": 0.8, **skin}
-    return render(surface, leds, optics, walks=load_walks(), settings=RenderSettings(workers=1), **skin)
+    return render_band(surface, leds, optics, walks=load_walks(), settings=RenderSettings(workers=1), **skin)
 
 
 def _coated(egg, **parts):

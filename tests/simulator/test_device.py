@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.bench_flat import CardScene
-from splitknit.simulator.device import Clock, TwinCamera, TwinDeviceSettings, TwinLightBank
-from splitknit.simulator.faults import Faults, FaultyScene
-from splitknit.simulator.finger_scene import FingerScene
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.model import default_rig
+from splitknit.simulator.calibration_set.flat import CardScene
+from splitknit.simulator.camera.device import Clock, Faults, FaultyScene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import FingerScene, simulate_capture
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 

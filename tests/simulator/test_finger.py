@@ -8,10 +8,10 @@ from scipy import ndimage
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera
-from splitknit.simulator.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, place
-from splitknit.simulator.finger_shape import FingerBody, FingerShape
-from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings
-from splitknit.simulator.skin_map import Crease, SkinSettings
+from splitknit.simulator.finger.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
+from splitknit.simulator.finger.shape import FingerBody, FingerShape
+from splitknit.simulator.finger.skin_map import Crease, SkinSettings
 from splitknit.simulator.surface import Surface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)

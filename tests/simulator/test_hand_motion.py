@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.motion import HandMotion, draw_path
-from splitknit.simulator.moving_scene import smear_kernel
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.motion import HandMotion, draw_path
+from splitknit.simulator.rigs import MirrorViews, coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture, smear_kernel
 
 SCALE = 0.12
 

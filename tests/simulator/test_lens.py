@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging import lens_shading
+from splitknit.imaging.view import lens_shading
 from splitknit.model import Camera
-from splitknit.simulator.lens import fall_off, picture_on_plane, pixels_of_points, px_per_mm_at, slopes_of_pixels
+from splitknit.simulator.camera.lens import fall_off, picture_on_plane, pixels_of_points, px_per_mm_at, slopes_of_pixels
 
 MATRIX = np.array([[2650.0, 0.0, 412.3], [0.0, 2610.0, 266.8], [0.0, 0.0, 1.0]])
 DISTORTION = (0.3, -2.0, 4e-3, -3e-3, 5.0)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
-from splitknit.simulator.orientation_field import PATTERNS, orientation_field
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
+from splitknit.simulator.finger.ridges import PATTERNS, orientation_field
 
 SMALL = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=2.0)
 U = (np.arange(240) - 119.5) * 0.1
@@ -109,7 +109,7 @@ def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
 
 
 def test_a_dislocation_is_found_with_its_side() -> None:
-    from splitknit.simulator.ridge_growth import phase_singularities
+    from splitknit.simulator.finger.ridges import phase_singularities
 
     rows, columns = np.mgrid[0:200, 0:200].astype(float)
     phase = 2 * np.pi * columns / 10 + np.arctan2(100.5 - rows, columns - 100.5)

@@ -21,25 +21,22 @@ from splitknit.rig.dimensions import (
 )
 from splitknit.rig.part_settings import MIRROR_GAP_MM, MIRROR_LIP_MM, MIRROR_LONG_MM, MIRROR_THICK_MM, PartSettings
 from splitknit.settings import override
-from splitknit.simulator.diffusion import fresnel
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.lens import pixels_of_points
-from splitknit.simulator.lighting import cut_out
-from splitknit.simulator.master_print import MasterPrintSettings
-from splitknit.simulator.mirror_parts import HolderProfile, mirror_rig, nominal_mirrors
+from splitknit.simulator.camera.lens import pixels_of_points
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.master_print import MasterPrintSettings
+from splitknit.simulator.finger.raycast import Placement, rays_of
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.finger.skin_map import skin_map
+from splitknit.simulator.light.lighting import cut_out
+from splitknit.simulator.light.skin import SkinSettings, fresnel
 from splitknit.simulator.mirror_scene import light_through
-from splitknit.simulator.mirror_settings import MirrorParts, MirrorViews
 from splitknit.simulator.mirror_twin import bare_behind, section_points
-from splitknit.simulator.mirror_view import outline_coverage
-from splitknit.simulator.mirrors import Gate, Reflection, as_built, lights_of
-from splitknit.simulator.raycast import Placement
-from splitknit.simulator.rays import rays_of
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.skin import SkinSettings
-from splitknit.simulator.skin_map import skin_map
+from splitknit.simulator.mirror_view import Gate, Reflection, as_built, lights_of, outline_coverage
+from splitknit.simulator.rigs import HolderProfile, MirrorParts, MirrorViews, mirror_rig, nominal_mirrors
+from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.twin import simulate_capture
 
 ALL = ("left", "right", "tip")
 FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))

@@ -9,8 +9,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
-from splitknit.simulator.lighting import UNIT, white_card
-from splitknit.simulator.opaque import render_opaque
+from splitknit.simulator.light.lighting import UNIT, render_opaque, white_card
 from splitknit.simulator.surface import Surface
 
 CAMERA = Camera(px_per_mm=2.0, image_size=(40, 60))

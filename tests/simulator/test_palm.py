@@ -8,8 +8,7 @@ import scipy.fft
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera
-from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
-from splitknit.simulator.palm_lines import PalmLine, draw_lines, groove_map
+from splitknit.simulator.finger.palm import PalmLine, PalmSettings, draw_lines, draw_palm, groove_map, palm_surface
 
 SMALL = PalmSettings(size_mm=(20.0, 16.0))
 PLAIN = PalmSettings(size_mm=(20.0, 16.0), principal=(0, 0), wrinkles=(0, 0))

@@ -12,18 +12,22 @@ from surfaces import perspective_camera, perspective_plane, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
-from splitknit.simulator.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
-from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.lens import pixels_of_points, slopes_of_pixels
-from splitknit.simulator.lighting import cut_out, light_on, white_card
-from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.projector import Checkerboard, pattern_states
-from splitknit.simulator.rays import Rays
-from splitknit.simulator.renderer import render_ambient, render_band
-from splitknit.simulator.separation import separate_truth
-from splitknit.simulator.skin import ChannelOptics, SkinSettings
+from splitknit.simulator.camera.lens import pixels_of_points, slopes_of_pixels
+from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, place
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
+from splitknit.simulator.finger.raycast import Rays
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.light.lighting import cut_out, light_on, white_card
+from splitknit.simulator.light.renderer import render_ambient, render_band
+from splitknit.simulator.light.separation import Checkerboard, pattern_states, separate_truth
+from splitknit.simulator.light.skin import (
+    ChannelOptics,
+    SkinSettings,
+    diffuse_transmittance,
+    diffusion_profile,
+    fresnel,
+    load_walks,
+)
 from splitknit.simulator.surface import Surface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)

@@ -10,11 +10,10 @@ import pytest
 
 from splitknit.capture import enrolment
 from splitknit.errors import BadInput
-from splitknit.simulator.finger import Pose, finger_surface
-from splitknit.simulator.pattern_classes import DIGITS, class_shares
-from splitknit.simulator.people import FINGERS, draw_person
-from splitknit.simulator.people_ranges import PeopleRanges
-from splitknit.simulator.population import (
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, finger_surface
+from splitknit.simulator.population.people import DIGITS, FINGERS, PeopleRanges, class_shares, draw_person
+from splitknit.simulator.population.sessions import (
     LARGE,
     PopulationSettings,
     SessionRanges,
@@ -24,7 +23,6 @@ from splitknit.simulator.population import (
     population_capture,
     skin_of_today,
 )
-from splitknit.simulator.rig import default_rig
 
 COUNT = 500
 SMALL = PopulationSettings(scale=0.08)

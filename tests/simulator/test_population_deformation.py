@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.deformation import deformed, draw_deformation
-from splitknit.simulator.master_print import MasterPrintSettings, master_print
-from splitknit.simulator.people_ranges import PeopleRanges
-from splitknit.simulator.population import PopulationSettings, SessionRanges, population_capture
+from splitknit.simulator.finger.deformation import deformed, draw_deformation
+from splitknit.simulator.finger.master_print import MasterPrintSettings, master_print
+from splitknit.simulator.population.people import PeopleRanges
+from splitknit.simulator.population.sessions import PopulationSettings, SessionRanges, population_capture
 
 
 @pytest.fixture(scope="module")

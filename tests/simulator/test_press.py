@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.finger import Finger, draw_finger
-from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, ink_print
-from splitknit.simulator.press import PressedPrint, PressSettings, press_finger
+from splitknit.simulator.finger.deformation import PressedPrint, PressSettings, press_finger
+from splitknit.simulator.finger.finger import Finger, draw_finger
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print
 
 STEADY = PressSettings(turn_sd_deg=0, roll_sd_deg=0, pitch_sd_deg=0, shift_mm=0, stretch=0, patches=0, noise_grey=0)
 

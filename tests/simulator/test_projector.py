@@ -8,8 +8,8 @@ from surfaces import plane, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Led
-from splitknit.simulator.lighting import cut_out
-from splitknit.simulator.projector import Checkerboard, pattern_states, projected
+from splitknit.simulator.light.lighting import cut_out
+from splitknit.simulator.light.separation import Checkerboard, pattern_states, projected
 
 ABOVE = Led("white", direction=(0.0, 0.0, 1.0))
 ASIDE = Led("white", position_mm=(52.5, -10.0, 140.0))

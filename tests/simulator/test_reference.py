@@ -11,7 +11,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit.simulator import reference
-from splitknit.simulator.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
+from splitknit.simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel, load_walks
 from splitknit.simulator.reference import (
     ReferenceImage,
     ReferenceSettings,
@@ -20,7 +20,6 @@ from splitknit.simulator.reference import (
     render_glare,
     render_volume,
 )
-from splitknit.simulator.skin import ChannelOptics
 from splitknit.simulator.surface import Surface
 
 HERE = importlib.util.find_spec("mitsuba") is not None and (

@@ -10,13 +10,19 @@ import pytest
 from surfaces import plane, ridged_egg
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led
-from splitknit.simulator.defocus import blur_sigma_px, defocus
-from splitknit.simulator.diffusion import diffuse_transmittance, diffusion_profile, fresnel, load_walks
-from splitknit.simulator.lighting import white_card
-from splitknit.simulator.renderer import RenderSettings, render_ambient, render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import CHANNELS, ChannelOptics, SkinSettings
+from splitknit.model import Camera, Led, default_rig
+from splitknit.simulator.camera.lens import blur_sigma_px, defocus
+from splitknit.simulator.light.lighting import white_card
+from splitknit.simulator.light.renderer import RenderSettings, render_ambient, render_band
+from splitknit.simulator.light.skin import (
+    CHANNELS,
+    ChannelOptics,
+    SkinSettings,
+    diffuse_transmittance,
+    diffusion_profile,
+    fresnel,
+    load_walks,
+)
 
 OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
 CONTRAST = {"red": (0.013, 0.039), "green": (0.034, 0.067), "blue": (0.052, 0.087), "nir": (0.007, 0.033)}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging import decode_table
-from splitknit.simulator.sensor import RESPONSE, SensorSettings, record
+from splitknit.imaging.band import decode_table
+from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, record
 
 
 def _grey(value: float, size: int = 128) -> np.ndarray:

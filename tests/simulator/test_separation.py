@@ -9,14 +9,17 @@ import pytest
 from surfaces import plane, ridged_egg
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led
-from splitknit.simulator.diffusion import diffusion_profile, load_walks
-from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
-from splitknit.simulator.projector import Checkerboard, pattern_states
-from splitknit.simulator.renderer import RenderSettings, render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.separation import checkerboard_images, checkerboard_stack, separate_truth
-from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
+from splitknit.model import Camera, Led, default_rig
+from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
+from splitknit.simulator.light.renderer import RenderSettings, render_band
+from splitknit.simulator.light.separation import (
+    Checkerboard,
+    checkerboard_images,
+    checkerboard_stack,
+    pattern_states,
+    separate_truth,
+)
+from splitknit.simulator.light.skin import BAND_CHANNELS, ChannelOptics, SkinSettings, diffusion_profile, load_walks
 
 LED = default_rig().leds[1]
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))

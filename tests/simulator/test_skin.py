@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.diffusion import (
+from splitknit.simulator.light.skin import (
+    CHANNELS,
     RADIUS_EDGES,
+    SkinRanges,
+    SkinSettings,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
     load_walks,
     walk,
 )
-from splitknit.simulator.skin import CHANNELS, SkinRanges, SkinSettings
 
 REFERENCE = {"red": (3.39, 0.030), "green": (4.12, 0.20), "blue": (5.18, 0.40), "nir": (2.16, 0.020)}
 RELIEF_GAIN = {"red": 0.044, "green": 0.129, "blue": 0.200, "nir": 0.025}
@@ -87,7 +89,7 @@ def test_shipped_table_agrees_with_a_coarse_new_one(walks):
 
 def test_reweighted_walks_equal_walks_that_absorb(walks):
     """A walk that dies with the probability of absorption gives the same albedo as the reweighted table."""
-    from splitknit.simulator.diffusion import _walk_batch
+    from splitknit.simulator.light.skin import _walk_batch
 
     rng = np.random.default_rng(2)
     _, lengths = _walk_batch(20_000, rng)

@@ -10,15 +10,14 @@ import pytest
 from surfaces import ridged_egg
 
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_stack
-from splitknit.model import Camera
-from splitknit.simulator.background import BackgroundSettings, background_albedo
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.skin import SkinRanges, SkinSettings
-from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
+from splitknit.imaging.band import linear_stack
+from splitknit.model import Camera, default_rig
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.finger.finger import PoseRanges
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.scene import BackgroundSettings, TwinSettings, background_albedo
+from splitknit.simulator.twin import photograph, simulate_capture
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 

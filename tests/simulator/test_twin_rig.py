@@ -9,20 +9,16 @@ import pytest
 from surfaces import perspective_camera, ridged_egg
 
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_stack
-from splitknit.model import Camera
-from splitknit.simulator.background import BackgroundSettings
-from splitknit.simulator.defocus import blur_sigma_px
-from splitknit.simulator.diffusion import load_walks
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.lens import fall_off, pixels_of_points
-from splitknit.simulator.master_print import MasterPrintSettings
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings, binning_scale
-from splitknit.simulator.skin import SkinSettings
-from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
-from splitknit.simulator.twin_scene import Scene
+from splitknit.imaging.band import linear_stack
+from splitknit.model import Camera, default_rig
+from splitknit.simulator.camera.lens import blur_sigma_px, fall_off, pixels_of_points
+from splitknit.simulator.camera.sensor import SensorSettings, binning_scale
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.master_print import MasterPrintSettings
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.light.skin import SkinSettings, load_walks
+from splitknit.simulator.scene import BackgroundSettings, Scene, TwinSettings
+from splitknit.simulator.twin import photograph, simulate_capture
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 SHADING = (-0.35, -0.1)

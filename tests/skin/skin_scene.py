@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splitknit.model import Camera, Led, Rig
-from splitknit.skin import SkinSettings, diffusion
+from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid
 
 PITCH_MM = 0.04

@@ -9,10 +9,10 @@ import pytest
 from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene, ring, shape_rms
 
 from splitknit.errors import BadInput
-from splitknit.imaging import bin_mean
+from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.skin import SkinSettings, diffusion
 from splitknit.skin.coarse import CoarsePrior, compare, integrate, start_shape, unit
+from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import lighting
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.skin import cross_spectra, fit_spectra, unmixing_weights
+from splitknit.skin.colour import cross_spectra, fit_spectra, unmixing_weights
 
 OMEGA = np.linspace(0, 40, 60)
 TRANSFER = np.stack([1 / (1 + OMEGA / s) for s in (2.0, 4.0, 8.0)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.skin import SkinSettings, diffusion
+from splitknit.skin.diffusion import SkinSettings, diffusion
 
 RIDGES = 2 * np.pi * 75.7 / 33  # rad/mm of one cycle in 33 px at 75.7 px/mm
 MAKER = Path(__file__).resolve().parents[2] / "validation" / "diffusion" / "make_table.py"

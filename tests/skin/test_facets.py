@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.imaging.geometry import normals_from_gradients
-from splitknit.skin import SpectralFit, cross_spectra, fit_spectra, microfacet_glare
+from splitknit.skin.colour import SpectralFit, cross_spectra, fit_spectra
 from splitknit.skin.facets import (
     MOST_SPREAD,
     Facets,
@@ -19,6 +19,7 @@ from splitknit.skin.facets import (
     ridged_normals,
     spread_of,
 )
+from splitknit.skin.glare import microfacet_glare
 from splitknit.skin.grid import Grid, coarsen
 
 PITCH = 0.04

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from skin_scene import CUT_MM, make_scene
 
-from splitknit.imaging import bin_mean
-from splitknit.skin import SkinSettings, diffusion
+from splitknit.imaging.band import bin_mean
+from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.facets import Facets
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (

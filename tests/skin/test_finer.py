@@ -8,9 +8,9 @@ import pytest
 import splitknit
 from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.view import view_of
-from splitknit.model import Camera
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.model import Camera, default_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from splitknit.skin.finer import coarser, finer_grid, finer_images
 from splitknit.skin.grid import BandImages, Grid
 

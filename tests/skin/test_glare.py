@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.skin import fit_glare, fresnel_transmission, microfacet_glare
+from splitknit.skin.glare import fit_glare, fresnel_transmission, microfacet_glare
 
 NORMAL_REFLECTANCE = (0.42 / 2.42) ** 2
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.skin import LocalWienerSettings, local_wiener, window_power
-from splitknit.skin.relief import _OVERLAP
+from splitknit.skin.relief import _OVERLAP, LocalWienerSettings, local_wiener, window_power
 
 PITCH = 0.05
 SETTINGS = LocalWienerSettings()

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from skin_scene import ring
 
-from splitknit.skin import LocalWienerSettings, SkinSettings, SpectralFit, diffusion
+from splitknit.skin.colour import SpectralFit
+from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import FineLight
 from splitknit.skin.relief import (
     CROSSOVER_MM,
+    LocalWienerSettings,
     Measured,
     Unmixing,
     denoise,

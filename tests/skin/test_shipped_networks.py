@@ -7,7 +7,9 @@ import pytest
 from skin_scene import make_scene, relief_gain, shape_rms
 
 from splitknit.networks.unet import load_network, run_network
-from splitknit.skin import MetricSettings, Networks, SkinSettings, reconstruct_skin
+from splitknit.skin.diffusion import SkinSettings
+from splitknit.skin.learned import Networks
+from splitknit.skin.surface import MetricSettings, reconstruct_skin
 
 SETTINGS = MetricSettings()
 

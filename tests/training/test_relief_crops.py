@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.view import pixel_axes_mm
-from splitknit.simulator.renderer import BandLight
+from splitknit.simulator.light.renderer import BandLight
 from splitknit.training import relief_data
 from splitknit.training.fields import FIELDS
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, TRIM_PX, WEIGHT, ReliefData, training_crops

@@ -8,10 +8,9 @@ import pytest
 from scipy import ndimage
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led, Rig
-from splitknit.pipeline import preset_settings
+from splitknit.model import Camera, Led, Rig, default_rig
+from splitknit.presets import preset_settings
 from splitknit.simulator import twin
-from splitknit.simulator.rig import default_rig
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import COUNT, RELIEF_MM, features
 from splitknit.skin.learned import GLARE as GLARE_UNIT

@@ -10,8 +10,9 @@ from scipy import ndimage
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients
 from splitknit.model import Camera, Led, Rig
-from splitknit.pipeline import preset_settings
-from splitknit.skin import SkinSettings, diffusion, learned
+from splitknit.presets import preset_settings
+from splitknit.skin import learned
+from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.facets import Facets
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, shape_features

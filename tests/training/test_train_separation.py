@@ -13,7 +13,7 @@ from splitknit.model import BoolArray, FloatArray
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.separation.direct import direct_light
-from splitknit.simulator.skin import SkinRanges
+from splitknit.simulator.light.skin import SkinRanges
 from splitknit.training import networks
 from splitknit.training.networks import load_torch, unet, unet_reach
 from splitknit.training.separation import SeparationSettings, SeparationTrainer, learning_factor

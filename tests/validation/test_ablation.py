@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
-from splitknit.imaging import linear_channels, linear_stack
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.imaging.band import linear_channels, linear_stack
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"
 

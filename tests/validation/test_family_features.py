@@ -12,9 +12,8 @@ import pytest
 from script_folder import Script, scripts_of
 from splitknit.errors import BadInput
 from splitknit.finger.orientation import find_upright
-from splitknit.model import Surface
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import Surface, default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "family"
 PATTERNS = ("left_loop", "whorl", "right_loop", "left_loop")

@@ -11,8 +11,9 @@ import pytest
 from script_folder import scripts_of
 from splitknit.errors import BadInput
 from splitknit.mirrors.rolled.finger import rolled_finger
-from splitknit.mirrors.rolled.settings import RolledSettings, SearchSettings
-from splitknit.pipeline import preset_settings
+from splitknit.mirrors.rolled.search import SearchSettings
+from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.presets import preset_settings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"

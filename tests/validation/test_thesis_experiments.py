@@ -192,7 +192,8 @@ def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
     from splitknit.matching.surface import surface_images
     from splitknit.model import surface_of
     from splitknit.pipeline import reconstruct
-    from splitknit.simulator.twin import TwinSettings, simulate_capture
+    from splitknit.simulator.scene import TwinSettings
+    from splitknit.simulator.twin import simulate_capture
 
     scales = thesis("scales")
     capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))

@@ -10,7 +10,7 @@ import pytest
 from viewer_server import Asking
 
 from handmade import capture_of, finger
-from splitknit.io import read_capture, write_capture
+from splitknit.io.capture import read_capture, write_capture
 from splitknit.report.result import write_results
 from splitknit.viewer.server import ViewerServer, open_paths, start
 

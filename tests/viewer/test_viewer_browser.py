@@ -14,10 +14,10 @@ import pytest
 from chromium import Page, PageMaker, why_not
 from viewer_server import Asking, started
 
-from splitknit.gallery.entry import Entry
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.entry import Entry, NewCapture
+from splitknit.gallery.gallery import Gallery
 from splitknit.io.mesh import read_glb
-from splitknit.matching import Template, pack
+from splitknit.matching.template import Template, pack
 
 pytestmark = [
     pytest.mark.slow,

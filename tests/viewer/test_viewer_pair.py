@@ -11,8 +11,8 @@ import pytest
 from perfect_results import write_perfect
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import rotation_about
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.rig import default_rig
+from splitknit.model import default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.viewer.catalogue import make_catalogue
 from splitknit.viewer.marks import Marks
 from splitknit.viewer.pair import Alignment, align, matched_marks

@@ -22,8 +22,9 @@ import pytest
 from viewer_server import Asking
 
 from splitknit.errors import BadInput
-from splitknit.io import read_image, read_ply
+from splitknit.io.images import read_image
 from splitknit.io.mesh import read_glb
+from splitknit.io.ply import read_ply
 from splitknit.rig.assembly import read_stl
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service

@@ -9,7 +9,8 @@ import pytest
 
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
-from splitknit.io import read_npz, read_ply, write_npz
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.ply import read_ply
 from splitknit.io.results import _upright_mesh
 from splitknit.report.result import write_results
 from splitknit.viewer.surface import (

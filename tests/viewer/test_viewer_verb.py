@@ -18,10 +18,10 @@ import pytest
 from viewer_server import started
 
 from splitknit.cli.main import main
-from splitknit.gallery.entry import Entry
-from splitknit.gallery.gallery import Gallery, NewCapture
-from splitknit.io import write_npz
-from splitknit.matching import Template, pack
+from splitknit.gallery.entry import Entry, NewCapture
+from splitknit.gallery.gallery import Gallery
+from splitknit.io.npz import write_npz
+from splitknit.matching.template import Template, pack
 from splitknit.viewer.server import opened_page
 
 Captured = pytest.CaptureFixture[str]

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.model import Capture
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import SkinSettings
+from splitknit.model import Capture, default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.twin import TwinSettings, photograph, simulate_capture
+from splitknit.simulator.twin import photograph, simulate_capture
 
 Truth = dict[str, NDArray[Any]]
 

@@ -15,7 +15,7 @@ import splitknit
 from cases import Case, Truth, photographed
 from splitknit.evaluation.accuracy import Comparison, compare
 from splitknit.model import Reconstruction
-from splitknit.simulator.finger import draw_finger
+from splitknit.simulator.finger.finger import draw_finger
 
 CREASE_TOLERANCE_MM = 1.0
 """A cut that lies further below the crease has kept skin of the next phalanx."""

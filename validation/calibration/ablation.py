@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 
 from splitknit.evaluation.accuracy import compare
-from splitknit.io import read_rig
-from splitknit.model import Capture, Led, Reconstruction, Rig
+from splitknit.io.rig import read_rig
+from splitknit.model import Capture, Led, Reconstruction, Rig, nominal_rig
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.built_rig import nominal_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 FIRST_FINGER = 2000
 FIGURES = {

@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibration import Board, find_board
 from splitknit.calibration.camera import CameraCalibration, calibrate_camera, fit_lens
 from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
-from splitknit.calibration.targets import find_disc
+from splitknit.calibration.targets import Board, find_board, find_disc
 from splitknit.model import Rig
-from splitknit.simulator import bench
-from splitknit.simulator.built_rig import built_rig
+from splitknit.simulator.calibration_set import bench, flat
+from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.rigs import built_rig
 
 BOARD = Board(9, 6, 3.0)
-PRINTED = bench.Board(columns=9, rows=6, square_mm=3.0)
+PRINTED = flat.Board(columns=9, rows=6, square_mm=3.0)
 LIT = tuple(range(7))
 PRINT_ERROR_MM = 0.01
 
@@ -54,13 +54,13 @@ def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | N
         "bench": bench.BenchSettings(aperture_mm=opening),
     }
 
-    def photo(scene: bench.Scene, number: int) -> np.ndarray:
+    def photo(scene: Scene, number: int) -> np.ndarray:
         exposure = bench.well_exposed(scene, [LIT])
         return bench.photograph_bench(scene, LIT, 1000 * seed + number, exposure=exposure)
 
     corners = []
-    for k, pose in enumerate(bench.board_poses(seed, count, rig.camera, PRINTED)):
-        held = bench.BoardScene(
+    for k, pose in enumerate(flat.board_poses(seed, count, rig.camera, PRINTED)):
+        held = flat.BoardScene(
             **common, board=PRINTED, rotation_vector=pose.rotation_vector, translation_mm=pose.translation_mm
         )
         corners.append(find_board(photo(held, k), BOARD))
@@ -69,11 +69,11 @@ def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | N
     for k, shift in enumerate(((0.7, -0.3), (-1.5, 0.8))):
         turn = (float(np.deg2rad(tilt[0])), float(np.deg2rad(tilt[1])), 0.0)
         # a point of the base at x, y lies at z = -(nx x + ny y) / nz
-        normal = bench.BoardScene(**common, board=PRINTED, rotation_vector=turn).plane.axes[:, 2]
+        normal = flat.BoardScene(**common, board=PRINTED, rotation_vector=turn).plane.axes[:, 2]
         middle = (*shift, -float(normal[:2] @ shift) / float(normal[2]))
-        flat = bench.BoardScene(**common, board=PRINTED, rotation_vector=turn, translation_mm=middle)
-        planes.append(find_board(photo(flat, 500 + k), BOARD))
-    plate = bench.DiscScene(**common, tilt_deg=tilt, rotation_deg=11.0 * seed, shift_mm=(0.5, -0.8))
+        level = flat.BoardScene(**common, board=PRINTED, rotation_vector=turn, translation_mm=middle)
+        planes.append(find_board(photo(level, 500 + k), BOARD))
+    plate = flat.DiscScene(**common, tilt_deg=tilt, rotation_deg=11.0 * seed, shift_mm=(0.5, -0.8))
     found = [one for one in corners if one is not None]
     return Photos(rig, found, [p for p in planes if p is not None], find_disc(photo(plate, 600), 10.0), normal)
 

@@ -26,10 +26,10 @@ from splitknit.calibration.light_table import BANDS, Tip
 from splitknit.calibration.lights import Circle, by_circle
 from splitknit.calibration.nail import NailSettings, by_joint_fit
 from splitknit.calibration.shadow import find_nail
-from splitknit.model import Rig
-from splitknit.simulator.bench import NailScene, photograph_bench, well_exposed
-from splitknit.simulator.built_rig import built_rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import Rig, default_rig
+from splitknit.simulator.calibration_set.bench import photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.solids import NailScene
+from splitknit.simulator.rigs import built_rig
 
 Points = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent

@@ -85,7 +85,7 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
 
     from splitknit.calibration.card_model import CardPlane  # noqa: PLC0415
     from splitknit.calibration.radiometry import calibrate_radiometry  # noqa: PLC0415
-    from splitknit.simulator.built_rig import built_rig  # noqa: PLC0415
+    from splitknit.simulator.rigs import built_rig  # noqa: PLC0415
 
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig, case.error_mm, seed)
@@ -110,7 +110,7 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     import numpy as np  # noqa: PLC0415
     from radiometry_cards import CASES, Card  # noqa: PLC0415
 
-    from splitknit.simulator.built_rig import built_rig  # noqa: PLC0415
+    from splitknit.simulator.rigs import built_rig  # noqa: PLC0415
 
     case = next(one for one in CASES if one.name == "LEDs 0.5 mm off")
     found: dict[tuple[float, str], dict[str, list[float]]] = {}
@@ -156,8 +156,9 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
     import numpy as np  # noqa: PLC0415
 
     from splitknit.finger.led_drift import drift_words, led_drift  # noqa: PLC0415
-    from splitknit.imaging import linear_stack  # noqa: PLC0415
-    from splitknit.simulator.twin import TwinSettings, simulate_capture  # noqa: PLC0415
+    from splitknit.imaging.band import linear_stack  # noqa: PLC0415
+    from splitknit.simulator.scene import TwinSettings  # noqa: PLC0415
+    from splitknit.simulator.twin import simulate_capture  # noqa: PLC0415
 
     calm, errors_found, named, asked = [], {0.95: [], 0.88: []}, 0, 0
     alarms = 0

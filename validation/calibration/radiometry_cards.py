@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Band, Camera, Capture, FloatArray, Rig
-from splitknit.simulator.bench import BenchSettings, CardScene, photograph_bench, well_exposed
-from splitknit.simulator.sensor import SensorSettings
+from splitknit.simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.flat import CardScene
+from splitknit.simulator.camera.sensor import SensorSettings
 
 Array = NDArray[np.float64]
 

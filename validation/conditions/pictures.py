@@ -18,9 +18,10 @@ from run import KINDS
 from splitknit.model import Capture, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print
-from splitknit.simulator.conditions import Condition
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.conditions import Condition
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "images" / "conditions.jpg"
 SEED, LIGHT, SIDE_MM, SIDE_PX, MIDDLE_MM = 7, 3, 9.0, 260, (0.3, 0.0)

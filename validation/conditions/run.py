@@ -21,21 +21,23 @@ from typing import Any
 import cv2
 import numpy as np
 
-import splitknit.simulator.finger as drawing
+import splitknit.simulator.finger.finger as drawing
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
-from splitknit.matching import Template, pack, ridge_match, unpack
 from splitknit.matching.methods import false_match_rate
 from splitknit.matching.minutiae import nfiq2
+from splitknit.matching.ridge import ridge_match
 from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.matching.template import Template, pack, unpack
 from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.prints.folder import advice
 from splitknit.prints.make import enhance, make_print, measured
 from splitknit.prints.sources import source_of
-from splitknit.simulator.conditions import Condition
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.finger.conditions import Condition
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)

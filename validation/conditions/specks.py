@@ -24,11 +24,11 @@ import cv2
 import numpy as np
 from run import KINDS, SEEDS, photographed
 
-import splitknit.simulator.finger as drawing
+import splitknit.simulator.finger.finger as drawing
 from splitknit.finger.locate import find_finger
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.model import Capture
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 from splitknit.simulator.twin import simulate_capture
 
 OUT = Path(__file__).with_name("specks.json")

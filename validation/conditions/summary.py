@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.prints import PrintQuality, QualityFigures, score_of
 from splitknit.prints.folder import advice
+from splitknit.prints.print_quality import PrintQuality, QualityFigures, score_of
 
 HERE = Path(__file__).parent
 WORSE_WHEN_LOWER = ("ridge_correlation", "ridge_good_area", "print_quality", "similarity", "mask_overlap")

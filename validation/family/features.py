@@ -27,11 +27,11 @@ import numpy as np
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput
-from splitknit.evaluation import comparisons, scores_of_comparisons
 from splitknit.evaluation.fusion import FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
 from splitknit.matching.space_minutiae import space_minutiae

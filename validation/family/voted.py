@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from agreement_compare import agreed, counts
 from voted_measure import Judge, lists_of, name_of, plain_of, unpacked
 
-from splitknit.io import atomic_file
+from splitknit.io.atomic import atomic_file
 from splitknit.matching.leave_one_out import PICTURES
 from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import Minutiae

@@ -14,17 +14,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "prints"))
 from agreement_measure import against_truth
 from agreement_truth import Truth, read_truth
 
-from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
+from splitknit.batch.store import Store
 from splitknit.finger.locate import Finger, find_finger
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.io.png import decode_png
 from splitknit.matching.leave_one_out import left_out_pictures
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
-from splitknit.pipeline import preset_settings
-from splitknit.prints import plane_map, resample
+from splitknit.presets import preset_settings
+from splitknit.prints.print_map import plane_map, resample
 
 PPI = 500.0
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.matching.leave_one_out import PICTURES, left_out_pictures
 from splitknit.matching.minutiae import extract
 from splitknit.matching.voted_minutiae import vote
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 
 
 def main() -> None:

@@ -29,11 +29,13 @@ from xie_photographs import on_photographs
 from xie_ways import Scene, error_deg, figures, trials, ways
 
 import splitknit
-from splitknit.imaging import linear_channels
+from splitknit.imaging.band import linear_channels
 from splitknit.model import Capture
-from splitknit.photometric import hanrahan_krueger, lambertian
-from splitknit.simulator.skin import SkinRanges
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
+from splitknit.photometric.lambertian import lambertian
+from splitknit.simulator.light.skin import SkinRanges
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 Array = NDArray[Any]
 HERE = Path(__file__).resolve().parent

@@ -9,9 +9,12 @@ import numpy as np
 from xie_skin import Skin, layers, paint
 from xie_ways import SHIPPED, error_deg
 
-from splitknit.photometric import HanrahanKruegerSettings, SkinLayers, hanrahan_krueger, lambertian
-from splitknit.photometric.hanrahan_krueger_fit import Pixels
-from splitknit.simulator.twin import TwinSettings, lay_down
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.skin_layers import SkinLayers
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import lay_down
 
 SKINS = {
     "skin of the book": Skin(),

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from xie_ways import SHIPPED, error_deg
 
-from splitknit.photometric import hanrahan_krueger, lambertian, robust
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import robust
 
 SUBSETS = 5
 

@@ -12,19 +12,16 @@ from numpy.typing import NDArray
 from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients
 from splitknit.imaging.view import view_of
-from splitknit.integration import ShapeletSettings, poisson, shapelets
+from splitknit.integration.poisson import poisson
+from splitknit.integration.shapelets import ShapeletSettings, shapelets
 from splitknit.model import BoolArray, FloatArray, Reconstruction, Rig
-from splitknit.photometric import (
-    HanrahanKruegerSettings,
-    NearLightSettings,
-    SkinLayers,
-    hanrahan_krueger,
-    hanrahan_krueger_near,
-    lambertian,
-    near_light,
-    robust,
-)
-from splitknit.pipeline import PRESETS
+from splitknit.photometric.hanrahan_krueger import hanrahan_krueger, hanrahan_krueger_near
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.near_light import NearLightSettings, near_light
+from splitknit.photometric.robust import robust
+from splitknit.photometric.skin_layers import SkinLayers
+from splitknit.presets import PRESETS
 
 Array = NDArray[Any]
 SHIPPED = PRESETS["xie"].normals.hanrahan_krueger

@@ -23,8 +23,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from splitknit.gallery.entry import Entry
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.entry import Entry, NewCapture
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_file
 

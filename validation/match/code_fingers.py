@@ -19,14 +19,13 @@ import numpy as np
 
 from splitknit.finger.orientation import find_upright
 from splitknit.io.atomic import atomic_file
-from splitknit.matching import Template, pack, unpack
 from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.model import Surface
-from splitknit.simulator.deformation import deformed, draw_deformation
-from splitknit.simulator.finger import finger_surface
-from splitknit.simulator.people import FINGERS, draw_person
-from splitknit.simulator.population import SessionRanges, draw_impression, finger_of_today
-from splitknit.simulator.rig import default_rig
+from splitknit.matching.template import Template, pack, unpack
+from splitknit.model import Surface, default_rig
+from splitknit.simulator.finger.deformation import deformed, draw_deformation
+from splitknit.simulator.finger.finger import finger_surface
+from splitknit.simulator.population.people import FINGERS, draw_person
+from splitknit.simulator.population.sessions import SessionRanges, draw_impression, finger_of_today
 
 SCALE = 0.15
 CHUNK = 50

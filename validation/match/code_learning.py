@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from flat_fingers import Laid
 
-from splitknit.matching import Template
 from splitknit.matching.code import CELLS, COLUMNS, ROWS, FactorModel, origin_of, ridge_field, sampled
+from splitknit.matching.template import Template
 from splitknit.model import FloatArray
 
 JITTER_MM, JITTER_DEG = 0.5, 2.5

@@ -28,9 +28,8 @@ from flat_fingers import load_flat, make_flat
 from numpy.typing import NDArray
 
 from splitknit.finger.orientation import find_upright
-from splitknit.io import read_npz
 from splitknit.io.atomic import atomic_file
-from splitknit.matching import Template, pack, unpack
+from splitknit.io.npz import read_npz
 from splitknit.matching.code import (
     CODE_VERSION,
     SCALE,
@@ -43,6 +42,7 @@ from splitknit.matching.code import (
 )
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
 from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.matching.template import Template, pack, unpack
 from splitknit.model import FloatArray, Surface
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "code_model.npz"

@@ -16,13 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.atomic import atomic_file
-from splitknit.matching import Template, make_template, pack, unpack
 from splitknit.matching.ridge_band import RidgeBandSettings, even
+from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.model import BoolArray, FloatArray
-from splitknit.simulator.master_print import MasterPrintSettings
-from splitknit.simulator.orientation_field import OrientationField, fan_log_period, orientation_field, smooth_noise
-from splitknit.simulator.people import FINGERS, draw_person
-from splitknit.simulator.ridge_growth import grow_ridges
+from splitknit.simulator.finger.master_print import MasterPrintSettings
+from splitknit.simulator.finger.ridges import (
+    OrientationField,
+    fan_log_period,
+    grow_ridges,
+    orientation_field,
+    smooth_noise,
+)
+from splitknit.simulator.population.people import FINGERS, draw_person
 
 PITCH_MM = 0.1
 BELOW_TIP_MM = 2.0

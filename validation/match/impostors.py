@@ -19,9 +19,12 @@ from pathlib import Path
 import numpy as np
 from drawn import drawn_surface
 
-from splitknit.io import read_print_png
-from splitknit.matching import Prepared, calibrate_scores, make_template, print_band, ridge_match
+from splitknit.io.prints import read_print_png
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.matching.ridge_band import print_band
+from splitknit.matching.score import calibrate_scores
 from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.matching.template import make_template
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "match_fmr.json"
 SCALE = 0.15

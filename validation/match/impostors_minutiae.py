@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from drawn import drawn_surface
 
-from splitknit.matching import calibrate_scores
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.score import calibrate_scores
 from splitknit.prints.ridges import surface_print
 
 TABLE = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "match_fmr_minutiae.json"

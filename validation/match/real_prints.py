@@ -24,11 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
-from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, differences, ids_of
 from splitknit.evaluation.fusion import fit_linear, fit_logistic
-from splitknit.io import read_print_png
-from splitknit.matching import Prepared, make_template, print_band, ridge_match
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap, differences
+from splitknit.evaluation.scores import Scores, ids_of
+from splitknit.io.prints import read_print_png
 from splitknit.matching.minutiae import extract, minutiae_match
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.matching.ridge_band import print_band
+from splitknit.matching.template import make_template
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "real_prints.json"

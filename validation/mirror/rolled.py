@@ -23,8 +23,10 @@ import numpy as np
 from rolled_measure import measure
 
 from splitknit.errors import BadInput
-from splitknit.matching import Template, make_template, ridge_band, ridge_match
 from splitknit.matching.minutiae import extract, minutiae_match
+from splitknit.matching.ridge import ridge_match
+from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.template import Template, make_template
 
 HERE = Path(__file__).resolve().parent
 ROLLS_DEG = (0, 20, -20, 10, -10)

@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.io import read_capture
-from splitknit.mirrors.rolled import Blended, read, ridge_band, seam_lines, seam_steps
-from splitknit.mirrors.rolled.blend import STEEPEST_DEG
+from splitknit.io.capture import read_capture
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, seam_lines, seam_steps
+from splitknit.mirrors.rolled.chart import read
 from splitknit.mirrors.rolled.finger import Rolled, rolled_finger
+from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import find_mirror_views
-from splitknit.pipeline import preset_settings
-from splitknit.prints import UnrollSettings, ink, resample
+from splitknit.presets import preset_settings
+from splitknit.prints.print_map import resample
+from splitknit.prints.ridges import ink
 from splitknit.prints.rolled import laid_flat, rolled_facts
+from splitknit.prints.unroll import UnrollSettings
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""

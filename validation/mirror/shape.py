@@ -23,14 +23,17 @@ import cv2
 import numpy as np
 
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_survey
-from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Views, mirror_shape
+from splitknit.imaging.band import linear_survey
 from splitknit.mirrors.captured import found_views, skin_slopes
+from splitknit.mirrors.mirror import MirrorShape, mirror_shape
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.views import Views
 from splitknit.model import Capture, Mirror
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parent / "shape.json"
 SEEDS = tuple(range(9101, 9117))

@@ -6,10 +6,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from splitknit.io import write_capture
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.io.capture import write_capture
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "motion"
 SEEDS = tuple(range(7001, 7009))

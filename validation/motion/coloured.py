@@ -26,13 +26,13 @@ from run import interval, rounded
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput
-from splitknit.io import write_capture
-from splitknit.model import Rig
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.io.capture import write_capture
+from splitknit.model import Rig, default_rig
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 RESULTS = Path(__file__).resolve().parent / "coloured.json"
 SHOTS_IN_ALL = 14

@@ -19,7 +19,7 @@ from splitknit.evaluation.accuracy import BAND_SIGMA_MM, compare, high_pass
 from splitknit.finger.locate import find_finger
 from splitknit.finger.steady import find_steady_finger
 from splitknit.model import Capture, Reconstruction
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 
 Truth = Mapping[str, NDArray[Any]]
 MARGIN_MM = 1.0

@@ -18,7 +18,7 @@ from pathlib import Path
 from splitknit import read_capture
 from splitknit.finger.locate import find_finger
 from splitknit.finger.steady import HELPS, register, seen_motion_mm
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 
 RESULTS = Path(__file__).resolve().parent / "stills.json"
 

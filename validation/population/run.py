@@ -23,11 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.evaluation.rates import d_prime, equal_error
-from splitknit.simulator.finger import Finger, finger_surface
-from splitknit.simulator.master_print import MasterPrint, ink_print
-from splitknit.simulator.pattern_classes import DIGITS, class_shares
-from splitknit.simulator.people import FINGERS, Person
-from splitknit.simulator.population import PopulationSettings, draw_impression, finger_of_today, population_capture
+from splitknit.simulator.finger.finger import Finger, finger_surface
+from splitknit.simulator.finger.master_print import MasterPrint, ink_print
+from splitknit.simulator.population.people import DIGITS, FINGERS, Person, class_shares
+from splitknit.simulator.population.sessions import (
+    PopulationSettings,
+    draw_impression,
+    finger_of_today,
+    population_capture,
+)
 
 HERE = Path(__file__).resolve().parent
 PROFILE_MM = np.arange(1.0, 16.1, 1.0)

@@ -14,18 +14,18 @@ from agreement_phase import phase_minutiae
 from agreement_truth import Truth, people, true_source
 from numpy.typing import NDArray
 
-from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
+from splitknit.batch.store import Store
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput
-from splitknit.imaging import linear_channels
-from splitknit.io import read_capture
+from splitknit.imaging.band import linear_channels
+from splitknit.io.capture import read_capture
 from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit.prints.make import Print, enhance, make_print
 from splitknit.prints.sources import Source
-from splitknit.simulator.press import press_finger
+from splitknit.simulator.finger.deformation import press_finger
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.matching.minutiae_record import Minutiae
-from splitknit.prints import Enhanced
-from splitknit.simulator.ridge_growth import phase_singularities
+from splitknit.prints.enhance import Enhanced
+from splitknit.simulator.finger.ridges import phase_singularities
 
 
 def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced) -> Minutiae:

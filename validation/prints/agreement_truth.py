@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.io import read_npz
+from splitknit.io.npz import read_npz
 from splitknit.prints.sources import Source
-from splitknit.simulator.deformation import Deformation
-from splitknit.simulator.finger import Pose, place
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.population import PopulationSettings, draw_impression, finger_of_today
-from splitknit.simulator.press import deformed_minutiae
+from splitknit.simulator.finger.deformation import Deformation, deformed_minutiae
+from splitknit.simulator.finger.finger import Pose, place
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.population.sessions import PopulationSettings, draw_impression, finger_of_today
 
 Array = NDArray[np.float64]
 SAME_MM = 0.06

@@ -16,10 +16,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.io import read_npz
-from splitknit.prints import CurvatureSettings, as_print, curvature, plane_map, resample, ridge_mask, thin
+from splitknit.io.npz import read_npz
+from splitknit.prints.curvature import CurvatureSettings, curvature
+from splitknit.prints.enhance import as_print, ridge_mask, thin
 from splitknit.prints.folder import distortion_picture
 from splitknit.prints.make import enhance, make_print
+from splitknit.prints.print_map import plane_map, resample
 from splitknit.prints.sources import read_source
 
 

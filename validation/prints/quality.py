@@ -21,11 +21,11 @@ import numpy as np
 from quality_measure import capture_facts, facts_of
 from scipy.stats import spearmanr
 
-from splitknit.batch import Store
 from splitknit.batch.reading import places_of
-from splitknit.io import read_npz
-from splitknit.prints import PrintQuality, QualityFigures, score_of
+from splitknit.batch.store import Store
+from splitknit.io.npz import read_npz
 from splitknit.prints.folder import advice
+from splitknit.prints.print_quality import PrintQuality, QualityFigures, score_of
 from splitknit.prints.sources import Source
 
 CHOSEN_ON = {"S01", "S09"}

@@ -12,14 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit.io import write_npz
+from splitknit.io.npz import write_npz
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.finger import Finger, draw_finger
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.skin import SkinRanges
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.light.skin import SkinRanges
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 BASE = TwinSettings(scale=0.35, render=RenderSettings(workers=1))
 FAULTS = {

@@ -12,13 +12,14 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from splitknit.batch import Store
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
+from splitknit.batch.store import Store
 from splitknit.batch.surfaces import unpack_surface
-from splitknit.io import read_npz
-from splitknit.matching import ridge_match, unpack
+from splitknit.io.npz import read_npz
 from splitknit.matching.minutiae import extract, nfiq2
+from splitknit.matching.ridge import ridge_match
+from splitknit.matching.template import unpack
 from splitknit.prints.folder import advice
 from splitknit.prints.make import Print, enhance, make_print, measured
 from splitknit.prints.sources import Source

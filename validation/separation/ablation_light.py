@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.imaging import GREY_WEIGHTS, linear_channels, linear_stack
-from splitknit.model import Band, Capture, FloatArray
-from splitknit.simulator.diffusion import load_walks
-from splitknit.simulator.finger import draw_finger, finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.separation import separate_truth
-from splitknit.simulator.skin import SkinRanges, SkinSettings
+from splitknit.imaging.band import GREY_WEIGHTS, linear_channels, linear_stack
+from splitknit.model import Band, Capture, FloatArray, default_rig
+from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
+from splitknit.simulator.light.separation import separate_truth
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings, load_walks
+from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.twin import TwinSettings, photograph
+from splitknit.simulator.twin import photograph
 
 BLACK, GAIN = 0.1, 0.85
 """How changed light is stored in 16 bits, as parts of full scale: noise may fall below zero."""

@@ -17,10 +17,9 @@ from splitknit import pipeline
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.accuracy import compare
 from splitknit.finger.locate import Finger, find_finger
-from splitknit.imaging import linear_channels
+from splitknit.imaging.band import linear_channels
 from splitknit.model import Capture, FloatArray, Reconstruction
-from splitknit.pipeline import preset_settings
-from splitknit.presets import PipelineSettings
+from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
 

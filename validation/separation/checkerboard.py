@@ -44,12 +44,14 @@ from patches import (
 from summary import summary
 
 from splitknit.model import Camera, Led
-from splitknit.separation.patterns import Separation, StackSettings, by_symmetry, checkerboard, estimate_patterns
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.palm import draw_palm, palm_surface
-from splitknit.simulator.projector import Checkerboard
-from splitknit.simulator.separation import Separated
-from splitknit.simulator.skin import SkinSettings
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.stacks import Separation, StackSettings
+from splitknit.separation.states import estimate_patterns
+from splitknit.separation.symmetry import by_symmetry
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.palm import draw_palm, palm_surface
+from splitknit.simulator.light.separation import Checkerboard, Separated
+from splitknit.simulator.light.skin import SkinSettings
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)

@@ -7,15 +7,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.model import Camera, Led
-from splitknit.simulator.diffusion import load_walks
-from splitknit.simulator.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.palm import draw_palm, palm_surface
-from splitknit.simulator.projector import Checkerboard, pattern_states
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.separation import Separated, checkerboard_stack, separate_truth
-from splitknit.simulator.skin import ChannelOptics, SkinRanges, SkinSettings
+from splitknit.model import Camera, Led, default_rig
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.palm import draw_palm, palm_surface
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.light.separation import (
+    Checkerboard,
+    Separated,
+    checkerboard_stack,
+    pattern_states,
+    separate_truth,
+)
+from splitknit.simulator.light.skin import ChannelOptics, SkinRanges, SkinSettings, load_walks
 from splitknit.simulator.surface import Surface
 
 PX_PER_MM = 37.85

@@ -32,12 +32,11 @@ import numpy as np
 from splitknit.model import Led
 from splitknit.networks.unet import Network, load_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced
-from splitknit.separation.patterns import single_image
+from splitknit.separation.single_image import single_image
 from splitknit.separation.stacks import StackSettings
-from splitknit.simulator.projector import Checkerboard, pattern_states
-from splitknit.simulator.sensor import SensorSettings, record
-from splitknit.simulator.separation import checkerboard_images, separate_truth
-from splitknit.simulator.skin import SkinSettings
+from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.training.separation_data import Photograph, SeparationData, enhance, photographs, surface_of
 from splitknit.training.trainer import HELD_OUT_FROM
 

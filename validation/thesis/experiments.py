@@ -16,7 +16,7 @@ from tables import Row, write_csv
 from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
 from variants import PASSING, PLAIN, THESIS, THESIS_WHOLE, WHOLE, Variant, judged, known_of, passing_everywhere, spreads
 
-from splitknit.evaluation import BootstrapSettings
+from splitknit.evaluation.intervals import BootstrapSettings
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""

@@ -15,8 +15,8 @@ from tables import Row
 from trials import Table, Trial
 from variants import VARIANTS, Known, Variant, judged
 
-from splitknit.evaluation import BootstrapSettings, Interval, Scores, bootstrap, differences
-from splitknit.evaluation.intervals import TARGETS
+from splitknit.evaluation.intervals import TARGETS, BootstrapSettings, Interval, bootstrap, differences
+from splitknit.evaluation.scores import Scores
 
 METHODS = ("finger", "subject")
 

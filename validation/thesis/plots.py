@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from tables import Row
 
-from splitknit.evaluation import BootstrapSettings, Scores, bootstrap, roc
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.rates import roc
+from splitknit.evaluation.scores import Scores
 from splitknit.report.evaluation import Axis, Curve, percent, plot, roc_chart
 
 

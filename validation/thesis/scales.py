@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Table, Trial
 
-from splitknit.evaluation import comparisons
-from splitknit.io import read_capture
+from splitknit.evaluation.protocol import comparisons
+from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.matching import ThesisSettings, finger_images
 from splitknit.matching.features import LbpSettings, lbp_features
 from splitknit.matching.score import dissimilarity
-from splitknit.matching.thesis import align_masks, to_box
+from splitknit.matching.thesis import ThesisSettings, align_masks, finger_images, to_box
 from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.pipeline import preset_settings, reconstruct
+from splitknit.pipeline import reconstruct
+from splitknit.presets import preset_settings
 from splitknit.steps import Memory
 
 SCALES = (2, 3, 4, 5, 6, 7)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation import Ids, Scores
+from splitknit.evaluation.scores import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
 KEPT_SHARE = 0.2

@@ -14,21 +14,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.simulator.bench import (
-    BenchSettings,
-    Board,
-    BoardScene,
-    CardScene,
-    DiscScene,
-    NailScene,
-    Scene,
-    SphereScene,
-    board_poses,
-    photograph_bench,
-    well_exposed,
-)
-from splitknit.simulator.built_rig import built_rig, nominal_rig
-from splitknit.simulator.sensor import SensorSettings
+from splitknit.model import nominal_rig
+from splitknit.simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
+from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.rigs import built_rig
 
 
 def things(seed: int, scale: float) -> dict[str, Any]:

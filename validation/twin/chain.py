@@ -21,11 +21,11 @@ from inversion import CHANNELS, PIXEL_MM, likeness
 from measure import drift_mm, lights
 from scipy import ndimage
 
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import SkinSettings
-from splitknit.skin import MetricSettings, reconstruct_skin
-from splitknit.skin import SkinSettings as AssumedSkin
+from splitknit.model import default_rig
+from splitknit.simulator.light.skin import SkinSettings
+from splitknit.skin.diffusion import SkinSettings as AssumedSkin
 from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.surface import MetricSettings, reconstruct_skin
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

@@ -31,12 +31,11 @@ from patches import PITCH_MM, middle, ridged_patch
 from run import HERE, OUT, source_hash
 
 from splitknit.errors import BadInput
-from splitknit.simulator.diffusion import load_walks
+from splitknit.model import default_rig
+from splitknit.simulator.light.renderer import render_band
+from splitknit.simulator.light.skin import Channel, SkinSettings, load_walks
 from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume
-from splitknit.simulator.renderer import render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import Channel, SkinSettings
-from splitknit.skin import diffusion
+from splitknit.skin.diffusion import diffusion
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
 REGULARISED = 0.05

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera
-from splitknit.simulator.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulator.skin_map import SkinSettings, skin_map
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
+from splitknit.simulator.finger.skin_map import SkinSettings, skin_map
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]

@@ -15,14 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.model import Led
-from splitknit.simulator.diffusion import fresnel, load_walks
-from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface
-from splitknit.simulator.lens import pixels_of_points
-from splitknit.simulator.lighting import cut_out
-from splitknit.simulator.renderer import render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.skin import CHANNELS, SkinSettings
+from splitknit.model import Led, default_rig
+from splitknit.simulator.camera.lens import pixels_of_points
+from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulator.light.lighting import cut_out
+from splitknit.simulator.light.renderer import render_band
+from splitknit.simulator.light.skin import CHANNELS, SkinSettings, fresnel, load_walks
 from splitknit.simulator.surface import Surface
 
 SCALE = 0.25

@@ -10,8 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulator.diffusion import REFRACTIVE_INDEX, diffusion_profile, fresnel, load_walks
-from splitknit.simulator.skin import Channel, ChannelOptics, SkinSettings
+from splitknit.simulator.light.skin import (
+    REFRACTIVE_INDEX,
+    Channel,
+    ChannelOptics,
+    SkinSettings,
+    diffusion_profile,
+    fresnel,
+    load_walks,
+)
 
 Array = NDArray[np.float64]
 PERIOD_MM = 0.43

@@ -123,8 +123,8 @@ def source_hash() -> str:
     """Hash of the twin's sources and of the scripts beside this one that measure."""
     digest = hashlib.sha256()
     package = Path(splitknit.simulator.__file__).parent
-    names = ("reference", "renderer", "lighting", "diffusion", "skin", "master_print", "ridge_growth", "finger")
-    files = [path for path in sorted(package.glob("*.py")) if path.stem.startswith(names)]
+    names = ("reference", "renderer", "lighting", "skin", "master_print", "ridges", "finger", "shape")
+    files = [path for path in sorted(package.rglob("*.py")) if path.stem.startswith(names)]
     for path in (*files, HERE / "compare.py", HERE / "measure.py", HERE / "patches.py"):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

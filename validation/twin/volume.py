@@ -10,9 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera, Led
-from splitknit.simulator.diffusion import REFRACTIVE_INDEX, diffuse_transmittance, fresnel, load_walks
-from splitknit.simulator.renderer import RenderSettings, render_band
-from splitknit.simulator.skin import CHANNELS, SkinSettings
+from splitknit.simulator.light.renderer import RenderSettings, render_band
+from splitknit.simulator.light.skin import (
+    CHANNELS,
+    REFRACTIVE_INDEX,
+    SkinSettings,
+    diffuse_transmittance,
+    fresnel,
+    load_walks,
+)
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.errors import BadInput, open_file, refusing, require
-from splitknit.io import atomic_file
+from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json
 

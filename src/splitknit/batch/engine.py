@@ -35,12 +35,12 @@ from splitknit.batch.settings import BatchSettings, Case
 from splitknit.batch.solids import SOLIDS, SolidTask, extract_solids
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.errors import BadInput, require
-from splitknit.io import read_capture
 from splitknit.io.atomic import private_modes
+from splitknit.io.capture import read_capture
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.surface import MatchingSettings
-from splitknit.pipeline import PipelineSettings
+from splitknit.presets import PipelineSettings
 
 Progress = Callable[[str, float], None]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.evaluation.scores import Ids, Scores, ids_of
-from splitknit.io import atomic_file
+from splitknit.io.atomic import atomic_file
 
 _KINDS = ("finger", "subject", "session")
 

@@ -18,10 +18,11 @@ from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_solids
 from splitknit.batch.surfaces import pack_surface
 from splitknit.errors import BadInput
-from splitknit.io import canonical_json, provenance, read_capture, settings_hash
+from splitknit.io.capture import read_capture
 from splitknit.io.prints import encode_print_png, provenance_texts
-from splitknit.matching import pack
+from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.matching.template import pack
 from splitknit.model import Capture, Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print

@@ -16,14 +16,16 @@ from typing import Any, ClassVar
 
 from splitknit.batch.population import Blocks
 from splitknit.batch.reading import Place, images_of, small_column
-from splitknit.matching import Prepared, RidgeMatchSettings, ThesisSettings, ridge_match, similarity_of, unpack
 from splitknit.matching.minutiae import EDGE_MM, minutiae_match
 from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import unpack_minutiae, unpack_space_minutiae
+from splitknit.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
+from splitknit.matching.score import similarity_of
 from splitknit.matching.space_minutiae import SLOPE_SIGMA_MM
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
-from splitknit.matching.thesis import ATTRIBUTES, database_finger, match_database
+from splitknit.matching.template import unpack
+from splitknit.matching.thesis import ATTRIBUTES, ThesisSettings, database_finger, match_database
 
 Values = Mapping[str, float]
 

@@ -14,8 +14,8 @@ from typing import Any
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
-from splitknit.matching import FingerImages
 from splitknit.matching.surface import surface_images
+from splitknit.matching.thesis import FingerImages
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.reading import Place, small_column
-from splitknit.io import canonical_json, provenance
+from splitknit.io.provenance import canonical_json, provenance
 from splitknit.matching.surface import MatchingSettings
 
 VERSION = 1

@@ -11,8 +11,7 @@ from typing import Annotated, Any
 from splitknit.errors import require
 from splitknit.io.provenance import settings_hash
 from splitknit.matching.surface import MatchingSettings
-from splitknit.pipeline import PipelineSettings, preset_settings
-from splitknit.presets import settings_document
+from splitknit.presets import PipelineSettings, preset_settings, settings_document
 from splitknit.settings import Checked, Limits, check_fields, override
 
 MATCHERS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")

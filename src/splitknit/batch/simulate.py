@@ -22,11 +22,12 @@ from typing import Any
 from splitknit.batch.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment
 from splitknit.errors import BadInput, refusing, require
-from splitknit.io import atomic_file, atomic_folder, plain_json, provenance, write_capture
+from splitknit.io.atomic import atomic_file, atomic_folder
+from splitknit.io.capture import write_capture
 from splitknit.io.fields import read_json
-from splitknit.io.provenance import settings_hash
+from splitknit.io.provenance import plain_json, provenance, settings_hash
 from splitknit.model import Progress, no_progress
-from splitknit.simulator.population import DRAWS, PopulationSettings, population_capture
+from splitknit.simulator.population.sessions import DRAWS, PopulationSettings, population_capture
 
 POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
 _FORMAT, _VERSION = "splitknit-population", 1

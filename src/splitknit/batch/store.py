@@ -16,11 +16,10 @@ from splitknit.batch.scores import score_schema
 from splitknit.batch.settings import BatchSettings
 from splitknit.batch.solids import SOLIDS
 from splitknit.errors import BadInput, refusing, require
-from splitknit.io import atomic_file, provenance
-from splitknit.io.atomic import make_folder
+from splitknit.io.atomic import atomic_file, make_folder
 from splitknit.io.fields import as_number, read_json
-from splitknit.io.provenance import plain_json, settings_hash
-from splitknit.matching import FingerImages
+from splitknit.io.provenance import plain_json, provenance, settings_hash
+from splitknit.matching.thesis import FingerImages
 
 STORE_FILE = "store.json"
 FORMAT, VERSION = "splitknit-batch", 1

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration import Board, find_board, size_in_view
 from splitknit.calibration.camera import CameraCalibration, CameraSettings, calibrate_camera
 from splitknit.calibration.plane import (
     DepthOfField,
@@ -26,13 +25,13 @@ from splitknit.calibration.plane import (
     plane_pose,
     plane_scale,
 )
-from splitknit.calibration.targets import find_disc
+from splitknit.calibration.targets import Board, find_board, find_disc, size_in_view
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io import file_hash, provenance, read_rig, write_rig
 from splitknit.io.images import DEFAULTS, decode_image
+from splitknit.io.provenance import file_hash, provenance
+from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_rig_file
-from splitknit.model import Camera, PixelArray, Rig
-from splitknit.simulator.rig import default_rig
+from splitknit.model import Camera, PixelArray, Rig, default_rig
 
 Progress = Callable[[str, float], None]
 _SENSOR_COLUMNS = 3280

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging import linear_image, linear_stack, pick_channel
+from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.model import Band, Capture, FloatArray, Led, Rig
 
 # Images in a few hundred numbers: robust means over cells, which dust and noise hardly touch.

@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging import shading_at
-from splitknit.imaging.view import plane_points
+from splitknit.imaging.view import plane_points, shading_at
 from splitknit.model import Camera, Led
 
 # --- light on the card ------------------------------------------------------------------------------------------------

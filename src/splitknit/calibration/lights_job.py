@@ -20,7 +20,9 @@ from splitknit.calibration.nail_photos import FOUND_SD_MM, SUFFIXES, read_stack,
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput, Refused, read_bytes, require
 from splitknit.imaging.view import plane_points
-from splitknit.io import file_hash, image_size, plain_json, provenance, read_image, read_rig, write_rig
+from splitknit.io.images import image_size, read_image
+from splitknit.io.provenance import file_hash, plain_json, provenance
+from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_rig_file
 from splitknit.model import Camera, Led, Progress, Rig, no_progress
 

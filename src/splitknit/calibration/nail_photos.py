@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit.calibration.shadow import NailView, find_nail
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io import atomic_file, write_image
+from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, read_json
-from splitknit.io.images import DEFAULTS, decode_image
+from splitknit.io.images import DEFAULTS, decode_image, write_image
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Camera, FloatArray, Progress, no_progress

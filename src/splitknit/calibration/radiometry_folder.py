@@ -32,9 +32,12 @@ from splitknit.calibration.sensor import (
     noise_samples,
 )
 from splitknit.errors import BadInput, require
-from splitknit.io import file_hash, provenance, read_capture, read_image, read_rig, write_image, write_rig
+from splitknit.io.capture import read_capture
 from splitknit.io.fields import Fields, inside, read_json
+from splitknit.io.images import read_image, write_image
 from splitknit.io.pictures import ColourArray, colour
+from splitknit.io.provenance import file_hash, provenance
+from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Capture, FloatArray, PixelArray, Progress, Rig, no_progress
 

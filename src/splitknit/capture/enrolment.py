@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.errors import BadInput, require
-from splitknit.io import atomic_file
+from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import read_json
 
 HAND = ("thumb", "index", "middle", "ring", "little")

@@ -18,7 +18,9 @@ from splitknit.capture.enrolment import Enrolment, Place
 from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused, require
-from splitknit.io import atomic_folder, plain_json, provenance, write_capture
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture import write_capture
+from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, Rig, no_progress
 

@@ -30,7 +30,7 @@ from splitknit.capture.pins import led_names
 from splitknit.capture.shots import CheckSettings, Examiner, Shooting, Shot, shrink_region
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
-from splitknit.finger import finger_mask
+from splitknit.finger.mask import finger_mask
 from splitknit.finger.regions import bounding_box
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from splitknit.cli.verb import Outcome, Progress, add_settings, natural, new_verb, scale
 
 if TYPE_CHECKING:
-    from splitknit.capture import Focus, FocusWatch, Place
+    from splitknit.capture.enrolment import Place
+    from splitknit.capture.exposure import Focus, FocusWatch
     from splitknit.capture.folder import CaptureOptions, Opened
     from splitknit.model import Rig
     from splitknit.rig.devices import DeviceSettings

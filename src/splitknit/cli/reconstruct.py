@@ -84,9 +84,11 @@ def _reconstruct_to_folder(
 
     `rig` names a rig file that replaces the capture's own, such as a later calibration.
     """
-    from splitknit.io import atomic_folder, read_capture, with_rig  # noqa: PLC0415
+    from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
+    from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415
-    from splitknit.pipeline import preset_settings, reconstruct  # noqa: PLC0415
+    from splitknit.pipeline import reconstruct  # noqa: PLC0415
+    from splitknit.presets import preset_settings  # noqa: PLC0415
     from splitknit.report.result import FILES, write_files  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
 

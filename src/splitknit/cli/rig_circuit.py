@@ -28,10 +28,10 @@ def _run(options: argparse.Namespace) -> Outcome:
     """Design the board and write it."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.io.rig import read_rig  # noqa: PLC0415
+    from splitknit.model import default_rig  # noqa: PLC0415
     from splitknit.rig.circuit import CircuitSettings  # noqa: PLC0415
     from splitknit.rig.circuit_files import circuit_to_folder  # noqa: PLC0415
     from splitknit.settings import flatten, override  # noqa: PLC0415
-    from splitknit.simulator.rig import default_rig  # noqa: PLC0415
 
     given = {"topology": options.topology, "supply_v": options.supply_v}
     # ``circuit.supply_v`` and ``supply_v`` are the same setting

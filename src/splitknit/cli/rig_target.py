@@ -22,8 +22,8 @@ def add_target(kinds: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Write the sheet."""
-    from splitknit.calibration import Board  # noqa: PLC0415 - only this verb pays
-    from splitknit.io import atomic_file  # noqa: PLC0415
+    from splitknit.calibration.targets import Board  # noqa: PLC0415
+    from splitknit.io.atomic import atomic_file  # noqa: PLC0415
     from splitknit.io.targets import check_file  # noqa: PLC0415
     from splitknit.rig.target import (  # noqa: PLC0415  # noqa: PLC0415
         DOT_MM,

@@ -199,7 +199,7 @@ def _run_population(options: argparse.Namespace) -> Outcome:
     from splitknit.capture.enrolment import FINGERS  # noqa: PLC0415
     from splitknit.cli.options import read_changes  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.simulator.population import PopulationSettings  # noqa: PLC0415
+    from splitknit.simulator.population.sessions import PopulationSettings  # noqa: PLC0415
 
     names = ("pattern", "rig", "motion", "condition", "severity", "mirrors")
     unused = [name for name in names if getattr(options, name) is not None]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients
-from splitknit.io import read_npz
+from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 
 TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")

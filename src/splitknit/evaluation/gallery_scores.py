@@ -17,8 +17,9 @@ from splitknit.evaluation.scores import Scores
 from splitknit.gallery.entry import session_order
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
-from splitknit.io import file_hash
-from splitknit.matching import Prepared, ridge_match, unpack
+from splitknit.io.provenance import file_hash
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.matching.template import unpack
 from splitknit.model import Progress, no_progress
 
 _BLOCK = 128

@@ -19,7 +19,7 @@ from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude, pair_up
 from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_subjects
-from splitknit.io import plain_json
+from splitknit.io.provenance import plain_json
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores
 from splitknit.model import Progress, no_progress
 from splitknit.settings import Checked

@@ -18,7 +18,8 @@ from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
 from splitknit.finger.quality import QualitySettings, capture_quality, photometric_mask, quality_warnings
-from splitknit.imaging import (
+from splitknit.imaging.areas import without_mirrors
+from splitknit.imaging.band import (
     Window,
     has_colour,
     linear_image,
@@ -27,7 +28,6 @@ from splitknit.imaging import (
     pick_channel,
     saturation_levels,
 )
-from splitknit.imaging.areas import without_mirrors
 from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.settings import Checked

@@ -16,7 +16,7 @@ from splitknit.finger.motion import MIN_RELIABILITY, WARN_MM
 from splitknit.finger.registration import BLOCK_MM, WORKING_PX_PER_MM, register_shots, without_glare
 from splitknit.finger.registration_band import Seen, register_band
 from splitknit.finger.registration_flow import Flow
-from splitknit.imaging import Window, has_colour, linear_channels, linear_stack
+from splitknit.imaging.band import Window, has_colour, linear_channels, linear_stack
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import plane_points
 from splitknit.model import Band, Capture

@@ -20,15 +20,17 @@ import numpy as np
 
 from splitknit.capture.enrolment import FINGERS
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.gallery.entry import Entry, check_person, check_session
-from splitknit.gallery.gallery import Enrolled, Gallery, NewCapture
+from splitknit.gallery.entry import Enrolled, Entry, NewCapture, check_person, check_session
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
-from splitknit.io import file_hash, read_capture, read_image
+from splitknit.io.capture import read_capture
+from splitknit.io.images import read_image
 from splitknit.io.prints import encode_print_png
-from splitknit.matching import pack, unpack
+from splitknit.io.provenance import file_hash
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.inputs import Side, read_side
 from splitknit.matching.surface import MatchingSettings
+from splitknit.matching.template import pack, unpack
 from splitknit.model import Progress, no_progress
 from splitknit.prints.ridges import surface_print
 
@@ -296,8 +298,8 @@ def _zipped(path: Path) -> bytes:
 
 def templates_hash(settings: MatchingSettings) -> str:
     """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
-    from splitknit.io import settings_hash  # noqa: PLC0415
-    from splitknit.matching import VERSION  # noqa: PLC0415
+    from splitknit.io.provenance import settings_hash  # noqa: PLC0415
+    from splitknit.matching.template import VERSION  # noqa: PLC0415
 
     document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
     return settings_hash(document)

@@ -13,23 +13,17 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.gallery.enrol import known_finger, templates_hash
-from splitknit.gallery.entry import check_person, session_order
-from splitknit.gallery.gallery import Enrolled, Gallery
+from splitknit.gallery.entry import Enrolled, check_person, session_order
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
-from splitknit.matching import (
-    RidgeBandSettings,
-    RidgeMatchSettings,
-    Template,
-    TemplateSettings,
-    prepared,
-    ridge_match,
-    unpack,
-)
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.inputs import read_side
 from splitknit.matching.methods import as_calibrated, false_match_rate, similarity_at
+from splitknit.matching.ridge import RidgeMatchSettings, prepared, ridge_match
+from splitknit.matching.ridge_band import RidgeBandSettings
 from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
 from splitknit.matching.surface import MatchingSettings
+from splitknit.matching.template import Template, TemplateSettings, unpack
 from splitknit.model import Capture, Progress, Reconstruction, no_progress
 
 MERGES = ("person", "finger", "none")

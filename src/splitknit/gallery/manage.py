@@ -15,17 +15,17 @@ from typing import Any
 
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
 from splitknit.gallery.enrol import LARGEST_RAW, gallery_facts
-from splitknit.gallery.entry import Entry, check_person, session_order
+from splitknit.gallery.entry import Entry, NewCapture, check_person, session_order
 from splitknit.gallery.file import describe
-from splitknit.gallery.gallery import Gallery, NewCapture
+from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.gallery.key_file import KEY_VARIABLE, NEW_KEY_VARIABLE
-from splitknit.io import atomic_folder
+from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
-from splitknit.matching import VERSION, unpack
 from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
 
 

@@ -107,7 +107,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     """Put a capture under coloured LEDs together from one of at least 3 x `exposures` white images in colour.
 
     The red channel of image i, the green one of image j and the blue one of image k become one exposure, mixed as the
-    IMX219's pixels mix coloured LEDs (:data:`splitknit.simulator.coloured.CROSSTALK`). Three things are not as they
+    IMX219's pixels mix coloured LEDs (:data:`splitknit.model.CROSSTALK`). Three things are not as they
     would be: a channel under a white LED sees a broad band (and some of its neighbours' light) where a coloured LED is
     a line; what a finger moved between the white shots is within an exposure; and each channel has the noise of its own
     shot.
@@ -127,7 +127,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     BadInput
         If the white images are grey or too few.
     """
-    from splitknit.simulator.coloured import CROSSTALK, shared_exposures  # noqa: PLC0415 - the twin's sensor
+    from splitknit.model import CROSSTALK, shared_exposures  # noqa: PLC0415 - the twin's sensor
 
     white = capture.bands["white"]
     require(

@@ -19,19 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import read_bytes, require
-from splitknit.io import (
-    atomic_file,
-    canonical_json,
-    read_image,
-    read_npz,
-    settings_hash,
-    surface_mesh,
-    write_npz,
-    write_ply,
-)
+from splitknit.io.atomic import atomic_file
+from splitknit.io.images import read_image
+from splitknit.io.mesh import surface_mesh
+from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
+from splitknit.io.ply import write_ply
 from splitknit.io.prints import provenance_texts
-from splitknit.io.provenance import JsonValue
+from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]

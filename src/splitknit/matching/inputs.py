@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import naming, require
-from splitknit.io import read_capture, read_image, read_print_png
+from splitknit.io.capture import read_capture
+from splitknit.io.images import read_image
+from splitknit.io.prints import read_print_png
 from splitknit.io.results import read_fields
 from splitknit.io.templates import read_template
-from splitknit.matching import VERSION, Template, make_template, print_band, unpack
+from splitknit.matching.ridge_band import print_band
 from splitknit.matching.surface import MatchingSettings, surface_template
+from splitknit.matching.template import VERSION, Template, make_template, unpack
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
 from splitknit.pipeline import reconstruct
 

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.steady import find_steady_finger
-from splitknit.imaging import linear_stack
+from splitknit.imaging.band import linear_stack
 from splitknit.imaging.coloured import balanced
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
 from splitknit.model import Capture, FloatArray
 from splitknit.photometric.lambertian import left_out
-from splitknit.prints import PrintSettings, ink, plane_map, resample
+from splitknit.prints.print_map import plane_map, resample
+from splitknit.prints.ridges import PrintSettings, ink
 
 PICTURES = ("x", "y", "z", "albedo")
 """Components of the normals in the upright frame, and the albedo."""

@@ -13,22 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.io.targets import check_file
 from splitknit.io.templates import MAGIC, write_template
-from splitknit.matching import VERSION, FmrTable, Template, pack, ridge_match, thesis_match
 from splitknit.matching.inputs import Side, read_print, read_side
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import Minutiae
-from splitknit.matching.score import joined_similarity
+from splitknit.matching.ridge import ridge_match
+from splitknit.matching.score import FmrTable, joined_similarity
 from splitknit.matching.space_minutiae import space_minutiae
 from splitknit.matching.surface import MatchingSettings, surface_images
 from splitknit.matching.surface_code import surface_code_match
 from splitknit.matching.surface_codes import surface_code
+from splitknit.matching.template import VERSION, Template, pack
+from splitknit.matching.thesis import thesis_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
-from splitknit.pipeline import preset_settings
+from splitknit.presets import preset_settings
 from splitknit.prints.ridges import surface_print
 from splitknit.settings import override
 

@@ -11,28 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger import MaskSettings, finger_outline, finger_region
 from splitknit.finger.locate import Finger
-from splitknit.imaging import Window, linear_survey
+from splitknit.finger.mask import MaskSettings, finger_outline, finger_region
 from splitknit.imaging.areas import mirror_outline
+from splitknit.imaging.band import Window, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
 from splitknit.integration.rays import unevenness
-from splitknit.mirrors import (
-    MirrorShape,
-    MirrorShapeSettings,
-    Slopes,
-    Views,
-    find_views,
-    medial_line,
-    mirror_shape,
-    view_binning,
-)
-from splitknit.mirrors.rolled import facing_share, led_image, mirrored_share
+from splitknit.mirrors.mirror import MirrorShape, mirror_shape
+from splitknit.mirrors.outline import medial_line
+from splitknit.mirrors.rolled.reflection import facing_share, led_image, mirrored_share
 from splitknit.mirrors.rolled.view_lights import Glass, glass_in
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.state import Slopes
+from splitknit.mirrors.views import Views, find_views, view_binning
 from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
-from splitknit.photometric import pseudo_normals
+from splitknit.photometric.near_light import pseudo_normals
 
 SLOPES_MM = 0.25
 """Pitch of the images from which slopes are measured."""

@@ -14,28 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.io import atomic_file, atomic_folder, canonical_json, provenance, write_image, write_npz, write_print_png
+from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.finger_codes import FINGER_CODES
+from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
+from splitknit.io.npz import write_npz
 from splitknit.io.pictures import ColourArray, colour, on_paper
-from splitknit.io.provenance import JsonValue
+from splitknit.io.prints import write_print_png
+from splitknit.io.provenance import JsonValue, canonical_json, provenance
 from splitknit.io.targets import check_target
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.matching.space_minutiae import in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
-from splitknit.prints import (
-    Enhanced,
-    PrintMap,
-    PrintQuality,
-    Unrolled,
-    as_print,
-    phase_minutiae,
-    ridge_mask,
-    thin,
-)
+from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin
 from splitknit.prints.make import (
     Print,
     PrintingSettings,
@@ -45,9 +39,12 @@ from splitknit.prints.make import (
     make_rolled_print,
     measured,
 )
-from splitknit.prints.print_map import NOWHERE
+from splitknit.prints.phase_minutiae import phase_minutiae
+from splitknit.prints.print_map import NOWHERE, PrintMap
+from splitknit.prints.print_quality import PrintQuality
 from splitknit.prints.rolled import read_rolled, write_rolled
 from splitknit.prints.sources import Source, read_source
+from splitknit.prints.unroll import Unrolled
 from splitknit.settings import override
 
 RESOLUTIONS = (500.0, 1000.0)

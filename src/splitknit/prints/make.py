@@ -12,30 +12,16 @@ from splitknit.errors import BadInput, require
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.model import FloatArray
-from splitknit.prints import (
-    CurvatureSettings,
-    Enhanced,
-    PrintMap,
-    PrintQuality,
-    PrintQualitySettings,
-    PrintSettings,
-    Unrolled,
-    UnrollSettings,
-    curvature,
-    gabor_enhance,
-    ink,
-    plane_map,
-    print_quality,
-    resample,
-    stft_enhance,
-    surface_grid,
-    unroll,
-    unrolled_map,
-)
+from splitknit.prints.curvature import CurvatureSettings, curvature
+from splitknit.prints.enhance import Enhanced, gabor_enhance, stft_enhance
+from splitknit.prints.print_map import PrintMap, plane_map, resample, unrolled_map
+from splitknit.prints.print_quality import PrintQuality, PrintQualitySettings, print_quality
+from splitknit.prints.ridges import PrintSettings, ink
 from splitknit.prints.rolled import KINDS as ROLLED_KINDS
 from splitknit.prints.rolled import laid_flat
 from splitknit.prints.sources import Source
-from splitknit.prints.unroll import KINDS
+from splitknit.prints.unroll import KINDS, Unrolled, UnrollSettings, unroll
+from splitknit.prints.unroll_grid import surface_grid
 from splitknit.settings import override
 
 METHODS = ("relief", "unroll", "curvature", "photo", "rolled")

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import naming, require
-from splitknit.io import read_capture
+from splitknit.io.capture import read_capture
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.ply import write_ply
-from splitknit.mirrors.rolled import coverage_deg, seam_lines, seam_steps
+from splitknit.mirrors.rolled.blend import coverage_deg, seam_lines, seam_steps
 from splitknit.model import FloatArray, Progress
-from splitknit.prints import PrintMap, SurfaceGrid, Unrolled, UnrollSettings, unroll, unrolled_map
+from splitknit.prints.print_map import PrintMap, unrolled_map
 from splitknit.prints.sources import Source
-from splitknit.prints.unroll_grid import RINGS, extrapolated
+from splitknit.prints.unroll import Unrolled, UnrollSettings, unroll
+from splitknit.prints.unroll_grid import RINGS, SurfaceGrid, extrapolated
 
 if TYPE_CHECKING:
     from splitknit.mirrors.rolled.finger import Rolled
@@ -39,7 +40,7 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
     """
     from splitknit.mirrors.rolled.finger import rolled_finger  # noqa: PLC0415
     from splitknit.mirrors.rolled.views import find_mirror_views  # noqa: PLC0415
-    from splitknit.pipeline import preset_settings  # noqa: PLC0415 - large
+    from splitknit.presets import preset_settings  # noqa: PLC0415
 
     require(
         (path / "capture.json").is_file(),

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
 from splitknit.finger.locate import find_finger
-from splitknit.imaging import has_colour, linear_channels
-from splitknit.io import file_hash, read_capture
+from splitknit.imaging.band import has_colour, linear_channels
+from splitknit.io.capture import read_capture
+from splitknit.io.provenance import file_hash
 from splitknit.io.results import read_fields
 from splitknit.model import BoolArray, Capture, FloatArray, Progress, Reconstruction, no_progress
-from splitknit.pipeline import preset_settings, reconstruct
+from splitknit.pipeline import reconstruct
+from splitknit.presets import preset_settings
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.evaluation.accuracy import TRUTH_ARRAYS
-from splitknit.io import atomic_folder, read_capture, write_capture
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.pipeline import reconstruct

@@ -16,7 +16,8 @@ from scipy.special import ndtri
 from splitknit.evaluation.facts import Result
 from splitknit.evaluation.rates import Histograms, Roc, histograms, roc
 from splitknit.evaluation.study import FORMAT, EvaluationSettings, evaluate_scores
-from splitknit.io import atomic_folder, plain_json
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.provenance import plain_json
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.report import render

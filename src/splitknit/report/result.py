@@ -20,15 +20,11 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from splitknit.io import (
-    atomic_file,
-    atomic_folder,
-    provenance,
-    write_height_tiff,
-    write_print_png,
-)
+from splitknit.io.atomic import atomic_file, atomic_folder
+from splitknit.io.float_tiff import write_height_tiff
 from splitknit.io.pictures import data_uri, upright_frame
-from splitknit.io.prints import provenance_texts
+from splitknit.io.prints import provenance_texts, write_print_png
+from splitknit.io.provenance import provenance
 from splitknit.io.results import Origin, write_albedo, write_arrays, write_mesh, write_normals, write_picture
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print

@@ -17,10 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
-from splitknit.io import atomic_folder, file_hash, plain_json, provenance, read_rig, write_image
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.images import write_image
 from splitknit.io.pictures import ColourArray
+from splitknit.io.provenance import file_hash, plain_json, provenance
+from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.model import Rig
+from splitknit.model import Rig, default_rig
 from splitknit.rig.assembly import (
     STACK,
     STACK_BELOW,
@@ -41,7 +44,6 @@ from splitknit.rig.dimensions import dimensions_of
 from splitknit.rig.part_reports import dimension_table, report_part
 from splitknit.rig.part_settings import PartSettings
 from splitknit.settings import override
-from splitknit.simulator.rig import default_rig
 
 # Pictures of parts: a z-buffer renderer of triangle meshes, in numpy.
 #

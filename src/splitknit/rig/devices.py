@@ -14,16 +14,15 @@ from splitknit.capture.folder import Opened
 from splitknit.capture.pi import PiCameraSettings, open_pi
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
-from splitknit.io import read_rig
-from splitknit.model import Rig
+from splitknit.io.rig import read_rig
+from splitknit.model import Rig, default_rig, nominal_rig
 from splitknit.settings import flatten, override
-from splitknit.simulator.bench import BoardScene, CardScene, DiscScene, NailScene, SphereScene, board_poses
-from splitknit.simulator.built_rig import nominal_rig
-from splitknit.simulator.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
-from splitknit.simulator.finger_scene import FingerScene
+from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
+from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit.simulator.camera.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
 from splitknit.simulator.folder import twin_settings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import FingerScene
 
 TARGETS = ("card", "disc", "nail", "board", "sphere")
 NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by --rig"

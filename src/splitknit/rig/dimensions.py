@@ -341,7 +341,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
 
     Examples
     --------
-    >>> from splitknit.simulator.rig import default_rig
+    >>> from splitknit.model import default_rig
     >>> dimensions = dimensions_of(default_rig())
     >>> round(dimensions.holes[0].tilt_deg, 1)
     20.6

@@ -26,12 +26,10 @@ from splitknit.rig.candidates import (
     rig_of,
 )
 from splitknit.rig.photography import LAMPS, Shot, intensity_w_sr, photograph
-from splitknit.simulator.diffusion import WalkTable, load_walks
-from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface, place
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.master_print import MasterPrint
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.skin import SkinRanges, SkinSettings
+from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, place
+from splitknit.simulator.finger.master_print import MasterPrint
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings, WalkTable, load_walks
 from splitknit.simulator.surface import Surface
 
 # The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.

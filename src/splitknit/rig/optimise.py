@@ -17,8 +17,9 @@ from scipy import stats
 
 from splitknit import __version__
 from splitknit.errors import BadInput, require
-from splitknit.io import atomic_file, canonical_json, plain_json, settings_hash
+from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import read_json
+from splitknit.io.provenance import canonical_json, plain_json, settings_hash
 from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 

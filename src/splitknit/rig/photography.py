@@ -18,15 +18,13 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.settings import Checked, Limits
-from splitknit.simulator.defocus import blur_sigma_px, defocus
-from splitknit.simulator.diffusion import WalkTable
-from splitknit.simulator.lighting import white_card
-from splitknit.simulator.opaque import render_opaque
-from splitknit.simulator.renderer import RenderSettings, render_band
-from splitknit.simulator.sensor import SensorSettings, record
-from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.camera.lens import blur_sigma_px, defocus
+from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.light.lighting import render_opaque, white_card
+from splitknit.simulator.light.renderer import RenderSettings, render_band
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable
+from splitknit.simulator.scene import finger_depth
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.twin_scene import finger_depth
 
 # --- photons and exposure ---------------------------------------------------------------------------------------------
 

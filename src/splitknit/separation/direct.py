@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.imaging import GREY_WEIGHTS
+from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import FloatArray
 from splitknit.networks.unet import TILE, Network, load_network, run_network
 

@@ -20,25 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging import decode_table, linear_image
-from splitknit.io import atomic_folder, image_size, plain_json, provenance, write_image
+from splitknit.imaging.band import decode_table, linear_image
+from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.float_tiff import write_light_tiff
-from splitknit.io.images import StackReader
+from splitknit.io.images import StackReader, image_size, write_image
+from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
-from splitknit.separation import (
-    PhaseSeparation,
-    Separation,
-    StackSettings,
-    checkerboard,
-    estimate_patterns,
-    occluder,
-    single_image,
-    sinusoid,
-)
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.occluder import occluder
 from splitknit.separation.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
-from splitknit.separation.patterns import by_symmetry
+from splitknit.separation.single_image import single_image
+from splitknit.separation.sinusoid import PhaseSeparation, sinusoid
+from splitknit.separation.stacks import Separation, StackSettings
+from splitknit.separation.states import estimate_patterns
+from splitknit.separation.symmetry import by_symmetry
 
 MARKER = "direct.tiff"
 LINEAR = "linear light, 1 = full scale of the images"

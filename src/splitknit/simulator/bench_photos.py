@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.io import write_capture, write_image, write_rig
 from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture import write_capture
+from splitknit.io.images import write_image
+from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
-from splitknit.model import Band, Capture, Rig
-from splitknit.simulator.bench import DarkScene, Scene, photograph_bench, well_exposed
-from splitknit.simulator.bench_flat import Board, BoardScene, CardScene, DiscScene
-from splitknit.simulator.bench_nail import NailScene
-from splitknit.simulator.bench_poses import board_poses
-from splitknit.simulator.bench_scene import BenchSettings
-from splitknit.simulator.built_rig import built_rig, nominal_rig
+from splitknit.model import Band, Capture, Rig, nominal_rig
+from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
+from splitknit.simulator.calibration_set.solids import NailScene
+from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.rigs import built_rig
 
 Progress = Callable[[str, float], None]
 MARKER = "rig_true.json"

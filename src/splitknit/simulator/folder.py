@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.errors import require
-from splitknit.io import atomic_folder, read_rig, write_capture
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture import write_capture
+from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, Rig, no_progress
 from splitknit.settings import override
-from splitknit.simulator.coloured import coloured_rig
-from splitknit.simulator.twin import TwinSettings, simulate_capture
+from splitknit.simulator.rigs import coloured_rig
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:

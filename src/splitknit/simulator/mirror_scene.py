@@ -3,62 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Band, BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig
-from splitknit.simulator.background import BackgroundSettings, background_albedo
-from splitknit.simulator.defocus import blur_sigma_px
-from splitknit.simulator.diffusion import WalkTable, diffuse_transmittance
-from splitknit.simulator.lens import px_per_mm_at
-from splitknit.simulator.lighting import UNIT, Patch, cut_out, finger_window, light_on, white_card
-from splitknit.simulator.mirror_parts import HolderProfile
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.mirror_view import Coverage, View, outline_coverage
-from splitknit.simulator.mirrors import Light, lights_of
-from splitknit.simulator.renderer import BandLight, Diffusion, RenderSettings, relief_gains
-from splitknit.simulator.skin import BAND_CHANNELS, ChannelOptics, SkinSettings
+from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig
+from splitknit.simulator.light.lighting import UNIT, Patch, cut_out, finger_window, light_on, white_card
+from splitknit.simulator.light.renderer import (
+    LED_RADIUS_MM,
+    BandLight,
+    Diffusion,
+    relief_gains,
+    render_ambient,
+    render_lights,
+)
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable
+from splitknit.simulator.mirror_view import Coverage, Light, View, lights_of, outline_coverage
+from splitknit.simulator.rigs import HolderProfile, MirrorViews
+from splitknit.simulator.scene import (
+    BACKGROUND_MM,
+    BackgroundSettings,
+    Scene,
+    Taken,
+    TwinSettings,
+    background_albedo,
+    brightest,
+    finger_depth,
+    room_level,
+    take_band,
+)
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.twin_scene import Scene, brightest, finger_depth, room_level
 
 # Light on a finger between mirrors: the LEDs, and their images through the mirrors' faces.
-
-
-def render_between_mirrors(
-    surface: Surface,
-    lights: Sequence[Sequence[Light]],
-    optics: Sequence[ChannelOptics],
-    skin: SkinSettings,
-    *,
-    walks: WalkTable,
-    settings: RenderSettings,
-) -> BandLight:
-    """Render a finger, or its reflection, in as many images as there are groups of `lights`.
-
-    As :func:`splitknit.simulator.renderer.render_band`, whose terms it is made from; with one light without a gate in
-    each group the result is the same.
-    """
-    patch = cut_out(surface)
-    blur = _diffusion(patch, optics, skin, walks, settings)
-    gains = list(relief_gains(surface, patch, optics, settings))
-    shape = patch.mask.shape
-    diffuse = np.empty((len(lights), len(optics), *shape), dtype=np.float32)
-    gloss = np.empty((len(lights), *shape), dtype=np.float32)
-
-    def one(k: int) -> None:
-        entering, gloss[k] = light_through(patch, lights[k], skin.roughness, settings.led_radius_mm)
-        gloss[k] *= np.float32(skin.glare)
-        for c, light in enumerate(blur(entering)):
-            np.multiply(light, gains[c], out=diffuse[k, c])
-
-    with ThreadPoolExecutor(settings.workers) as pool:
-        list(pool.map(one, range(len(lights))))
-    return BandLight(window=patch.window, diffuse=diffuse, glare=gloss)
 
 
 def light_through(
@@ -78,41 +56,6 @@ def light_through(
     return entering, gloss
 
 
-def render_room(
-    surface: Surface,
-    level: float,
-    optics: Sequence[ChannelOptics],
-    skin: SkinSettings,
-    *,
-    walks: WalkTable,
-    settings: RenderSettings,
-    up: Array,
-) -> FloatArray:
-    """(C, h, w) radiance of a reflected finger under a room that gives a white card `level`.
-
-    `up` (3,) is where the reflected room's light comes from: the middle of its hemisphere.
-    """
-    patch = cut_out(surface)
-    blur = _diffusion(patch, optics, skin, walks, settings)
-    facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
-    entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
-    gains = relief_gains(surface, patch, optics, settings)
-    return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
-
-
-def _diffusion(
-    patch: Patch,
-    optics: Sequence[ChannelOptics],
-    skin: SkinSettings,
-    walks: WalkTable,
-    settings: RenderSettings,
-) -> Diffusion:
-    return Diffusion(
-        patch, patch.pitch_mm, optics, walks,
-        reach_mm=settings.reach_mm, roughness=skin.roughness, rim=settings.rim_exponent,
-    )  # fmt: skip
-
-
 def irradiance(led: Led, point: Array, normal: Array) -> float:
     """Light of one LED on a facet at `point` (3,) that faces `normal` (3,)."""
     total = 0.0
@@ -126,10 +69,6 @@ def irradiance(led: Led, point: Array, normal: Array) -> float:
         along = max(-float(way @ one.axis) / distance, 0.0) ** one.lobe_exponent if one.lobe_exponent > 0 else 1.0
         total += one.intensity * UNIT * along * max(float(way @ normal), 0.0) / distance**3
     return total
-
-
-if TYPE_CHECKING:
-    from splitknit.simulator.twin import TwinSettings
 
 
 class MirrorScene:
@@ -147,7 +86,13 @@ class MirrorScene:
         surface, rig, skin = subject
         self.views, self.rig, self.skin, self.settings, self.walks = tuple(seen), rig, skin, settings, walks
         self.front = Scene(subject, settings, np.random.default_rng(seed), walks)
-        self.front.blur = _blur(surface, self.views, settings)
+        if settings.render.aperture_mm > 0.0:  # what a mirror shows lies as deep as its image behind the mirror
+            depth, top = finger_depth(surface)
+            for view in self.views:
+                cover = view.coverage
+                inside = finger_depth(view.surface)[0][cover.window]
+                depth[cover.window] += cover.share * (inside - depth[cover.window])
+            self.front.blur = self.front.blur_by(depth, top)
         self.mirrors = [view.mirror for view in seen]
         self.free = ~surface.mask
         rngs = [np.random.default_rng(child) for child in seed.spawn(len(self.views))]
@@ -162,47 +107,51 @@ class MirrorScene:
                 f"the lip of the {view.mirror.name} mirror's holder hides the finger; lift it or lower the mirror.",
             )
 
-    def photograph(self, name: str, seed: np.random.SeedSequence) -> tuple[Band, NDArray[np.float16], NDArray[Any]]:
+    def photograph(self, name: str, seed: np.random.SeedSequence) -> Taken:
         """Images of one band, the glare (L, H, W) in the images' units, and the exposure, as :class:`Scene` does."""
         members = [k for k, led in enumerate(self.rig.leds) if led.band == name]
         leds = [self.rig.leds[k] for k in members]
-        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
-        render, walks = self.settings.render, self.walks
         lit = [lights_of(led, self.mirrors) for led in leds]
-        front = render_between_mirrors(self.front.surface, lit, optics, self.skin, walks=walks, settings=render)
-        sides = []
-        for view in self.views:
-            behind = [[light.reflected(view.reflection) for light in group] for group in lit]
-            sides.append(render_between_mirrors(view.surface, behind, optics, self.skin, walks=walks, settings=render))
+        front = self._render(self.front.surface, lit, name)
+        sides = [
+            self._render(view.surface, [[light.reflected(view.reflection) for light in group] for group in lit], name)
+            for view in self.views
+        ]
         exposure = np.float32(self.settings.sensor.exposure / self._brightest(front, sides))
         ambient = self._ambient(name, leds)
-        seeds = seed.spawn(len(leds) + 1)
-        size = self.rig.camera.image_size
-        glare = np.zeros((len(leds), *size), dtype=np.float16)
+        glare = np.zeros((len(leds), *self.rig.camera.image_size), dtype=np.float16)
 
-        def shoot(k: int) -> PixelArray:
+        def shoot(k: int, seed: np.random.SeedSequence) -> PixelArray:
             frame = self._frame(front, sides, k, leds[k])
             glare[k] = self._glare(front, sides, k) * exposure
-            return self.front.record((ambient + frame) * exposure, name, seeds[k])
+            return self.front.record((ambient + frame) * exposure, name, seed)
 
-        with ThreadPoolExecutor(render.workers) as pool:
-            images = list(pool.map(shoot, range(len(leds))))
-        dark = self.front.record(ambient * exposure, name, seeds[-1])
-        band = Band(
-            name=name,
-            pixels=np.stack(images),  # type: ignore[arg-type]
-            leds=tuple((k,) for k in members),
-            exposure=np.ones(len(leds)),
-            black_level=np.zeros(len(leds)),
-            ambient=dark,
-            shading=self.rig.camera.shading,
-        )
+        band = take_band(
+            (name, name), [(k,) for k in members], self.front, shoot, ambient * exposure, seed=seed,
+            workers=self.settings.render.workers,
+        )  # fmt: skip
         return band, glare, np.array(float(exposure))
+
+    def _render(self, surface: Surface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
+        """Light of a finger, or its reflection, in as many images as there are groups of `lights`.
+
+        With one light without a gate in each group it is that of
+        :func:`splitknit.simulator.light.renderer.render_band`.
+        """
+        skin, settings, patch = self.skin, self.settings.render, cut_out(surface)
+        optics = [skin.channel(channel) for channel in BAND_CHANNELS[name]]
+
+        def shine(k: int) -> tuple[FloatArray, FloatArray, None]:
+            entering, gloss = light_through(patch, lights[k], skin.roughness, LED_RADIUS_MM)
+            return entering, gloss * np.float32(skin.glare), None
+
+        blur = Diffusion(patch, optics, self.walks, settings, skin.roughness)
+        return render_lights(patch, shine, len(lights), blur, list(relief_gains(surface, patch, optics, settings)))
 
     def _frame(self, front: BandLight, sides: Sequence[BandLight], k: int, led: Led) -> FloatArray:
         """(H, W, 3) radiance of the whole picture under light k."""
         camera = self.rig.camera
-        card = white_card(camera, led, -self.settings.background.depth_mm)
+        card = white_card(camera, led, -BACKGROUND_MM)
         frame = self.front.frame(front, k, card)
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             inside = background_of(plates, camera, led)
@@ -249,10 +198,11 @@ class MirrorScene:
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         for view, plates in zip(self.views, self.frames, strict=True):
             up = view.reflection.vectors(np.array([0.0, 0.0, 1.0]))
-            light = render_room(
-                view.surface, level, optics, self.skin, walks=self.walks, settings=self.settings.render, up=up
-            )
-            albedo = np.float32(0.5 * level * self.settings.mirrors.plastic_albedo)
+            light = render_ambient(
+                view.surface, level, optics, roughness=self.skin.roughness, walks=self.walks,
+                settings=self.settings.render, up=up,
+            )  # fmt: skip
+            albedo = np.float32(0.5 * level * _PLASTIC_ALBEDO)
             inside = np.full_like(frame, albedo)
             window = finger_window(view.surface)
             _put(inside, view.surface, window, light, None)
@@ -265,20 +215,6 @@ class MirrorScene:
             for plate in plates.lip:
                 blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
         return frame
-
-
-def _blur(surface: Surface, seen: Sequence[View], settings: TwinSettings) -> FloatArray | None:
-    """(H, W) defocus in pixels by depth, or None; what a mirror shows lies as deep as its image behind the mirror."""
-    render, camera = settings.render, surface.camera
-    if render.aperture_mm == 0.0:
-        return None
-    depth, top = finger_depth(surface)
-    focus = top - render.focus_depth_mm
-    for view in seen:
-        cover = view.coverage
-        inside = finger_depth(view.surface)[0][cover.window]
-        depth[cover.window] += cover.share * (inside - depth[cover.window])
-    return blur_sigma_px(depth, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
 
 
 def _put(
@@ -297,10 +233,16 @@ def _put(
 
 Array = NDArray[np.float64]
 
+_PLASTIC_ALBEDO = 0.04
+"""Of holders and tube: black print."""
+_GLASS_ALBEDO = 0.12
+"""Of the mirrors' ground upper edge."""
 _TUBE_MM = 52.0
 """Inner radius of the tube around the finger."""
+
 _STRAY_SHARE = 0.1
 """Light that comes to the tube by way of other things, against that of a white card under the LED."""
+
 _LID_SHARE = 0.2
 """Light from what hangs above the finger, which a second mirror shows, against that from the tube."""
 
@@ -364,10 +306,10 @@ def mirror_frame(
         return Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
 
     low, high = profile.glass
-    glass = plate(low, high, views.glass_albedo)
-    back = plate(*profile.back, views.plastic_albedo)
+    glass = plate(low, high, _GLASS_ALBEDO)
+    back = plate(*profile.back, _PLASTIC_ALBEDO)
     inside, outside, start = profile.lip
-    lip = (plate(outside, start, views.plastic_albedo), plate(inside, outside, views.plastic_albedo))
+    lip = (plate(outside, start, _PLASTIC_ALBEDO), plate(inside, outside, _PLASTIC_ALBEDO))
     shown = tuple(
         replace(one, coverage=outline_coverage(camera, view.reflection.points(profile.quad(name, camera, *ends))))
         for one, ends in ((plate(*profile.shade, 0.0), profile.shade), (lip[1], (inside, outside)))
@@ -378,7 +320,7 @@ def mirror_frame(
         if other.name != name
     )
     middle = np.append(_TUBE_MM * inwards[:2], -5.0)
-    wall = Plate(view.coverage, middle, -inwards, views.plastic_albedo)
+    wall = Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
     specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
     return Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
 

@@ -4,39 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, Capture, Mirror, Rig
-from splitknit.simulator.diffusion import load_walks
-from splitknit.simulator.finger import Finger, Pose, finger_surface, place
-from splitknit.simulator.finger_shape import FingerBody
-from splitknit.simulator.lens import picture_on_plane
-from splitknit.simulator.mirror_parts import mirror_rig, stop_y_mm
+from splitknit.simulator.camera.lens import picture_on_plane
+from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, finger_surface, place
+from splitknit.simulator.finger.raycast import Placement
+from splitknit.simulator.finger.shape import FingerBody
+from splitknit.simulator.finger.skin_map import SkinMap, skin_map
+from splitknit.simulator.light.skin import SkinSettings, load_walks
 from splitknit.simulator.mirror_scene import MirrorScene
-from splitknit.simulator.mirror_view import View, mirror_view
-from splitknit.simulator.mirrors import as_built
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.raycast import Placement
-from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
-from splitknit.simulator.skin_map import SkinMap, skin_map
-from splitknit.simulator.truth import optics_truth, surface_truth
+from splitknit.simulator.mirror_view import View, as_built, mirror_view
+from splitknit.simulator.rigs import mirror_rig, stop_y_mm
+from splitknit.simulator.scene import TwinSettings, surface_truth, take_capture
 
-if TYPE_CHECKING:
-    from splitknit.simulator.twin import TwinSettings
-
+_INSERTION_MM = (28.7, 30.3)
+"""From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
 _FADE_MM = 3.0
 """Width over which the ridges fade."""
+
 _AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
 """How much further than the master print the skin's map reaches, to either side and beyond the tip."""
-
-
-def has_mirrors(settings: TwinSettings) -> bool:
-    """Whether a capture with these settings is one between mirrors."""
-    return bool(settings.mirrors.names) or (settings.rig is not None and bool(settings.rig.mirrors))
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:
@@ -64,7 +56,7 @@ def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator
     if settings.rig is None and ranges.insertion_mm == PoseRanges().insertion_mm:
         _, lower, _ = picture_on_plane(camera)
         stop = stop_y_mm(views.parts, camera) - lower
-        low, high = views.insertion_mm
+        low, high = _INSERTION_MM
         ranges = replace(ranges, insertion_mm=(min(low, stop), min(high, stop)))
     return ranges.draw(rng, camera)
 
@@ -114,16 +106,8 @@ def photograph_between_mirrors(
     if surface.chart is not None:
         truth["chart_mm"] = surface.chart
     truth |= view_truth(seen, scene.masks)
-    bands = {}
-    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
-    for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
-        bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = scene.photograph(name, band_seed)
-    truth |= optics_truth(skin)
-    truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
+    capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
     truth |= body_truth(body, worn, placement, views.truth_pitch_mm)
-    capture = Capture(
-        rig=rig, bands=bands, encoding=settings.sensor.encoding, material="skin", subject={"id": "anonymous"}
-    )
     return capture, truth
 
 
@@ -172,6 +156,7 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
 # What the twin knows of a finger between mirrors: the views, the true mirrors, the skin all around.
 
 Array = NDArray[np.float64]
+
 _PROXIMAL_MM = 6.0
 
 

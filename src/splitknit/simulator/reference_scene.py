@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Led
-from splitknit.simulator.diffusion import fresnel
+from splitknit.simulator.light.skin import fresnel
 from splitknit.simulator.surface import Surface
 
 # The skin as triangles: what the reference's walks wander under.
@@ -112,10 +112,13 @@ def _closed(surface: Surface, x: Array, y: Array) -> Mesh:
 
 
 Array = NDArray[np.float64]
+
 UNIT = 1e4
 """Irradiance of an LED of intensity one at 100 mm, as everywhere in the twin."""
+
 FAR_MM = 1e5
 """Where a distant light is put."""
+
 INSET_MM = 1e-4
 """How far from a triangle a ray starts anew, so that it does not meet the same triangle again."""
 

@@ -1,78 +1,36 @@
-"""A whole capture of the digital twin: finger, skin, lights, background and sensor, with the truth."""
+"""A whole capture of the simulator: finger, skin, lights, background and sensor, with the truth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Capture, Rig
-from splitknit.simulator.background import BackgroundSettings
-from splitknit.simulator.conditions import Condition, conditioned_surface
-from splitknit.simulator.diffusion import WalkTable, load_walks
-from splitknit.simulator.finger import Finger, Pose, draw_finger, finger_surface
-from splitknit.simulator.mirror_settings import MirrorViews
-from splitknit.simulator.mirror_twin import has_mirrors, mirror_pose, photograph_between_mirrors, rig_with_mirrors
-from splitknit.simulator.motion import HandMotion
-from splitknit.simulator.moving import MovingFinger, moving_finger
-from splitknit.simulator.moving_scene import photograph_moving, reference_of, shots_of
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings
-from splitknit.simulator.skin import BAND_CHANNELS, SkinRanges, SkinSettings
+from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Rig, default_rig
+from splitknit.simulator.finger.conditions import conditioned_surface
+from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
+from splitknit.simulator.light.lighting import white_card
+from splitknit.simulator.light.renderer import BandLight
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.mirror_twin import mirror_pose, photograph_between_mirrors, rig_with_mirrors
+from splitknit.simulator.scene import (
+    BACKGROUND_MM,
+    Scene,
+    Taken,
+    TwinSettings,
+    exposures_of,
+    optics_truth,
+    surface_truth,
+    take_band,
+    take_capture,
+)
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.truth import optics_truth, surface_truth
-from splitknit.simulator.twin_scene import Scene
-
-
-@dataclass(frozen=True, slots=True)
-class TwinSettings:
-    """One simulated capture."""
-
-    scale: float = 0.5
-    """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is given."""
-    rig_seed: int | None = 0
-    """Seed of the LEDs' individual intensities; None makes them equal."""
-    intensity_spread: float = 0.1
-    """Standard deviation of the LEDs' intensities."""
-    skin: SkinSettings | SkinRanges = field(default_factory=SkinRanges)
-    """The skin itself, or the ranges from which each finger's is drawn."""
-    pose: Pose | PoseRanges = field(default_factory=PoseRanges)
-    """The pose itself, or the ranges from which each impression's is drawn."""
-    render: RenderSettings = field(default_factory=RenderSettings)
-    background: BackgroundSettings = field(default_factory=BackgroundSettings)
-    sensor: SensorSettings = field(default_factory=SensorSettings)
-    rig: Rig | None = None
-    """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
-    `scale`, `rig_seed` and `intensity_spread`."""
-    sensor_scale: float | None = None
-    """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
-    binned. None: as :func:`splitknit.simulator.sensor.binning_scale` tells it of the camera."""
-    motion: HandMotion = field(default_factory=HandMotion)
-    """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""
-    mirrors: MirrorViews = field(default_factory=MirrorViews)
-    """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
-    condition: Condition = field(default_factory=Condition)
-    """State of the finger's skin: clean unless `condition.kind` says wet, dry, dusty, scarred or glossy."""
-
-    def __post_init__(self) -> None:
-        require(
-            not self.condition.active or (self.motion.amplitude_mm == 0 and not has_mirrors(self)),
-            "a finger in some condition lies still and without mirrors in the twin; leave out motion and mirrors, or "
-            "condition.",
-        )
-        require(
-            self.motion.amplitude_mm == 0 or not has_mirrors(self),
-            "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
-        )
-        require(
-            self.sensor_scale is None or 0.0 < self.sensor_scale <= 1.0,
-            f"twin.sensor_scale must lie in (0, 1] or be None, but it is {self.sensor_scale}.",
-        )
 
 
 def simulate_capture(
@@ -108,22 +66,17 @@ def simulate_capture(
     The same arguments give the same bytes, whatever the number of workers.
     """
     settings = settings or TwinSettings()
-    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
     if settings.motion.amplitude_mm > 0:
-        require(
-            not has_mirrors(settings), "a finger between mirrors lies still in the twin; leave out motion or mirrors."
-        )
-        moving, rig, skin, photo_seed = _set_in_motion(seed, pattern, settings, impression, finger)
-        capture, truth = photograph_moving(moving, rig, skin, photo_seed, settings)
-        return replace(capture, subject=subject), truth
-    if has_mirrors(settings):
+        capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
+    elif settings.between_mirrors:
         finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
         capture, truth = photograph_between_mirrors(
             finger, pose, rig, skin, seeds=(photo_seed, seed), settings=settings
         )
-        return replace(capture, subject=subject), truth
-    laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
-    capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
+    else:
+        laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
+    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
     return replace(capture, subject=subject), truth
 
 
@@ -163,7 +116,7 @@ def _drawn(
 ) -> tuple[Finger, Pose, Rig, SkinSettings, np.random.SeedSequence]:
     """Draw what a seed stands for: finger, pose, rig, skin, and the seed of background and noise."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
-    between = has_mirrors(settings)
+    between = settings.between_mirrors
     if between:
         rig = rig_with_mirrors(settings)
     else:
@@ -178,19 +131,6 @@ def _drawn(
     else:
         pose = mirror_pose(settings, rig.camera, pose_rng) if between else settings.pose.draw(pose_rng, rig.camera)
     return finger, pose, rig, skin, photo_seed
-
-
-def _set_in_motion(
-    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
-) -> tuple[MovingFinger, Rig, SkinSettings, np.random.SeedSequence]:
-    """Draw the same finger in the same pose as :func:`lay_down` does, and its motion from there."""
-    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-    motion_seed = np.random.SeedSequence([seed, impression, 0x53])
-    shots, workers = len(shots_of(rig)), settings.render.workers
-    moving = moving_finger(
-        finger, pose, rig.camera, motion_seed, settings.motion, shots, workers, reference_of(rig)
-    )  # fmt: skip
-    return moving, rig, skin, photo_seed
 
 
 def photograph(
@@ -232,17 +172,226 @@ def photograph(
     background_seed, noise_seed = seed.spawn(2)
     scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
     truth = surface_truth(surface)
-    bands = {}
-    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
-    for name, band_seed in zip(names, noise_seed.spawn(len(names)), strict=True):
-        bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = scene.photograph(name, band_seed)
-    truth |= optics_truth(skin)
-    truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
-    capture = Capture(
-        rig=rig,
-        bands=bands,
-        encoding=settings.sensor.encoding,
-        material="skin",
-        subject={"id": "anonymous"},
-    )
+    capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
     return capture, truth
+
+
+# A moving finger: every shot shows a surface of its own.
+
+
+def _photograph_moving(
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Photograph a finger that moves from shot to shot, the white band first.
+
+    Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first band. The truth is
+    that of this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where each shot shows
+    the finger. The ambient frame of a band shows the finger where its first shot does. Coloured LEDs of one exposure
+    show the finger at one place.
+    """
+    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
+    shots = _shots_of(rig)
+    moving = moving_finger(
+        finger, pose, rig.camera, np.random.SeedSequence([seed, impression, 0x53]), settings.motion, len(shots),
+        settings.render.workers, sum(name == shots[0][0] for name, _ in shots) // 2,
+    )  # fmt: skip
+    walks = load_walks()
+    background_seed, noise_seed = photo_seed.spawn(2)
+    lit: dict[str, list[_Shot]] = {}
+    truth: dict[str, NDArray[Any]] = {}
+    exposed_px = EXPOSURE_S * rig.camera.px_per_mm
+    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
+        # the same dust in every shot
+        scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
+        if number == moving.path.reference:
+            truth = surface_truth(surface) | moving.truth(surface)
+        smear = smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
+        light = scene.render(name, [rig.leds[k] for k in leds])
+        lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
+
+    def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
+        return _moving_band(name, lit[name], seed)
+
+    capture = take_capture(rig, skin, settings, photograph_band, seed=noise_seed, truth=truth)
+    return capture, truth
+
+
+def _shots_of(rig: Rig) -> list[tuple[str, tuple[int, ...]]]:
+    """Band and LEDs of every shot, in the order in which they are taken: the white band first."""
+    found = []
+    for name in BAND_CHANNELS:
+        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+        groups = exposures_of([rig.leds[k] for k in members])
+        found += [(name, tuple(members[k] for k in group)) for group in groups]
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shot:
+    """The finger at one place under one exposure's LEDs."""
+
+    scene: Scene
+    light: BandLight
+    """Of every LED of the exposure."""
+    leds: tuple[int, ...]
+    """Their numbers in the rig."""
+    smear: FloatArray
+    """Kernel of the blur within the exposure."""
+
+    @property
+    def members(self) -> list[Led]:
+        """The exposure's LEDs."""
+        return [self.scene.rig.leds[k] for k in self.leds]
+
+
+def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
+    """Images of one band, the glare of each of its LEDs, and their exposure, as :meth:`Scene.photograph` gives them."""
+    first = shots[0].scene
+    rig = first.rig
+    used = sorted(k for shot in shots for k in shot.leds)
+    bright = max(shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in shots)
+    exposure = np.float32(first.settings.sensor.exposure / bright)
+    ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
+    glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
+    seen_by = "coloured" if any(rig.leds[k].colour for k in used) else name
+
+    def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
+        shot = shots[number]
+        scene, light = shot.scene, shot.light
+        frame = scene.exposed(light, range(len(shot.leds)), shot.members, ambient) * exposure
+        for k, led in enumerate(shot.leds):
+            glare[used.index(led)][light.window] = light.glare[k] * scene.shade[light.window[0]] * exposure
+        smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
+        return scene.record(np.asarray(smeared, dtype=np.float32), seen_by, seed)
+
+    band = take_band((name, seen_by), [shot.leds for shot in shots], first, shoot, ambient * exposure, seed=seed)
+    return band, glare, np.array(float(exposure))
+
+
+def smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
+    """(n, n) kernel of a straight path of `length_px` (columns, rows), its middle in the middle."""
+    reach = int(np.ceil(np.abs(length_px).max() / 2)) + 1
+    kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for share in np.linspace(-0.5, 0.5, 65):
+        column, row = reach + share * length_px
+        left, top = int(np.floor(column)), int(np.floor(row))
+        across, down = column - left, row - top
+        kernel[top : top + 2, left : left + 2] += np.outer([1 - down, down], [1 - across, across])
+    return np.asarray(kernel / kernel.sum(), dtype=np.float32)
+
+
+# A finger that stays: any of its LEDs lit, in any order, as often as one likes.
+
+HalfArray = NDArray[np.float16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rendered:
+    """Light of one band's LEDs inside the finger's window; half floats, whose steps are a tenth of the noise."""
+
+    window: tuple[slice, slice]
+    planes: HalfArray
+    """(L, C, h, w) diffuse light and glare, C = 3 (white) or 1 (NIR)."""
+
+
+class FingerScene:
+    """One finger, laid down once, under any LEDs of a rig.
+
+    The finger, its skin and its pose are those of :func:`splitknit.simulator.twin.simulate_capture` with the same
+    arguments. Each band's light is rendered once, when one of its LEDs is lit first, and kept. The room's light is
+    the same whichever LED is lit.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        pattern: str | None = None,
+        settings: TwinSettings | None = None,
+        *,
+        impression: int = 0,
+        finger: Finger | None = None,
+    ) -> None:
+        """Lay a finger down.
+
+        Parameters
+        ----------
+        seed : of the person: finger, print and skin follow from it
+        pattern : class of the print; None draws it
+        settings : of the twin; `sensor` is not used here
+        impression : number of the capture of this finger: pose and dust change with it
+        finger : laid down instead of the one that `seed` draws
+
+        Raises
+        ------
+        BadInput
+            If no part of the finger is in the picture.
+        """
+        settings = settings or TwinSettings()
+        laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        self.settings = settings
+        self.rig: Rig = laid.rig
+        self.skin: SkinSettings = laid.skin
+        self.surface: Surface = laid.surface
+        rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
+        self._scene = Scene((self.surface, self.rig, self.skin), settings, rng, load_walks())
+        self._bands: dict[str, _Rendered] = {}
+        self._room: FloatArray | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that looks at the finger."""
+        return self.rig.camera
+
+    @property
+    def leds(self) -> tuple[Led, ...]:
+        """LEDs of the rig."""
+        return self.rig.leds
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """Noise-free light with some LEDs on.
+
+        Parameters
+        ----------
+        lit : numbers of the LEDs; none = the room's light alone
+
+        Returns
+        -------
+        (H, W, 3) float32
+            White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity
+            one at 100 mm gives 1 / pi.
+
+        Raises
+        ------
+        BadInput
+            If there is no such LED.
+        """
+        for index in lit:
+            require(0 <= index < len(self.leds), f"there is no LED {index} in the rig of {len(self.leds)}.")
+        if self._room is None:
+            self._room = self._scene.ambient("white", self.leds)
+        frame, scene = self._room.copy(), self._scene
+        for index in lit:
+            band = self._rendered(self.leds[index].band)
+            members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
+            card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
+            frame += ((card * scene.albedo) * scene.shade)[..., None]
+            planes = band.planes[members.index(index)]
+            shade = scene.shade[band.window[0]]
+            for c in range(3):
+                frame[band.window][..., c] += planes[min(c, len(planes) - 1)] * shade
+        return scene.through_lens(frame)
+
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """Arrays by name: heights, normals, mask, landmarks and optics, see ``docs/twin.md``."""
+        intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
+        return surface_truth(self.surface) | optics_truth(self.skin) | intensities
+
+    def _rendered(self, name: str) -> _Rendered:
+        if name not in self._bands:
+            require(name in BAND_CHANNELS, f"the twin's LEDs are white or nir, not '{name}'.")
+            light = self._scene.render(name, [led for led in self.leds if led.band == name])
+            planes = np.empty(light.diffuse.shape, dtype=np.float16)
+            for k, glare in enumerate(light.glare):
+                planes[k] = light.diffuse[k] + glare
+            self._bands[name] = _Rendered(light.window, planes)
+        return self._bands[name]

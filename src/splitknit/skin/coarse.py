@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.imaging import bin_mean
+from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.integration import poisson
+from splitknit.integration.poisson import poisson
 from splitknit.model import BoolArray, FloatArray
-from splitknit.photometric import pseudo_normals
+from splitknit.photometric.near_light import pseudo_normals
 from splitknit.settings import Checked, Limits
 from splitknit.skin.colour import unmixing_weights
 from splitknit.skin.diffusion import Diffusion, SkinSettings, diffusion

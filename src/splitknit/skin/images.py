@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splitknit.imaging import Window, has_colour, linear_channels
+from splitknit.imaging.band import Window, has_colour, linear_channels
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.networks.unet import load_network, run_network

@@ -10,7 +10,7 @@ import numpy as np
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.photometric import pseudo_normals
+from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.coarse import lacking_coarse, unit
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.facets import Facets, facet_normals

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.photometric import light_vectors_at
 from splitknit.skin.glare import fresnel_transmission
 from splitknit.skin.grid import Grid, smooth_step
 

@@ -15,7 +15,7 @@ from scipy import ndimage
 from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import FloatArray
-from splitknit.photometric import pseudo_normals
+from splitknit.photometric.near_light import pseudo_normals
 from splitknit.settings import Checked, Limits
 from splitknit.skin.colour import SpectralFit, cross_spectra, fit_spectra, unmixing_weights
 from splitknit.skin.diffusion import Diffusion

@@ -20,20 +20,17 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
-from splitknit.imaging import bin_mean
-from splitknit.model import Capture, FloatArray, Rig
-from splitknit.pipeline import bands_of, preset_settings
-from splitknit.presets import PipelineSettings
+from splitknit.imaging.band import bin_mean
+from splitknit.model import Capture, FloatArray, Rig, default_rig
+from splitknit.pipeline import bands_of
+from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import Limits
-from splitknit.simulator.diffusion import WalkTable, load_walks
-from splitknit.simulator.finger import finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.renderer import BandLight, RenderSettings, render_band
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings, record
-from splitknit.simulator.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.finger.finger import PoseRanges, finger_surface
+from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_band
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
-from splitknit.simulator.twin import TwinSettings
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT

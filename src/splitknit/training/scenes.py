@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import require
-from splitknit.imaging import Window, bin_mean
+from splitknit.imaging.band import Window, bin_mean
 from splitknit.model import BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit.simulator.finger import Finger, draw_finger, finger_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.skin import SkinRanges, SkinSettings
-from splitknit.simulator.twin import TwinSettings, photograph
+from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger, finger_surface
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import photograph
 from splitknit.skin.grid import Grid
 
 Range = tuple[float, float]

@@ -17,21 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.finger import clahe
-from splitknit.imaging import GREY_WEIGHTS
-from splitknit.model import BoolArray, Camera, FloatArray, Led
+from splitknit.finger.contrast import clahe
+from splitknit.imaging.band import GREY_WEIGHTS
+from splitknit.model import BoolArray, Camera, FloatArray, Led, default_rig
 from splitknit.separation.checkerboard import checkerboard
 from splitknit.separation.direct import exposure_level, local_level
 from splitknit.separation.stacks import StackSettings
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit.simulator.finger import draw_finger, finger_surface
-from splitknit.simulator.palm import draw_palm, palm_surface
-from splitknit.simulator.pose_ranges import PoseRanges
-from splitknit.simulator.projector import Checkerboard
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.sensor import SensorSettings, record
-from splitknit.simulator.separation import Separated, checkerboard_stack, separate_truth
-from splitknit.simulator.skin import SkinRanges, SkinSettings
+from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
+from splitknit.simulator.finger.palm import draw_palm, palm_surface
+from splitknit.simulator.light.separation import Checkerboard, Separated, checkerboard_stack, separate_truth
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
 
 _FULL_PX_PER_MM = 75.7

@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
-from splitknit.imaging import bin_mean
+from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
-from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.pipeline import bands_of, preset_settings
-from splitknit.presets import PipelineSettings
+from splitknit.model import BoolArray, Capture, FloatArray, default_rig
+from splitknit.pipeline import bands_of
+from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import Limits
-from splitknit.simulator.renderer import RenderSettings
-from splitknit.simulator.rig import default_rig
-from splitknit.simulator.twin import TwinSettings
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
 from splitknit.skin.grid import Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, SHAPE_SLOPE, Networks, can_learn

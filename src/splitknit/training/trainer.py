@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from splitknit import __version__
 from splitknit.errors import BadInput, read_bytes, refusing, require
-from splitknit.io import atomic_file
+from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.npz import map_npy
 from splitknit.model import FloatArray

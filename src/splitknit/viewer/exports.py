@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.io import surface_mesh, write_ply
 from splitknit.io.images import decode_image
-from splitknit.io.mesh import glb_chunks, stl_chunks, stl_size
+from splitknit.io.mesh import glb_chunks, stl_chunks, stl_size, surface_mesh
+from splitknit.io.ply import write_ply
 from splitknit.model import FloatArray
 from splitknit.viewer.catalogue import Entry, Pieces, open_below, read_below
 from splitknit.viewer.surface import Surface, read_members

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.matching import RidgeBandSettings, make_template, ridge_band, ridge_match
-from splitknit.matching.ridge_band import band_places
+from splitknit.matching.ridge import ridge_match
+from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
+from splitknit.matching.template import make_template
 from splitknit.viewer.catalogue import Entry
 from splitknit.viewer.marks import Marks
 from splitknit.viewer.measure import locate, sample

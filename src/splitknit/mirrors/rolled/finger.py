@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled import Blended, Chart, blend, surface_normals, view_weight
+from splitknit.mirrors.rolled.blend import Blended, blend, view_weight
+from splitknit.mirrors.rolled.chart import Chart, surface_normals
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.mirrors.rolled.work import LEAST_MEETING, MirrorViews, Work

@@ -11,20 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.imaging import Window, has_colour, linear_channels
+from splitknit.imaging.band import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, shapelets
-from splitknit.mirrors.rolled import Chart, Sight, heights, read
+from splitknit.mirrors.rolled.chart import Chart, Sight, heights, read
 from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
 from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.photometric import pseudo_normals
-from splitknit.skin import can_learn
-from splitknit.skin.coarse import BandImages
+from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
-from splitknit.skin.grid import Grid, coarsen, refine
+from splitknit.skin.grid import BandImages, Grid, coarsen, refine
 from splitknit.skin.images import shipped_networks
-from splitknit.skin.learned import relief_by_network
+from splitknit.skin.learned import can_learn, relief_by_network
 from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
 
 if TYPE_CHECKING:  # the pipeline lies above

@@ -11,15 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger import find_crease, find_upright, finger_mask
 from splitknit.finger.locate import BEYOND_CREASE_MM, enlarged
-from splitknit.imaging import linear_survey, pick_channel
-from splitknit.mirrors import find_views, view_binning
+from splitknit.finger.mask import finger_mask
+from splitknit.finger.orientation import find_upright
+from splitknit.finger.phalange import find_crease
+from splitknit.imaging.band import linear_survey, pick_channel
 from splitknit.mirrors.captured import skin_slopes
 from splitknit.mirrors.planes import MirrorPlane
 from splitknit.mirrors.rolled.body import body_between_mirrors
 from splitknit.mirrors.rolled.view_lights import glass_in
 from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
+from splitknit.mirrors.views import find_views, view_binning
 from splitknit.model import BoolArray, Capture, FloatArray
 
 if TYPE_CHECKING:  # the pipeline lies above

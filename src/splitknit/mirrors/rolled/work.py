@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.mirrors.body import Body
-from splitknit.mirrors.rolled import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
 from splitknit.mirrors.rolled.body import radius_of, rolled_pad
+from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, sampled, surface_normals
+from splitknit.mirrors.rolled.register import Seen, align, ridge_band
 from splitknit.mirrors.rolled.relief import ViewRelief, view_relief
-from splitknit.mirrors.rolled.search import MIN_CORRELATION
+from splitknit.mirrors.rolled.search import MIN_CORRELATION, search
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.model import BoolArray, Capture, FloatArray

@@ -1,0 +1,395 @@
+"""The bench: things under the rig to calibrate it, as the simulated camera sees and photographs them.
+
+A scene has a `camera`, its `leds`, and `light(lit)`: what reaches the sensor with those LEDs on. See docs/twin.md,
+"The bench".
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led, PixelArray
+from splitknit.settings import Checked, Limits
+from splitknit.simulator.camera import lens
+from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
+from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
+from splitknit.simulator.light.lighting import towards
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
+
+    x: Array
+    """(h, w) mm, where the line meets z = 0."""
+    y: Array
+    slope_x: Array
+    """(h, w) mm sideways per mm downwards; zero for parallel rays."""
+    slope_y: Array
+
+
+def sight(camera: Camera) -> Sight:
+    """Return the lines of sight of all pixels' centres."""
+    height, width = camera.image_size
+    columns = np.arange(width, dtype=np.float64)[None, :]
+    rows = np.arange(height, dtype=np.float64)[:, None]
+    if camera.model == "orthographic":
+        x = np.broadcast_to((columns - (width - 1) / 2) / camera.px_per_mm, (height, width))
+        y = np.broadcast_to(((height - 1) / 2 - rows) / camera.px_per_mm, (height, width))
+        return Sight(x, y, np.zeros((height, width)), np.zeros((height, width)))
+    slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
+    return Sight(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
+
+    middle: Array
+    """(3,) mm."""
+    axes: Array
+    """(3, 3): the columns are u, v and n."""
+
+    def hit(self, sight: Sight) -> tuple[Array, Array, Array]:
+        """u and v at which the lines of sight meet the plane, and the height z there, (h, w) each."""
+        normal = self.axes[:, 2]
+        steepness = normal[2] - normal[0] * sight.slope_x - normal[1] * sight.slope_y
+        require(
+            float(steepness.min()) > 0.05, "the camera sees the plane edge-on or from behind; tilt it less than 80 deg."
+        )
+        z = (float(normal @ self.middle) - normal[0] * sight.x - normal[1] * sight.y) / steepness
+        x, y = sight.x - sight.slope_x * z - self.middle[0], sight.y - sight.slope_y * z - self.middle[1]
+        lift = z - self.middle[2]
+        u, v = (x * axis[0] + y * axis[1] + lift * axis[2] for axis in (self.axes[:, 0], self.axes[:, 1]))
+        return u, v, z
+
+    def points(self, u: Any, v: Any, w: Any = 0.0) -> Array:
+        """Points (..., 3) of the rig's frame at u, v and w above the plane, all in mm."""
+        own = np.stack(np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (u, v, w))), axis=-1)
+        return np.asarray(own @ self.axes.T + self.middle)
+
+    def own(self, points: Any) -> Array:
+        """Points (..., 3) of the rig's frame in the plane's own u, v and height above it: inverse of :meth:`points`."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.middle) @ self.axes)
+
+
+def plane_of(rotation_vector: Any, middle_mm: Any) -> Plane:
+    """Return a plane that faces the camera, turned by `rotation_vector` (rad, right-handed) about `middle_mm`."""
+    rotation = np.asarray(rotation_vector, dtype=np.float64)
+    middle = np.asarray(middle_mm, dtype=np.float64)
+    require(
+        rotation.shape == (3,) and middle.shape == (3,) and bool(np.isfinite([rotation, middle]).all()),
+        "a pose needs a rotation vector and a translation of three finite numbers each.",
+    )
+    return Plane(middle, np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64))
+
+
+def base_plane(tilt_deg: tuple[float, float], height_mm: float = 0.0) -> Plane:
+    """Return the rig's base at `height_mm`, turned by two small angles about x and y."""
+    require(
+        bool(np.isfinite(tilt_deg).all()) and max(abs(t) for t in tilt_deg) <= 45.0,
+        f"tilt_deg must be two angles of at most 45 deg, but it is {tuple(tilt_deg)}.",
+    )
+    return plane_of((*np.deg2rad(tilt_deg), 0.0), (0.0, 0.0, height_mm))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """How far a length on the ground moves from one pixel to the next, (h, w) each."""
+
+    column: Array
+    row: Array
+
+
+def steps(length: Array) -> Steps:
+    """Return the steps of `length` (h, w)."""
+    row, column = np.gradient(length)
+    return Steps(np.asarray(column), np.asarray(row))
+
+
+def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
+    """Share of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
+
+    Parameters
+    ----------
+    distance : (h, w), positive inside
+    step : of `distance`; by default it is measured
+    blur : standard deviation of the edge itself, in the unit of `distance`
+
+    Returns
+    -------
+    (h, w) in [0, 1]: the edge averaged over the square pixel. The longer of the pixel's two steps is averaged exactly
+    and the shorter one as a Gaussian of the same variance, so that edges along rows or columns are exact.
+    """
+    step = step or steps(distance)
+    column, row = np.abs(step.column), np.abs(step.row)
+    half = np.maximum(np.maximum(column, row), 1e-9) / 2.0
+    spread = np.sqrt(np.minimum(column, row) ** 2 / 12.0 + blur * blur + (1e-4 * half) ** 2)
+    share = np.asarray(distance > 0.0, dtype=np.float64)
+    near = np.abs(distance) < half + 6.0 * spread
+    distance, half, spread = distance[near], half[near], spread[near]
+    share[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (2.0 * half)
+    return share
+
+
+def _ramp(distance: Array, spread: Array) -> Array:
+    """Integral of the normal distribution function."""
+    along = distance / spread
+    return np.asarray(distance * ndtr(along) + spread * np.exp(-0.5 * along * along) / np.sqrt(2.0 * np.pi))
+
+
+def seen_at(camera: Camera, points: Array) -> Array:
+    """Column and row (..., 2) at which points (..., 3) of the rig's frame appear, in the picture or outside it."""
+    column, row = lens.pixels_of_points(camera, points[..., 0], points[..., 1], points[..., 2])
+    return np.stack([column, row], axis=-1)
+
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchSettings(Checked):
+    """What surrounds the things that are photographed."""
+
+    ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
+    """Room light: radiance of a white card relative to the same card at the origin under one LED (mean of all)."""
+    led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
+    """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
+    aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
+    """Diameter of the camera's pupil; 0 is a pinhole, sharp at every depth."""
+    focus_mm: Annotated[float, Limits(-50.0, 50.0)] = 0.0
+    """z of the plane in focus."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroundScene(ABC):
+    """A flat ground in front of the camera; its kinds say where it lies and how bright it is."""
+
+    camera: Camera
+    leds: tuple[Led, ...]
+    bench: BenchSettings = field(default_factory=BenchSettings)
+
+    def __post_init__(self) -> None:
+        require(len(self.leds) > 0, "a scene needs at least one LED.")
+
+    @property
+    @abstractmethod
+    def plane(self) -> Plane:
+        """Where the ground lies."""
+
+    @abstractmethod
+    def albedo(self, u: Array, v: Array) -> Array:
+        """Reflectance (h, w) at u and v (mm on the plane), averaged over a pixel."""
+
+    def share_lit(self, led: Led) -> Array | float:
+        """Share (H, W) of the LED that the ground sees past what stands on it."""
+        return 1.0
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """Noise-free linear light at the sensor with some LEDs on.
+
+        Parameters
+        ----------
+        lit : indices of LEDs; none gives the room light alone
+
+        Returns
+        -------
+        (H, W, 3) float32, white-balanced, in the rig's units (a facing white card 100 mm from an LED of intensity one
+        is 1/pi), the lens's fall-off included
+
+        Raises
+        ------
+        BadInput
+            If `lit` names an LED that the rig does not have.
+        """
+        grey = self._grey(tuple(switched_on(self.leds, lit)))
+        image = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
+        if self.bench.aperture_mm > 0.0:
+            image = defocus(image, self._blur)
+        return np.asarray(image * self._fall_off[..., None], dtype=np.float32)
+
+    def _grey(self, leds: tuple[Led, ...]) -> Array:
+        """(H, W) radiance before lens and sensor."""
+        received = np.zeros(self.camera.image_size)
+        x, y, z = self._points
+        for led in leds:
+            received += irradiance(led, (x, y, z), self.plane.axes[:, 2]) * self.share_lit(led)
+        return np.asarray(self._albedo * (received / np.pi + self.room_light))
+
+    @property
+    def room_light(self) -> float:
+        """Radiance of a white surface with all LEDs off."""
+        return self.bench.ambient * float(np.mean([card_radiance(led) for led in self.leds]))
+
+    def pixels_between(self, low: Array, high: Array) -> Window | None:
+        """Rows and columns that see the ground between two (u, v), with six pixels to spare; None if none do."""
+        spare = 6.0 / self.camera.px_per_mm
+        u, v, _ = self._hit
+        near = (u > low[0] - spare) & (u < high[0] + spare) & (v > low[1] - spare) & (v < high[1] + spare)
+        rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        if rows.size < 2 or columns.size < 2:
+            return None
+        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+    @cached_property
+    def _sight(self) -> Sight:
+        return sight(self.camera)
+
+    @cached_property
+    def _hit(self) -> tuple[Array, Array, Array]:
+        return self.plane.hit(self._sight)
+
+    @cached_property
+    def _points(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        z = self._hit[2]
+        lines = self._sight
+        x, y = lines.x - lines.slope_x * z, lines.y - lines.slope_y * z
+        return x.astype(np.float32), y.astype(np.float32), z.astype(np.float32)
+
+    @cached_property
+    def _albedo(self) -> Array:
+        return self.albedo(self._hit[0], self._hit[1])
+
+    @cached_property
+    def _fall_off(self) -> FloatArray:
+        return fall_off(self.camera)
+
+    @cached_property
+    def _blur(self) -> FloatArray:
+        camera, bench = self.camera, self.bench
+        pitch = px_per_mm_at(camera, bench.focus_mm)
+        return blur_sigma_px(self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
+
+    @property
+    def _depth(self) -> Array:
+        """(H, W) height z of what each pixel sees."""
+        return self._hit[2]
+
+
+def switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
+    """Every single LED that the indices `lit` switch on."""
+    for index in lit:
+        require(
+            0 <= index < len(leds), f"LED {index} is not in the rig, which has {len(leds)} LEDs (0 to {len(leds) - 1})."
+        )
+        yield leds[index]
+        yield from leds[index].also
+
+
+def irradiance(led: Led, points: Sequence[Array | FloatArray] | Array, normal: Sequence[Array] | Array) -> Array:
+    """Irradiance (h, w) of a surface at x, y, z (h, w) in mm with the unit normal (or normals: x, y, z), unshadowed."""
+    x, y, z = (np.asarray(axis, dtype=np.float32) for axis in points)
+    lx, ly, lz, strength = towards(led, x, y, z)
+    cosine = lx * normal[0] + ly * normal[1] + lz * normal[2]
+    return np.asarray(strength * np.maximum(cosine, 0.0), dtype=np.float64)
+
+
+def card_radiance(led: Led) -> float:
+    """Radiance of a white card at the origin that faces the camera."""
+    origin = (np.zeros(1, np.float32),) * 3
+    return float(irradiance(led, origin, np.array([0.0, 0.0, 1.0]))[0]) / np.pi
+
+
+def positions_of(leds: Sequence[Led], what: str) -> NDArray[np.float64]:
+    """(L, 3) positions in mm of LEDs that all have one, or BadInput: `what` needs them."""
+    for index, led in enumerate(leds):
+        require(led.position_mm is not None, f"{what} needs LEDs with positions, but LED {index} is distant light.")
+    return np.array([led.position_mm for led in leds], dtype=np.float64)
+
+
+def disc_points(led: Led, radius_mm: float) -> NDArray[np.float64]:
+    """(N, 3) points in mm that stand for equal parts of an LED's bright face: its middle and rings of 6 and of 12.
+
+    Each ring has the mean squared radius of its part of the disc, so that the points have the disc's own spread.
+    """
+    middle = np.asarray(led.position_mm, dtype=np.float64)
+    if radius_mm == 0.0:
+        return middle[None]
+    axis = led.axis
+    across = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0))
+    across /= np.linalg.norm(across)
+    other = np.cross(axis, across)
+    points = [middle]
+    for count, share, turn in ((6, 4.0 / 19.0, 0.1), (12, 13.0 / 19.0, 0.36)):
+        angle = turn + 2.0 * np.pi * np.arange(count) / count
+        ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
+        points.extend(middle + radius_mm * np.sqrt(share) * ring)
+    return np.array(points)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DarkScene:
+    """The lens cap is on: no light, whatever is switched on."""
+
+    camera: Camera
+    leds: tuple[Led, ...]
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """(H, W, 3) of zeros."""
+        tuple(switched_on(self.leds, lit))
+        return np.zeros((*self.camera.image_size, 3), dtype=np.float32)
+
+
+def well_exposed(scene: Scene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
+    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale.
+
+    Parameters
+    ----------
+    scene : photographed
+    lit : the LEDs of each image
+    level : share of full scale
+    """
+    require(len(lit) > 0, "exposing needs at least one image.")
+    brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)
+    require(brightest > 0.0, "exposing needs some light, but all images are black.")
+    return level / brightest
+
+
+def photograph_bench(
+    scene: Scene,
+    lit: Sequence[int],
+    seed: int | np.random.SeedSequence,
+    *,
+    exposure: float,
+    sensor: SensorSettings | None = None,
+    band: str = "white",
+) -> PixelArray:
+    """Photograph a scene.
+
+    Parameters
+    ----------
+    scene : of the bench, or any other with `camera` and `light`
+    lit : indices of the LEDs that are on
+    seed : of the noise
+    exposure : full scales per unit of light; :func:`well_exposed` finds one
+    sensor : the camera's; its own `exposure` is not used here
+    band : ``white`` or ``nir``: how the sensor responds
+
+    Returns
+    -------
+    (H, W, 3) uint8 or uint16
+
+    Raises
+    ------
+    BadInput
+        If `exposure`, `band` or `lit` cannot be.
+    """
+    require(bool(np.isfinite(exposure)) and exposure > 0.0, f"exposure must be a positive number, but is {exposure}.")
+    require(band in RESPONSE, f"band must be one of {', '.join(RESPONSE)}, but it is '{band}'.")
+    seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence([seed, 0xB2])
+    light = scene.light(lit) * np.float32(exposure)
+    return record(light, band, seeds, sensor, binning_scale(scene.camera))

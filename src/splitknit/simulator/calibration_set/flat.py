@@ -1,0 +1,298 @@
+"""Flat things under the rig: a white card, a printed checkerboard held by hand, the calibration disc with its dots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.model import Camera
+from splitknit.settings import Checked, Limits
+from splitknit.simulator.calibration_set.bench import (
+    Array,
+    GroundScene,
+    Plane,
+    Steps,
+    base_plane,
+    inside,
+    plane_of,
+    seen_at,
+    steps,
+)
+from splitknit.simulator.camera.lens import px_per_mm_at
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CardScene(GroundScene):
+    """A white matt card that fills the picture."""
+
+    reflectance: float = 0.9
+    height_mm: float = 0.0
+    """z of its middle."""
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    """Turned about x, then y."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_share(self.reflectance, "card's reflectance")
+        require(
+            -100.0 <= self.height_mm < self.camera.height_mm,
+            f"the card's height_mm must lie below the camera (-100 to {self.camera.height_mm:g}), "
+            f"but it is {self.height_mm}.",
+        )
+
+    @property
+    def plane(self) -> Plane:
+        """Where the card lies."""
+        return base_plane(self.tilt_deg, self.height_mm)
+
+    def albedo(self, u: Array, v: Array) -> Array:
+        """Reflectance (h, w): everywhere the same."""
+        return np.full(u.shape, self.reflectance)
+
+
+@dataclass(frozen=True, slots=True)
+class Board(Checked):
+    """A printed checkerboard."""
+
+    rows: Annotated[int, Limits(2)] = 7
+    """Inner corners, down."""
+    columns: Annotated[int, Limits(2)] = 10
+    """Inner corners, across."""
+    square_mm: Annotated[float, Limits(0.1, 100.0)] = 3.0
+    margin_mm: Annotated[float, Limits(0.0, 100.0)] = 3.0
+    """White paper around the outer squares."""
+    paper: Annotated[float, Limits(0.0, 1.0)] = 0.85
+    """Reflectances."""
+    ink: Annotated[float, Limits(0.0, 1.0)] = 0.05
+    print_blur_mm: Annotated[float, Limits(0.0, 1.0)] = 0.02
+    """Standard deviation of the print's edges: a 600 dpi laser printer's dots are 0.042 mm wide."""
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height of all squares together."""
+        return (self.columns + 1) * self.square_mm, (self.rows + 1) * self.square_mm
+
+    def corners_mm(self) -> NDArray[np.float64]:
+        """(rows * columns, 3) inner corners on the board, row by row from its top left; the middle is the origin."""
+        across = (np.arange(self.columns) - (self.columns - 1) / 2) * self.square_mm
+        up = ((self.rows - 1) / 2 - np.arange(self.rows)) * self.square_mm
+        u, v = np.meshgrid(across, up)
+        return np.stack([u.ravel(), v.ravel(), np.zeros(u.size)], axis=1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoardScene(GroundScene):
+    """A printed checkerboard, held at any pose over black cloth."""
+
+    board: Board = field(default_factory=Board)
+    rotation_vector: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Axis times angle in rad, right-handed in the rig's frame."""
+    translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the board's middle is."""
+    cloth: float = 0.006
+    """Reflectance beside the paper."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        width, height = self.board.size_mm
+        reach = self.plane.points(*np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2)))
+        top = float(reach[..., 2].max())
+        require(
+            top < self.camera.height_mm,
+            f"the board reaches {top:.0f} mm up, but the camera is at {self.camera.height_mm:g} mm; hold it lower.",
+        )
+
+    @property
+    def plane(self) -> Plane:
+        """Where the board lies."""
+        return plane_of(self.rotation_vector, self.translation_mm)
+
+    def truth_corners(self) -> NDArray[np.float64]:
+        """(rows * columns, 2) column and row of the inner corners, in the order of :meth:`Board.corners_mm`."""
+        return seen_at(self.camera, self.plane.points(*self.board.corners_mm().T))
+
+    def albedo(self, u: Array, v: Array) -> Array:
+        """Reflectance (h, w): ink, paper, and cloth around them."""
+        board, across, up = self.board, _Axis(u, steps(u)), _Axis(-v, steps(v))
+        width, height = board.size_mm
+        blur = board.print_blur_mm
+        waves = across.wave(board.square_mm, board.columns, blur) * up.wave(board.square_mm, board.rows, blur)
+        squares = across.band(width, blur) * up.band(height, blur)
+        black = squares * 0.5 * (1.0 + waves)  # the square at the top left is black
+        paper = across.band(width + 2.0 * board.margin_mm) * up.band(height + 2.0 * board.margin_mm)
+        return np.asarray(self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DiscScene(GroundScene):
+    """The calibration disc in place of the finger's groove: a white plate with a black dot at every centimetre."""
+
+    rotation_deg: float = 0.0
+    """Turned about z, counter-clockwise in the picture."""
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    """Where the dot in the disc's middle lies."""
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    """Of the rig's base against the camera, about x, then y."""
+    spacing_mm: float = 10.0
+    dot_mm: float = 1.5
+    """Diameter of a dot."""
+    radius_mm: float = 50.0
+    """Of the disc."""
+    white: float = 0.85
+    """Reflectances."""
+    black: float = 0.05
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_share(self.white, "disc's white")
+        _check_share(self.black, "disc's black")
+        require(
+            0.0 < self.dot_mm < self.spacing_mm <= self.radius_mm,
+            f"the disc's dots must be smaller than their spacing, and that no larger than the disc's radius, but they "
+            f"are {self.dot_mm}, {self.spacing_mm} and {self.radius_mm} mm.",
+        )
+
+    @property
+    def plane(self) -> Plane:
+        """Where the disc lies: its own u and v follow the rows of dots."""
+        base = base_plane(self.tilt_deg)
+        angle = np.deg2rad(self.rotation_deg)
+        c, s = float(np.cos(angle)), float(np.sin(angle))
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return Plane(base.points(*self.shift_mm), base.axes @ turn)
+
+    def dots_mm(self) -> NDArray[np.float64]:
+        """(N, 2) centres of the dots on the disc, multiples of the spacing."""
+        most = int(self.radius_mm // self.spacing_mm)
+        steps = self.spacing_mm * np.arange(-most, most + 1)
+        u, v = (axis.ravel() for axis in np.meshgrid(steps, -steps))
+        whole = np.hypot(u, v) + self.dot_mm / 2 < self.radius_mm
+        return np.stack([u[whole], v[whole]], axis=1)
+
+    def truth_dots(self) -> NDArray[np.float64]:
+        """(N, 2) column and row of the dots' centres, in the picture or outside it, in the order of :meth:`dots_mm`."""
+        return seen_at(self.camera, self.plane.points(*self.dots_mm().T))
+
+    def albedo(self, u: Array, v: Array) -> Array:
+        """Reflectance (h, w): black dots on white; cloth beside the disc."""
+        near_u, near_v = (a - self.spacing_mm * np.round(a / self.spacing_mm) for a in (u, v))
+        whole = np.hypot(u - near_u, v - near_v) + self.dot_mm / 2 < self.radius_mm
+        dot = inside(0.5 * self.dot_mm - np.hypot(near_u, near_v)) * whole
+        disc = inside(self.radius_mm - np.hypot(u, v))
+        return np.asarray(disc * (self.white + dot * (self.black - self.white)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axis:
+    """One of a board's two axes: where the pixels are along it, and their size."""
+
+    along: Array
+    step: Steps
+
+    def wave(self, square_mm: float, lines: int, blur: float) -> Array:
+        """A wave between +1 in the first square and -1 in the next; `lines` inner lines about zero."""
+        place = self.along / square_mm + (lines + 1) / 2  # 0 at the outer edge of the first square
+        line = np.clip(np.round(place), 1, lines)
+        flank = 2.0 * inside((place - line) * square_mm, self.step, blur) - 1.0
+        return np.asarray(np.where(line % 2 == 1, -flank, flank))
+
+    def band(self, width_mm: float, blur: float = 0.0) -> Array:
+        """One inside a band of `width_mm` about zero, zero outside."""
+        return inside(0.5 * width_mm - np.abs(self.along), self.step, blur)
+
+
+def _check_share(value: float, name: str) -> None:
+    require(bool(np.isfinite(value)) and 0.0 <= value <= 1.0, f"the {name} must lie in [0, 1], but it is {value}.")
+
+
+_TRIES = 200
+_TILT_DEG = (10.0, 35.0)
+"""Range of the board's tilt against the finger plane, about any axis in it; this and the next are drawn evenly."""
+_TURN_DEG = (-15.0, 15.0)
+"""Of its turn about its own normal."""
+_MIDDLE_MM = (-5.0, 5.0)
+"""Of z of its middle."""
+_EDGE = 0.02
+"""Fraction of the picture's height that stays free around the outer squares."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoardPose:
+    """One pose of a board."""
+
+    rotation_vector: tuple[float, float, float]
+    translation_mm: tuple[float, float, float]
+
+
+def board_poses(seed: int, count: int, camera: Camera, board: Board | None = None) -> list[BoardPose]:
+    """Draw poses of a board, all of its squares in the picture.
+
+    Parameters
+    ----------
+    seed : the same seed gives the same poses; more poses begin with the same ones
+    count : of poses
+    camera : that looks on
+    board : None takes the default one
+
+    Returns
+    -------
+    poses for :class:`splitknit.simulator.calibration_set.flat.BoardScene`
+
+    Raises
+    ------
+    BadInput
+        If the board does not fit into the picture.
+    """
+    require(seed >= 0 and count >= 1, "seed must not be negative and count must be at least one.")
+    board = board or Board()
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
+    poses: list[BoardPose] = []
+    for _ in range(_TRIES * count):
+        pose = _draw(rng, camera, board)
+        if pose is not None:
+            poses.append(pose)
+            if len(poses) == count:
+                return poses
+    field = [side / camera.px_per_mm for side in camera.image_size[::-1]]
+    raise BadInput(
+        f"a board of {board.size_mm[0]:g} x {board.size_mm[1]:g} mm does not fit at such tilts into the picture of "
+        f"{field[0]:.0f} x {field[1]:.0f} mm; print a smaller one."
+    )
+
+
+def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> BoardPose | None:
+    """One pose, or None where so turned a board does not fit."""
+    tilt, turn, height = (low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM))
+    axis = 2.0 * np.pi * rng.random()
+    beside = rng.random(2)
+    lean = cv2.Rodrigues(np.deg2rad(tilt) * np.array([np.cos(axis), np.sin(axis), 0.0]))[0]
+    spin = cv2.Rodrigues(np.array([0.0, 0.0, np.deg2rad(turn)]))[0]
+    rotation = cv2.Rodrigues(lean @ spin)[0].ravel()
+    rows, columns = camera.image_size
+    free = _EDGE * rows
+    # held under the camera's axis, how far could it be moved until it leaves the picture?
+    places = _outer_corners(rotation, np.array([0.0, 0.0, height]), camera, board)
+    least = free - places.min(axis=0)
+    most = (columns - 1 - free, rows - 1 - free) - places.max(axis=0)
+    move = least + beside * (most - least)
+    middle = np.array([*(move * (1.0, -1.0) / px_per_mm_at(camera, height)), height])
+    places = _outer_corners(rotation, middle, camera, board)
+    slack = min(float((places - free).min()), float(((columns - 1 - free, rows - 1 - free) - places).min()))
+    if slack < 0.0:
+        return None
+    x, y, z = (float(v) for v in middle)
+    return BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
+
+
+def _outer_corners(
+    rotation: NDArray[np.float64], middle: NDArray[np.float64], camera: Camera, board: Board
+) -> NDArray[np.float64]:
+    """(4, 2) column and row of the corners of all squares together."""
+    width, height = board.size_mm
+    u, v = np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2))
+    return seen_at(camera, plane_of(rotation, middle).points(u.ravel(), v.ravel()))

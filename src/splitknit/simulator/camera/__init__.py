@@ -1,0 +1,1 @@
+"""The simulated camera: lens, sensor, and the device that a capture session talks to."""

@@ -1,0 +1,274 @@
+"""The simulated camera and LEDs: they do what :mod:`splitknit.devices` asks for, on a clock that costs no time.
+
+The camera is timed like the Raspberry Pi's: it runs freely at its frame rate, a new exposure takes effect some frames
+after it was asked for, and a frame is there when it was read out and carried over. So the times that a capture session
+reports from the simulator are those of the design, without the computer's own. Faults can be put before the camera on
+purpose: a finger that moves, an LED that is dead, a lid left open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Protocol
+
+import cv2
+import numpy as np
+
+from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led
+from splitknit.settings import Checked, Limits
+from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
+
+
+class Scene(Protocol):
+    """What the twin's camera can look at: a finger, or a target on the bench."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that looks at it."""
+
+    @property
+    def leds(self) -> tuple[Led, ...]:
+        """LEDs around it."""
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """(H, W, 3) noise-free white-balanced radiance with those LEDs on, in the rig's units."""
+
+
+class Clock:
+    """Time that passes when it is told to."""
+
+    def __init__(self) -> None:
+        """Start at zero."""
+        self.now_s = 0.0
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        require(seconds >= 0, "time does not run backwards.")
+        self.now_s += seconds
+
+
+_SHORTEST_S = 4 * 18.904e-6
+"""Shortest exposure time: four rows of the IMX219."""
+_LONGEST_S = 0.2
+"""Longest exposure time."""
+_HIGHEST_GAIN = 10.6
+"""Largest gain; the smallest is 1."""
+_LINE_S = 18.904e-6
+"""Time to read a row; exposures are whole numbers of it."""
+_READOUT_S = 0.0466
+"""From the first row to the last."""
+_FRAME_S = 0.0477
+"""Shortest time from frame to frame."""
+_TRANSFER_S = 0.07
+"""From the end of the readout until the program has the picture."""
+_LAG_FRAMES = 3
+"""Frames until a new exposure takes effect."""
+_PREVIEW_COLUMNS = 800
+"""Width of a preview in pixels, about: it is reduced by a whole number."""
+
+
+@dataclass(frozen=True, slots=True)
+class TwinDeviceSettings(Checked):
+    """Timing and sensitivity of the twin's devices."""
+
+    _group = "device"
+
+    sensitivity_per_s: Annotated[float, Limits(0.0, above=True)] = 500.0
+    """Share of full scale that light of radiance one (rig's units) gives in a second at gain one."""
+    settle_s: Annotated[float, Limits(0.0, 10.0)] = 0.02
+    """Until an LED has its full brightness."""
+
+
+class TwinLightBank(GuardedLights):
+    """LEDs of a scene."""
+
+    def __init__(self, scene: Scene, clock: Clock, settings: TwinDeviceSettings | None = None) -> None:
+        """Take the LEDs, all off."""
+        settings = settings or TwinDeviceSettings()
+        self._clock = clock
+        self._since: dict[int, float] = {}
+        super().__init__(len(scene.leds), settings.settle_s)
+
+    def brightness(self, at_s: float) -> float:
+        """Share of its full light that the last LED that was switched on gives at a time: it rises evenly."""
+        if not self._since or self.settle_s == 0:
+            return 1.0
+        return float(np.clip((at_s - max(self._since.values())) / self.settle_s, 0.0, 1.0))
+
+    def _switch(self, led: int, lit: bool) -> None:
+        if lit:
+            self._since[led] = self._clock.now_s
+        else:
+            self._since.pop(led, None)
+
+    def _wait(self, seconds: float) -> None:
+        self._clock.advance(seconds)
+
+    def _release(self) -> None:
+        pass
+
+
+class TwinCamera(Closing):
+    """A :class:`splitknit.devices.Camera` that looks at a scene."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        lights: TwinLightBank,
+        clock: Clock,
+        settings: TwinDeviceSettings | None = None,
+        *,
+        sensor: SensorSettings | None = None,
+        sensor_scale: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Start the camera.
+
+        Parameters
+        ----------
+        scene : what it looks at
+        lights : LEDs of the same scene
+        clock : of both
+        settings : of timing and sensitivity
+        sensor : noise and bits; its `exposure` is not used: the exposure is what was locked
+        sensor_scale : see :class:`splitknit.simulator.scene.TwinSettings`
+        seed : of the noise; every frame has its own
+        """
+        self._scene, self._lights, self._clock = scene, lights, clock
+        self._settings, self._sensor = settings or TwinDeviceSettings(), sensor or SensorSettings()
+        require(self._sensor.encoding == "linear", "the twin's camera gives linear images; leave sensor.encoding so.")
+        require(lights.count == len(scene.leds), "scene and bank of LEDs differ in their number of LEDs.")
+        require(seed >= 0, "seed must not be negative.")
+        self._scale = sensor_scale or binning_scale(scene.camera)
+        self._seed, self._exposed, self._photographs = seed, 0, 0
+        self._closed = False
+        self.lock(0.01, 1.0)
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """See :class:`splitknit.devices.Camera`."""
+        return self._scene.camera.image_size
+
+    @property
+    def exposures(self) -> ExposureRange:
+        """See :class:`splitknit.devices.Camera`."""
+        return ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
+
+    def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
+        """See :class:`splitknit.devices.Camera`."""
+        self.exposures.check(exposure_s, gain)
+        require(band in RESPONSE, f"the bands are white and nir, not '{band}'.")
+        self._exposure_s = round(exposure_s / _LINE_S) * _LINE_S
+        self._gain, self._band = float(gain), band
+        self._fresh = _LAG_FRAMES
+
+    def capture(self) -> Frame:
+        """See :class:`splitknit.devices.Camera`."""
+        begins = getattr(self._scene, "frame_begins", None)
+        if begins is not None:
+            begins(self._photographs)
+        self._photographs += 1
+        return self._expose(1)
+
+    def preview(self) -> Frame:
+        """See :class:`splitknit.devices.Camera`."""
+        return self._expose(max(1, round(self.image_size[1] / _PREVIEW_COLUMNS)))
+
+    def close(self) -> None:
+        """See :class:`splitknit.devices.Camera`."""
+        self._closed = True
+
+    def _expose(self, reduction: int) -> Frame:
+        require(not self._closed, "the camera is closed; open it again.")
+        settings = self._settings
+        frame_s = max(self._exposure_s + 0.001, _FRAME_S)
+        begins_s = np.ceil(self._clock.now_s / frame_s - 1e-9) * frame_s + self._fresh * frame_s
+        discarded, self._fresh = 1 + self._fresh, 0  # the one that was being exposed when we were called
+        light = self._light(begins_s)
+        if reduction > 1:
+            size = (light.shape[1] // reduction, light.shape[0] // reduction)
+            light = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        share = np.float32(self._exposure_s * self._gain * settings.sensitivity_per_s)
+        sensor = replace(self._sensor, full_well_e=max(self._sensor.full_well_e / self._gain, 100.0))
+        seed = np.random.SeedSequence([self._seed, 0xCA, self._exposed])
+        pixels = record(light * share, self._band, seed, sensor, self._scale / reduction)
+        self._exposed += 1
+        ended_s = begins_s + self._exposure_s + _READOUT_S
+        self._clock.advance(float(ended_s) + _TRANSFER_S - self._clock.now_s)
+        return Frame(pixels, self._exposure_s, self._gain, 0.0, float(ended_s), discarded)
+
+    def _light(self, at_s: float) -> FloatArray:
+        """(H, W, 3) light of the LEDs as bright as they are."""
+        lit = sorted(self._lights.lit)
+        light = self._scene.light(lit)
+        share = self._lights.brightness(at_s)
+        if share < 1.0:
+            dark = self._scene.light(())
+            light = dark + np.float32(share) * (light - dark)
+        return light
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Faults by the number of the full-size photograph (from 0, previews not counted) from which on they hold."""
+
+    moves_mm: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    """Step of the finger (x right, y up) before a photograph; steps add up."""
+    blur_mm: Mapping[int, float] = field(default_factory=dict)
+    """Defocus (standard deviation, on the finger plane) from a photograph on."""
+    dead: frozenset[int] = frozenset()
+    """LEDs that do not light."""
+    dies_at: Mapping[int, int] = field(default_factory=dict)
+    """LED to the photograph from which on it does not light."""
+    flickers_at: frozenset[int] = frozenset()
+    """Photographs in which no LED lights."""
+    room: float = 0.0
+    """Radiance of stray light, the same everywhere."""
+
+
+class FaultyScene:
+    """A scene with faults."""
+
+    def __init__(self, scene: Scene, faults: Faults) -> None:
+        """Spoil `scene`."""
+        self.scene, self.faults = scene, faults
+        self._number = -1
+
+    @property
+    def camera(self) -> Camera:
+        """The scene's camera."""
+        return self.scene.camera
+
+    @property
+    def leds(self) -> tuple[Led, ...]:
+        """The scene's LEDs."""
+        return self.scene.leds
+
+    def frame_begins(self, number: int) -> None:
+        """Note that full-size photograph `number` begins."""
+        self._number = number
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """(H, W, 3) light of the scene with the faults of the present photograph."""
+        faults, now = self.faults, self._number
+        burning = [
+            led
+            for led in lit
+            if led not in faults.dead and faults.dies_at.get(led, now + 1) > now and now not in faults.flickers_at
+        ]
+        frame = self.scene.light(burning) + np.float32(faults.room)
+        steps = [step for number, step in faults.moves_mm.items() if number <= now]
+        if steps:
+            x, y = np.sum(steps, axis=0) * self.camera.px_per_mm
+            matrix = np.array([[1.0, 0.0, x], [0.0, 1.0, -y]])
+            size = (frame.shape[1], frame.shape[0])
+            warped = cv2.warpAffine(frame, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            frame = np.asarray(warped, dtype=np.float32)
+        begun = [number for number in faults.blur_mm if number <= now]
+        sigma = faults.blur_mm[max(begun)] * self.camera.px_per_mm if begun else 0.0
+        if sigma > 0:
+            frame = np.asarray(cv2.GaussianBlur(frame, (0, 0), sigma), dtype=np.float32)
+        return frame

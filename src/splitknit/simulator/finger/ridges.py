@@ -1,0 +1,376 @@
+"""Ridges of a print: the orientation fields of the classes, and ridges grown from noise along them.
+
+Frame of all master prints (the *skin frame*): the finger pad as a camera above it sees it, tip up, arc length in
+millimetres. u points right, v towards the tip, v = 0 lies on the first flexion crease. An inked print is the mirror
+image of that view, and classes are named after the print: the legs of a ``left_loop`` leave to the left on the
+print, so towards u > 0 here. Minutiae are not placed; they remain where the ridges of the noise could not join.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from splitknit.errors import require
+
+Array = NDArray[np.float64]
+
+Point = tuple[float, float]
+
+PATTERNS = ("arch", "tented_arch", "left_loop", "right_loop", "whorl", "twin_loop")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientationField:
+    """Ridge directions on a grid, and the singular points they turn about."""
+
+    angle_rad: Array
+    """(H, W) direction of the ridges, counter-clockwise from u, defined up to pi."""
+    cores_mm: tuple[Point, ...]
+    """(u, v) of the cores: the direction turns by +pi around each."""
+    deltas_mm: tuple[Point, ...]
+    """(u, v) of the deltas: the direction turns by -pi around each."""
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:
+    """Return (H, W) Gaussian noise, blurred by `sigma_px`, with unit standard deviation in expectation.
+
+    It is drawn on a grid of about sigma/2 and interpolated, so its cost does not grow with `sigma_px`.
+    """
+    step = max(sigma_px / 2.0, 1.0)
+    coarse = (int(np.ceil(shape[0] / step)) + 8, int(np.ceil(shape[1] / step)) + 8)
+    white = rng.standard_normal(coarse)
+    sigma = sigma_px / step
+    blurred = cv2.GaussianBlur(white, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    blurred *= 2.0 * np.sqrt(np.pi) * sigma
+    if step > 1.0:
+        size = (round(coarse[1] * step), round(coarse[0] * step))
+        blurred = cv2.resize(blurred, size, interpolation=cv2.INTER_CUBIC)
+    offset = int(3 * step)
+    return np.asarray(blurred[offset : offset + shape[0], offset : offset + shape[1]], dtype=np.float64)
+
+
+def orientation_field(pattern: str, rng: np.random.Generator, u_mm: Array, v_mm: Array) -> OrientationField:
+    """Draw the orientation field of one finger.
+
+    The zero-pole model places cores and deltas; each singularity bends its own angle (after Vizcaya and Gerhardt),
+    an envelope lays the upper ridges along the outline of the tip, and smooth noise warps the plane and the angle.
+    Below the first crease the field relaxes to the slightly oblique transverse ridges of the middle phalanx.
+
+    Parameters
+    ----------
+    pattern
+        One of `PATTERNS`.
+    rng
+        Source of all draws.
+    u_mm, v_mm
+        (W,) and (H,) regular coordinates of the grid in the skin frame; v falls with the row.
+
+    Raises
+    ------
+    BadInput
+        If `pattern` is not known.
+
+    References
+    ----------
+    Sherlock and Monro 1993, A model for interpreting fingerprint topology, eq. 5.
+    Vizcaya and Gerhardt 1996, A nonlinear orientation model for global description of fingerprints.
+    """
+    require(pattern in PATTERNS, f"pattern '{pattern}' is not known; choose one of {', '.join(PATTERNS)}.")
+    pitch = float(u_mm[1] - u_mm[0])
+    shape = (v_mm.size, u_mm.size)
+    u, v = np.meshgrid(u_mm, v_mm)
+    warp = rng.uniform(0.4, 1.1)
+    wu = u + warp * smooth_noise(rng, shape, 5.0 / pitch)
+    wv = v + warp * smooth_noise(rng, shape, 5.0 / pitch)
+    center = (rng.uniform(-1.6, 1.6), rng.uniform(10.5, 17.0))
+    cores, deltas = _singularities(pattern, rng, center)
+    angle = _arch(rng, wu, wv, center) if pattern == "arch" else _zero_pole(rng, wu, wv, cores, deltas)
+    angle += _envelope(rng, wu - center[0], wv - center[1], pattern)
+    angle += rng.uniform(0.05, 0.14) * smooth_noise(rng, shape, 2.5 / pitch)
+    angle += rng.uniform(-0.15, 0.15)
+    angle = _relax_below_crease(rng, angle, u, v, pitch)
+    return OrientationField(
+        angle,
+        tuple(_unwarp(point, wu, wv, u_mm, v_mm) for point in cores),
+        tuple(_unwarp(point, wu, wv, u_mm, v_mm) for point in deltas),
+    )
+
+
+def _singularities(
+    pattern: str, rng: np.random.Generator, center: Point
+) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
+    """Cores and deltas (u, v) in the skin frame."""
+    cu, cv = center
+    if pattern == "arch":
+        return (), ()
+    if pattern == "tented_arch":
+        cv -= rng.uniform(1.0, 4.0)
+        return ((cu, cv),), ((cu + rng.uniform(-0.8, 0.8), cv - rng.uniform(2.0, 5.0)),)
+    if pattern in ("left_loop", "right_loop"):
+        side = -1.0 if pattern == "left_loop" else 1.0  # where the delta lies: across from the open legs
+        return ((cu, cv),), ((cu + side * rng.uniform(2.5, 8.0), cv - rng.uniform(4.0, 10.0)),)
+    left = (cu - rng.uniform(4.0, 8.5), cv - rng.uniform(4.0, 9.5))
+    right = (cu + rng.uniform(4.0, 8.5), cv - rng.uniform(4.0, 9.5))
+    if pattern == "whorl":
+        gap, lean = rng.uniform(0.4, 4.0), rng.uniform(-0.5, 0.5)
+    else:
+        gap, lean = rng.uniform(3.5, 6.5), rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 1.15)
+    du, dv = 0.5 * gap * np.sin(lean), 0.5 * gap * np.cos(lean)
+    return ((cu + du, cv + dv - 0.4 * gap), (cu - du, cv - dv - 0.4 * gap)), (left, right)
+
+
+def _zero_pole(
+    rng: np.random.Generator, u: Array, v: Array, cores: tuple[Point, ...], deltas: tuple[Point, ...]
+) -> Array:
+    angle = np.zeros(u.shape)
+    for sign, points in ((0.5, cores), (-0.5, deltas)):
+        for pu, pv in points:
+            about = np.arctan2(v - pv, u - pu)
+            bend = rng.uniform(-1.0, 1.0, 2) * (0.2 if sign > 0 else 0.3)  # strong bends make cores fan
+            phase = rng.uniform(-np.pi, np.pi, 2)
+            bent = about + bend[0] * np.sin(about + phase[0]) + 0.5 * bend[1] * np.sin(2 * about + phase[1])
+            angle += sign * bent
+    return angle
+
+
+def _arch(rng: np.random.Generator, u: Array, v: Array, center: Point) -> Array:
+    """Ridges that rise and fall across the finger: the steepness peaks at some height and dies at the crease."""
+    width = rng.uniform(3.0, 6.0)
+    steep = rng.uniform(0.5, 1.5)
+    peak = center[1] - rng.uniform(1.0, 5.0)
+    spread = rng.uniform(3.5, 6.5)
+    skew = rng.uniform(-0.06, 0.06)
+    x = (u - center[0] - skew * (v - peak)) / width
+    profile = np.exp(-0.5 * ((v - peak) / spread) ** 2)
+    return np.asarray(np.arctan(-steep * profile * 1.65 * x * np.exp(-0.5 * x * x)), dtype=np.float64)
+
+
+def _envelope(rng: np.random.Generator, u: Array, v: Array, pattern: str) -> Array:
+    """Extra fall of the ridges towards both sides above the core, where they follow the outline of the tip."""
+    strength = rng.uniform(0.15, 0.65) + (0.35 if pattern in ("arch", "tented_arch") else 0.0)
+    width = rng.uniform(4.0, 8.0)
+    onset = rng.uniform(-8.0, 0.0)
+    reach = rng.uniform(3.0, 6.0)
+    skew = rng.uniform(-0.8, 0.8)
+    return np.asarray(
+        -strength * np.tanh((u + skew) / width) / (1.0 + np.exp(-(v - onset) / (0.5 * reach))), dtype=np.float64
+    )
+
+
+def _relax_below_crease(rng: np.random.Generator, angle: Array, u: Array, v: Array, pitch: float) -> Array:
+    tilt = rng.uniform(-0.35, 0.35)
+    wave = tilt + 0.18 * smooth_noise(rng, angle.shape, 4.0 / pitch) + rng.uniform(-0.03, 0.03) * u
+    weight = 1.0 / (1.0 + np.exp(-(v - 1.0) / 0.7))
+    doubled = weight * np.exp(2j * angle) + (1.0 - weight) * np.exp(2j * wave)
+    return np.asarray(0.5 * np.angle(doubled), dtype=np.float64)
+
+
+def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Point:
+    """Grid position whose warped coordinates are nearest to `point`."""
+    row, column = np.unravel_index(int(np.argmin((wu - point[0]) ** 2 + (wv - point[1]) ** 2)), wu.shape)
+    return float(u_mm[column]), float(v_mm[row])
+
+
+def fan_log_period(angle_rad: Array, pitch_mm: float, *, stiffness: float = 0.02) -> Array:
+    """Logarithm of the ridge period that lets ridges fan out with the fewest new ones, smooth and zero on average.
+
+    A pattern of period p across unit normals n has no minutiae where curl(n / p) = 0: along a ridge, log p grows by
+    the divergence of the ridges. The least-squares solution, held small by `stiffness`, is found on a coarse grid.
+
+    References
+    ----------
+    Larkin and Fletcher 2007, A coherent framework for fingerprint analysis: are fingerprints holograms? (the curl of
+    the phase gradient is the density of minutiae)
+    """
+    step = max(1, round(0.5 / pitch_mm))
+    rows, columns = (size // step + 1 for size in angle_rad.shape)
+    doubled = np.exp(2j * angle_rad)
+    small = cv2.resize(doubled.real, (columns, rows), interpolation=cv2.INTER_AREA) + 1j * cv2.resize(
+        doubled.imag, (columns, rows), interpolation=cv2.INTER_AREA
+    )
+    h = pitch_mm * angle_rad.shape[0] / rows
+    along = np.exp(0.5j * np.angle(small))  # sign is free: it cancels in the product with the divergence
+    # Divergence of the ridge direction t from the doubled angle: div t = t_perp . grad(angle).
+    du, dv = (np.zeros_like(small) for _ in range(2))
+    du[:, 1:-1] = small[:, 2:] - small[:, :-2]
+    dv[1:-1] = small[:-2] - small[2:]
+    turn_u, turn_v = (0.5 * np.imag(np.conj(small) * d) / (2 * h) for d in (du, dv))
+    divergence = -along.imag * turn_u + along.real * turn_v
+    divergence = np.clip(divergence, -0.5, 0.5)
+    size = rows * columns
+    gradient_u, gradient_v = _difference_matrices(rows, columns, h)
+    streamwise = (
+        sparse.diags_array(along.real.ravel()) @ gradient_u + sparse.diags_array(along.imag.ravel()) @ gradient_v
+    )
+    system = streamwise.T @ streamwise + stiffness * sparse.eye_array(size)
+    system += 0.3 * (gradient_u.T @ gradient_u + gradient_v.T @ gradient_v)
+    solution = spsolve(sparse.csc_array(system), streamwise.T @ divergence.ravel()).reshape(rows, columns)
+    solution -= float(solution.mean())
+    return np.asarray(cv2.resize(solution, angle_rad.shape[::-1], interpolation=cv2.INTER_CUBIC), dtype=np.float64)
+
+
+def _difference_matrices(rows: int, columns: int, h: float) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Central differences along u (columns) and v (against the rows), zero on the border."""
+
+    def line(size: int, sign: float) -> sparse.csr_array:
+        matrix = sparse.diags_array([-sign, sign], offsets=[-1, 1], shape=(size, size)).tolil()
+        matrix[0, :] = 0.0
+        matrix[size - 1, :] = 0.0
+        return sparse.csr_array(matrix / (2 * h))
+
+    return (
+        sparse.csr_array(sparse.kron(sparse.eye_array(rows), line(columns, 1.0))),
+        sparse.csr_array(sparse.kron(line(rows, -1.0), sparse.eye_array(columns))),
+    )
+
+
+Array32 = NDArray[np.float32]
+
+
+def grow_ridges(
+    noise: Array32,
+    angle_rad: NDArray[np.float64],
+    period_px: NDArray[np.float64],
+    *,
+    iterations: int = 5,
+    bandwidth: float = 0.2,
+    reach: float = 1.1,
+) -> Array32:
+    """Grow a ridge pattern from `noise` by an iterated, spatially varying Gabor-like filter.
+
+    Every pass smooths along the ridges (a kernel bent along the streamlines of `angle_rad`), keeps the local
+    frequency (a bank of ring filters, blended by `period_px`) and limits the amplitude.
+
+    Parameters
+    ----------
+    noise
+        (H, W) starting values; any seeded noise.
+    angle_rad
+        (H, W) ridge direction, counter-clockwise from the columns' direction, rows pointing down.
+    period_px
+        (H, W) ridge period.
+    iterations
+        Number of passes; fewer leave more defects (minutiae).
+    bandwidth
+        Standard deviation of a ring filter over its frequency.
+    reach
+        Standard deviation of the smoothing along ridges, in periods.
+
+    Returns
+    -------
+    (H, W) float32, a wave of about unit amplitude without harmonics, positive on ridges.
+
+    References
+    ----------
+    Cappelli, Maio and Maltoni 2000, Synthetic fingerprint-database generation (iterated contextual filtering).
+    Cabral and Leedom 1993, Imaging vector fields using line integral convolution.
+    """
+    mean_period = float(np.median(period_px))
+    # Passes of (3, 4, 3) / 10 at distances d, 2 d and 4 d make a bell along the streamline; d is too short to alias.
+    distances = [factor * reach * mean_period for factor in (0.26, 0.52, 1.04)]
+    maps = [_streamline_maps(angle_rad, distance, 2 + k) for k, distance in enumerate(distances)]
+    bank, weights = _ring_bank(noise.shape, period_px, bandwidth)
+    ridges = wave = noise.astype(np.float32)
+    for _ in range(iterations):
+        for pair in maps:
+            ridges = _along(ridges, pair)
+        spectrum = scipy.fft.rfft2(ridges)
+        out = np.zeros_like(ridges)
+        for ring, weight in zip(bank, weights, strict=True):
+            out += weight * scipy.fft.irfft2(spectrum * ring, s=noise.shape)
+        power = cv2.GaussianBlur(out * out, (0, 0), 1.6 * mean_period, borderType=cv2.BORDER_REFLECT)
+        wave = out / np.sqrt(2.0 * power + 1e-12)
+        ridges = np.tanh(1.84 * wave)
+    return np.asarray(wave, dtype=np.float32)
+
+
+def _streamline_maps(angle_rad: NDArray[np.float64], distance_px: float, steps: int) -> list[tuple[Array32, Array32]]:
+    """Sampling positions (x, y) at `distance_px` forwards and backwards along the field."""
+    cosine = np.cos(2.0 * angle_rad).astype(np.float32)
+    sine = np.sin(2.0 * angle_rad).astype(np.float32)
+    rows, columns = angle_rad.shape
+    grid_x, grid_y = np.meshgrid(np.arange(columns, dtype=np.float32), np.arange(rows, dtype=np.float32))
+    start = (np.cos(angle_rad).astype(np.float32), -np.sin(angle_rad).astype(np.float32))
+    maps = []
+    for sign in (1.0, -1.0):
+        x, y = grid_x, grid_y
+        heading_x, heading_y = sign * start[0], sign * start[1]
+        for _ in range(steps):
+            x = x + heading_x * (distance_px / steps)
+            y = y + heading_y * (distance_px / steps)
+            c = cv2.remap(cosine, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            s = cv2.remap(sine, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            half = 0.5 * np.arctan2(s, c)
+            new_x, new_y = np.cos(half), -np.sin(half)
+            turn = np.where(new_x * heading_x + new_y * heading_y < 0, -1.0, 1.0).astype(np.float32)
+            heading_x, heading_y = turn * new_x, turn * new_y
+        maps.append((x.astype(np.float32), y.astype(np.float32)))
+    return maps
+
+
+def _along(image: Array32, maps: list[tuple[Array32, Array32]]) -> Array32:
+    total = 2.0 * image
+    for x, y in maps:
+        total = total + 1.5 * cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return np.asarray(total * np.float32(0.2), dtype=np.float32)
+
+
+def _ring_bank(
+    shape: tuple[int, ...], period_px: NDArray[np.float64], bandwidth: float, ratio: float = 1.16
+) -> tuple[list[Array32], list[Array32]]:
+    """Ring filters at geometrically spaced frequencies and the (H, W) weights that blend neighbours."""
+    low, high = float(np.log(period_px.min())), float(np.log(period_px.max()))
+    count = max(2, int(np.ceil((high - low) / np.log(ratio))) + 1)
+    centers = np.linspace(low, high, count)
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
+    position = (np.log(period_px) - low) / max(high - low, 1e-9) * (count - 1)
+    bank, weights = [], []
+    for k, center in enumerate(centers):
+        f0 = float(np.exp(-center))
+        bank.append(np.exp(-0.5 * ((frequency - f0) / (bandwidth * f0)) ** 2).astype(np.float32))
+        weights.append(np.clip(1.0 - np.abs(position - k), 0.0, 1.0).astype(np.float32))
+    return bank, weights
+
+
+def phase_singularities(wave: Array32, angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find the minutiae of a ridge pattern: the points about which its phase turns by 2 pi.
+
+    Parameters
+    ----------
+    wave
+        (H, W) ridges, zero mean.
+    angle_rad
+        (H, W) ridge direction, counter-clockwise from the columns' direction, rows pointing down.
+
+    Returns
+    -------
+    (N, 3): column, row, and the direction (rad, counter-clockwise, rows down) towards the side with one more ridge.
+
+    References
+    ----------
+    Larkin, Bone and Oldfield 2001, Natural demodulation of two-dimensional fringe patterns (spiral phase quadrature).
+    Larkin and Fletcher 2007, A coherent framework for fingerprint analysis: are fingerprints holograms?
+    """
+    frequency_x = np.fft.fftfreq(wave.shape[1])[None, :]
+    frequency_up = -np.fft.fftfreq(wave.shape[0])[:, None]
+    spiral = (frequency_x + 1j * frequency_up) / np.maximum(np.hypot(frequency_x, frequency_up), 1e-12)
+    vortex = scipy.fft.ifft2(scipy.fft.fft2(wave) * spiral)
+    across = np.exp(1j * (angle_rad + 0.5 * np.pi))
+    signal = wave + 1j * np.real(-1j * np.conj(across) * vortex)
+    corners = (np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:], np.s_[:-1, :-1])  # counter-clockwise, rows down
+    reference = across[corners[0]]
+    loop = []
+    for corner in corners:
+        same = np.real(np.conj(reference) * across[corner]) >= 0
+        loop.append(np.where(same, signal[corner], np.conj(signal[corner])))
+    turns = sum(np.angle(loop[(k + 1) % 4] * np.conj(loop[k])) for k in range(4)) / (2 * np.pi)
+    rows, columns = np.nonzero(np.abs(turns) > 0.5)
+    towards = np.angle(reference[rows, columns] * -1j * np.sign(turns[rows, columns]))
+    return np.stack([columns + 0.5, rows + 0.5, towards], axis=1)

@@ -1,0 +1,227 @@
+"""Light on and off the surface: near LEDs, Fresnel entry, microfacet reflection; Lambert's law for opaque fingers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray, Led
+from splitknit.simulator.camera.lens import px_per_mm_at, slopes_of_pixels
+from splitknit.simulator.light.skin import fresnel
+from splitknit.simulator.surface import Surface
+
+UNIT = 1e4
+"""Irradiance of an LED of intensity one at 100 mm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """The surface inside the window, channels apart and contiguous, zero outside the mask."""
+
+    window: tuple[slice, slice]
+    mask: NDArray[np.bool_]
+    x: FloatArray
+    """(1, w) mm; (h, w) for a perspective camera."""
+    y: FloatArray
+    """(h, 1) mm; (h, w) for a perspective camera."""
+    z: FloatArray
+    nx: FloatArray
+    ny: FloatArray
+    nz: FloatArray
+    view: tuple[FloatArray, FloatArray, FloatArray] | None
+    """(h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)."""
+    nv: FloatArray
+    """Cosine between the normal and the direction to the camera."""
+    px_per_mm: float
+    """On the surface, at its mean distance."""
+
+    @property
+    def pitch_mm(self) -> float:
+        """Size of one pixel on the surface."""
+        return 1.0 / self.px_per_mm
+
+
+def finger_window(surface: Surface, margin: int = 8) -> tuple[slice, slice]:
+    """Rows and columns of the finger's bounding box, widened by `margin` pixels inside the frame."""
+    rows, columns = np.flatnonzero(surface.mask.any(axis=1)), np.flatnonzero(surface.mask.any(axis=0))
+    require(rows.size > 0, "the simulated finger is outside the picture; move it into the frame.")
+    height, width = surface.mask.shape
+    return (
+        slice(max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, height)),
+        slice(max(int(columns[0]) - margin, 0), min(int(columns[-1]) + 1 + margin, width)),
+    )
+
+
+def cut_out(surface: Surface) -> Patch:
+    """Return the part of `surface` inside its window."""
+    window = finger_window(surface)
+    mask = np.ascontiguousarray(surface.mask[window])
+    z = np.where(mask, surface.height_mm[window], 0).astype(np.float32)
+    nx, ny, nz = (np.ascontiguousarray(surface.normals[window][..., axis]) for axis in range(3))
+    x, y = _places(surface, window)
+    if surface.camera.model == "orthographic":
+        return Patch(window, mask, x, y, z, nx, ny, nz, view=None, nv=nz, px_per_mm=surface.camera.px_per_mm)
+    up = surface.camera.height_mm - z
+    inverse = 1.0 / np.sqrt(x * x + y * y + up * up)
+    view = (-x * inverse, -y * inverse, up * inverse)
+    nv = nx * view[0] + ny * view[1] + nz * view[2]
+    px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
+    return Patch(window, mask, x, y, z, nx, ny, nz, view=view, nv=nv, px_per_mm=px_per_mm)
+
+
+def _places(surface: Surface, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+    """x and y (mm) of the points that the pixels of the window show, zero beside the finger of a perspective camera."""
+    if surface.x_mm is not None and surface.y_mm is not None:
+        inside = surface.mask[window]
+        x, y = (np.where(inside, place[window], 0).astype(np.float32) for place in (surface.x_mm, surface.y_mm))
+        return x, y
+    height, width = surface.mask.shape
+    pitch = surface.camera.pitch_mm
+    columns = np.arange(window[1].start, window[1].stop, dtype=np.float64)
+    rows = np.arange(window[0].start, window[0].stop, dtype=np.float64)
+    return (
+        ((columns - (width - 1) / 2) * pitch).astype(np.float32)[None, :],
+        (((height - 1) / 2 - rows) * pitch).astype(np.float32)[:, None],
+    )
+
+
+def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> FloatArray:
+    """(H, W) radiance of a white Lambertian card at height `z_mm`, facing upwards, evaluated every `step` pixels."""
+    height, width = camera.image_size
+    rows = np.linspace(0, height - 1, max(height // step, 2))
+    columns = np.linspace(0, width - 1, max(width // step, 2))
+    if camera.model == "perspective":
+        x, y = ((camera.height_mm - z_mm) * s for s in slopes_of_pixels(camera, columns[None, :], rows[:, None]))
+    else:
+        x = ((columns - (width - 1) / 2) / camera.px_per_mm)[None, :]
+        y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
+    total = np.zeros((rows.size, columns.size))
+    for one in (led, *led.also):
+        _, _, lz, strength = towards(one, x, y, np.full_like(total, z_mm))
+        total += strength * np.maximum(lz, 0.0)
+    # bilinear between the centres of the coarse grid, which include the frame's corners
+    at_rows = np.linspace(0, rows.size - 1, height)
+    at_columns = np.linspace(0, columns.size - 1, width)
+    low_row = np.minimum(at_rows.astype(np.intp), rows.size - 2)
+    low_column = np.minimum(at_columns.astype(np.intp), columns.size - 2)
+    share_row = (at_rows - low_row)[:, None]
+    share_column = (at_columns - low_column)[None, :]
+    tall = total[low_row] * (1.0 - share_row) + total[low_row + 1] * share_row
+    tall /= np.pi
+    card = tall[:, low_column] * (1.0 - share_column) + tall[:, low_column + 1] * share_column
+    return np.asarray(card, dtype=np.float32)
+
+
+def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> tuple[FloatArray, FloatArray]:
+    """Return the irradiance that enters the skin, and the radiance that its surface reflects to the camera, (h, w)."""
+    entering = np.zeros(patch.mask.shape, dtype=np.float32)
+    gloss = np.zeros(patch.mask.shape, dtype=np.float32)
+    for one in (led, *led.also):
+        lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
+        cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
+        entering += strength * cosine * (1.0 - fresnel(cosine))
+        alpha = roughness
+        if one.position_mm is not None:
+            alpha = min(roughness + led_radius_mm / (2.0 * float(np.linalg.norm(one.position_mm))), 1.0)
+        gloss += strength * _ggx(patch, (lx, ly, lz), cosine, alpha)
+    return entering, gloss
+
+
+def _ggx(
+    patch: Patch,
+    light: tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]],
+    cosine: NDArray[np.floating],
+    alpha: float,
+) -> NDArray[np.floating]:
+    """D G F / (4 n.v) towards the viewer; zero in the attached shadow."""
+    lx, ly, lz = light
+    # half vector between the light and the viewer: |l + v| = sqrt(2 + 2 l.v)
+    vx, vy, vz = (np.float32(0), np.float32(0), np.float32(1)) if patch.view is None else patch.view
+    lv = lz if patch.view is None else lx * vx + ly * vy + lz * vz
+    inverse = 1.0 / np.sqrt(2.0 + 2.0 * lv)
+    nh = np.clip(((lx + vx) * patch.nx + (ly + vy) * patch.ny + (lz + vz) * patch.nz) * inverse, 0.0, 1.0)
+    vh = (lv + 1.0) * inverse
+    nv = np.clip(patch.nv, 1e-3, 1.0)
+    squared = alpha * alpha
+    below = nh * nh * (squared - 1.0) + 1.0
+    distribution = squared / (np.pi * below * below)
+
+    def unshadowed(c: NDArray[np.floating]) -> NDArray[np.floating]:
+        return 2.0 * c / (c + np.sqrt(squared + (1.0 - squared) * c * c))
+
+    shadowing = unshadowed(np.maximum(cosine, 1e-4)) * unshadowed(nv)
+    lit = (cosine > 0.0) & patch.mask
+    return np.where(lit, distribution * shadowing * fresnel(vh) / (4.0 * nv), 0.0)
+
+
+def towards(
+    led: Led, x: NDArray[np.floating], y: NDArray[np.floating], z: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+    """Unit vector from each point to the light, and the irradiance of a surface that faces it."""
+    if led.position_mm is None:
+        direction = np.asarray(led.direction, dtype=np.float64)
+        dx, dy, dz = (float(v) for v in direction / np.linalg.norm(direction))
+        return (np.full_like(z, dx), np.full_like(z, dy), np.full_like(z, dz), np.full_like(z, led.intensity))
+    px, py, pz = led.position_mm
+    lx, ly, lz = px - x, py - y, pz - z
+    inverse = 1.0 / np.sqrt(lx * lx + ly * ly + lz * lz)
+    lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
+    strength = (led.intensity * UNIT) * inverse * inverse
+    if led.lobe_exponent > 0.0:
+        ax, ay, az = (-px, -py, -pz) if led.aim is None else led.aim
+        length = float(np.sqrt(ax * ax + ay * ay + az * az))
+        along = np.maximum(-(lx * ax + ly * ay + lz * az) / length, 0.0)
+        strength = strength * along**led.lobe_exponent
+    return lx, ly, lz, strength
+
+
+def render_opaque(surface: Surface, leds: Sequence[Led], albedo: float = 0.5) -> tuple[tuple[slice, slice], FloatArray]:
+    """Photograph a Lambertian finger under each of `leds`, without noise.
+
+    Parameters
+    ----------
+    surface : the finger on the camera's pixels
+    leds : L lights; what shares an exposure (`also`) adds
+    albedo : diffuse reflectance, 0 to 1
+
+    Returns
+    -------
+    window : rows and columns of the finger in the frame
+    light : (L, h, w) radiance inside the window, in the units of the rig's intensities; zero outside the finger
+
+    Notes
+    -----
+    Attached shadows are black; cast shadows are not modelled (a finger pad casts none on itself but in its creases).
+
+    References
+    ----------
+    J. H. Lambert, Photometria, 1760: radiance = albedo / pi times irradiance, and irradiance = intensity times the
+    cosine of incidence over the squared distance.
+    """
+    require(0.0 < albedo <= 1.0, f"the albedo must lie in (0, 1], but it is {albedo}.")
+    patch = cut_out(surface)
+    light = np.stack([sum((_irradiance(patch, one) for one in (led, *led.also)), np.float32(0.0)) for led in leds])
+    return patch.window, np.asarray(light * np.float32(albedo / np.pi), dtype=np.float32)
+
+
+def _irradiance(patch: Patch, led: Led) -> FloatArray:
+    """(h, w) light of one LED on the surface."""
+    if led.position_mm is None:
+        towards = np.asarray(led.direction, dtype=np.float64) / np.linalg.norm(np.asarray(led.direction))
+        strength: Any = led.intensity
+        cosine = towards[0] * patch.nx + towards[1] * patch.ny + towards[2] * patch.nz
+    else:
+        dx, dy, dz = (p - at for p, at in zip(led.position_mm, (patch.x, patch.y, patch.z), strict=True))
+        squared = dx * dx + dy * dy + dz * dz
+        distance = np.sqrt(squared)
+        strength = led.intensity * UNIT / squared
+        if led.lobe_exponent > 0.0:
+            along = -(dx * led.axis[0] + dy * led.axis[1] + dz * led.axis[2]) / distance
+            strength = strength * np.maximum(along, 0.0) ** led.lobe_exponent
+        cosine = (dx * patch.nx + dy * patch.ny + dz * patch.nz) / distance
+    return np.asarray(np.where(patch.mask, strength * np.maximum(cosine, 0.0), 0.0), dtype=np.float32)

@@ -1,0 +1,243 @@
+"""Light from the LEDs through the skin and off it: noise-free linear radiance of every image.
+
+Image-space model, see ``docs/twin.md``: irradiance of near LEDs times Fresnel transmittance, convolved with the Monte
+Carlo diffusion profile of each channel, times a term for the relief, plus the GGX reflection of the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from splitknit.model import FloatArray, Led
+from splitknit.settings import Checked, Limits
+from splitknit.simulator.light.coat import CoatedPatch
+from splitknit.simulator.light.lighting import Patch, cut_out, light_on
+from splitknit.simulator.light.skin import (
+    BAND_CHANNELS,
+    ChannelOptics,
+    WalkTable,
+    diffuse_transmittance,
+    diffusion_profile,
+    fresnel,
+)
+from splitknit.simulator.surface import Surface
+
+LED_RADIUS_MM = 1.5
+"""Radius of an LED's emitting face; it widens the glare."""
+_RELIEF_LOW_MM, _RELIEF_HIGH_MM = 0.03, 0.32
+"""Standard deviations of the smoothing and of the high-pass of the relief in the relief term."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings(Checked):
+    """What of the light is modelled."""
+
+    reach_mm: Annotated[float, Limits(0, 30, above=True)] = 6.0
+    """Diffusion over longer distances may wrap around the image; larger costs time."""
+    aperture_mm: Annotated[float, Limits(0, 50)] = 0.0
+    """Diameter of the lens's entrance pupil; 0 switches defocus off. f/2 at 11 mm of focal length is 5.5 mm."""
+    focus_depth_mm: float = 1.5
+    """Depth of the plane in focus below the finger's highest point."""
+    rim_exponent: Annotated[float, Limits(0, 1)] = 0.75
+    """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by
+    the share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk
+    in an elliptic cylinder best (``validation/twin/volume.py``)."""
+    workers: Annotated[int, Limits(1)] = 2
+    """Threads; the result does not depend on it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandLight:
+    """Radiance of the finger inside `window`, in units of the rig's intensities."""
+
+    window: tuple[slice, slice]
+    """Rows and columns of the frame."""
+    diffuse: FloatArray
+    """(L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)."""
+    glare: FloatArray
+    """(L, h, w) light that the surface alone reflects, the same in all channels."""
+
+
+def render_band(
+    surface: Surface,
+    leds: Sequence[Led],
+    optics: Sequence[ChannelOptics],
+    *,
+    roughness: float,
+    glare: float,
+    walks: WalkTable,
+    settings: RenderSettings | None = None,
+) -> BandLight:
+    """Render the finger under each of `leds`, one image a light.
+
+    Parameters
+    ----------
+    surface : the finger on the camera's pixels
+    leds : L lights
+    optics : C media, one a channel
+    roughness : GGX alpha
+    glare : weight of the surface reflection, 1 = Fresnel
+    walks : table of random walks
+    settings : what of the light is modelled
+
+    References
+    ----------
+    Jensen et al. 2001, equation (5), for the subsurface term; Walter et al. 2007, equations (20), (33), (34), for the
+    surface reflection.
+    """
+    settings = settings or RenderSettings()
+    patch = cut_out(surface)
+    gains = list(relief_gains(surface, patch, optics, settings))
+    if surface.coat is not None:
+        coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], roughness)
+        channels = next(names for names in BAND_CHANNELS.values() if len(names) == len(optics))
+        gains = [coat.over(gain, name) for gain, name in zip(gains, channels, strict=True)]
+
+        def shine(k: int) -> Shine:
+            return coat.light_on(leds[k], glare, LED_RADIUS_MM)
+
+    else:
+
+        def shine(k: int) -> Shine:
+            entering, gloss = light_on(patch, leds[k], roughness, LED_RADIUS_MM)
+            return entering, gloss * np.float32(glare), None
+
+    return render_lights(patch, shine, len(leds), Diffusion(patch, optics, walks, settings, roughness), gains)
+
+
+Shine = tuple[FloatArray, FloatArray, FloatArray | None]
+"""(h, w) light that enters the skin, that the surface reflects, and that what lies on it scatters (None: nothing)."""
+
+
+def render_lights(
+    patch: Patch, shine: Callable[[int], Shine], count: int, blur: Diffusion, gains: Sequence[FloatArray]
+) -> BandLight:
+    """Render `count` images of a patch of skin, whatever it is that lights each of them (`shine`)."""
+    diffuse = np.empty((count, len(gains), *patch.mask.shape), dtype=np.float32)
+    gloss = np.empty((count, *patch.mask.shape), dtype=np.float32)
+
+    def one(k: int) -> None:
+        entering, gloss[k], extra = shine(k)
+        for c, light in enumerate(blur(entering)):
+            np.multiply(light, gains[c], out=diffuse[k, c])
+            if extra is not None:
+                diffuse[k, c] += extra
+
+    with ThreadPoolExecutor(blur.settings.workers) as pool:
+        list(pool.map(one, range(count)))
+    return BandLight(window=patch.window, diffuse=diffuse, glare=gloss)
+
+
+def render_ambient(
+    surface: Surface,
+    level: float,
+    optics: Sequence[ChannelOptics],
+    *,
+    roughness: float,
+    walks: WalkTable,
+    settings: RenderSettings | None = None,
+    up: NDArray[np.float64] | None = None,
+) -> FloatArray:
+    """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white card `level`.
+
+    A facet that is tilted by t against the middle of the hemisphere, `up` (3,) or the z axis, sees the fraction
+    (1 + cos t) / 2 of it.
+    """
+    settings = settings or RenderSettings()
+    patch = cut_out(surface)
+    facing = patch.nz
+    if up is not None:
+        facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
+    entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
+    blur = Diffusion(patch, optics, walks, settings, roughness)
+    gains = relief_gains(surface, patch, optics, settings)
+    return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
+
+
+class Diffusion:
+    """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to the viewer.
+
+    At grazing view the facets of a rough surface that the viewer sees are turned towards him: the cosine of emergence
+    does not fall below about half the roughness.
+    """
+
+    def __init__(
+        self,
+        patch: Patch,
+        optics: Sequence[ChannelOptics],
+        walks: WalkTable,
+        settings: RenderSettings,
+        roughness: float,
+    ) -> None:
+        """Prepare the transfer of every medium, and what of the light leaves towards the viewer."""
+        self.settings, pitch_mm = settings, patch.pitch_mm
+        profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
+        reach = int(np.ceil(min(settings.reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm))
+        mask = patch.mask
+        # where the finger runs out of the picture, its skin goes on: repeat the border's light over the reach
+        self.before = tuple(reach if side.any() else 0 for side in (mask[0], mask[:, 0]))
+        self.after = tuple(reach if side.any() else 0 for side in (mask[-1], mask[:, -1]))
+        self.shape = mask.shape
+        self.fft_shape = (
+            scipy.fft.next_fast_len(mask.shape[0] + self.before[0] + self.after[0] + reach, True),
+            scipy.fft.next_fast_len(mask.shape[1] + self.before[1] + self.after[1] + reach, True),
+        )
+        self.transfers = [p.transfer_grid(self.fft_shape, pitch_mm) for p in profiles]
+        emergence = np.sqrt(patch.nv**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nv**2))
+        out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
+        covered = list(self.spread(self.pad(mask.astype(np.float32))))
+        self.out = []
+        for profile, cover in zip(profiles, covered, strict=True):
+            seen = np.clip(cover / np.float32(profile.albedo), 0.05, 1.0)
+            self.out.append(np.where(mask, out * seen ** np.float32(-settings.rim_exponent), 0.0).astype(np.float32))
+
+    def __call__(self, entering: FloatArray) -> Iterator[FloatArray]:
+        """Yield the (h, w) radiance of each channel under the (h, w) light that enters."""
+        for light, out in zip(self.spread(self.pad(entering)), self.out, strict=True):
+            yield np.maximum(light, 0.0) * out
+
+    def pad(self, entering: FloatArray) -> FloatArray:
+        """(h', w') `entering`, its border repeated over the reach where the skin goes on beyond the picture."""
+        padding = ((self.before[0], self.after[0]), (self.before[1], self.after[1]))
+        return np.pad(entering, padding, mode="edge")
+
+    def spread(self, padded: FloatArray, transfers: Sequence[NDArray[Any]] | None = None) -> Iterator[FloatArray]:
+        """(h, w) light that leaves, a channel at a time, from the (h', w') light that enters.
+
+        `transfers` on the grid of the FFT replace those of the channels.
+        """
+        spectrum = scipy.fft.rfft2(padded, self.fft_shape)
+        rows = slice(self.before[0], self.before[0] + self.shape[0])
+        columns = slice(self.before[1], self.before[1] + self.shape[1])
+        for transfer in self.transfers if transfers is None else transfers:
+            yield np.asarray(scipy.fft.irfft2(spectrum * transfer, self.fft_shape)[rows, columns], dtype=np.float32)
+
+
+def relief_gains(
+    surface: Surface, patch: Patch, optics: Sequence[ChannelOptics], settings: RenderSettings
+) -> Iterator[FloatArray]:
+    """(h, w) for each channel: pigment times 1 + k h, h the band-passed relief in um."""
+    px_per_mm = patch.px_per_mm
+    inside = patch.mask.astype(np.float32)
+    relief = np.where(patch.mask, surface.relief_um[patch.window], 0).astype(np.float32)
+
+    def smooth(sigma_mm: float) -> FloatArray:
+        if sigma_mm * px_per_mm < 0.2:
+            return relief
+        size, sigma = (0, 0), sigma_mm * px_per_mm
+        weight = cv2.GaussianBlur(inside, size, sigma, borderType=cv2.BORDER_REPLICATE)
+        blurred = cv2.GaussianBlur(relief, size, sigma, borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(blurred / np.maximum(weight, 1e-3), dtype=np.float32)
+
+    band = smooth(_RELIEF_LOW_MM) - smooth(_RELIEF_HIGH_MM)
+    pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
+    for one in optics:
+        yield pigment * np.clip(1.0 + np.float32(one.relief_gain_per_um) * band, 0.2, 1.8)

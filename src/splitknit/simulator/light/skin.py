@@ -1,0 +1,386 @@
+"""Optics of skin: coefficients in the camera's channels, and where light that enters at one point leaves it.
+
+Coefficients: reduced scattering by the power law of Jacques 2013 (skin: 46 /cm at 500 nm, exponent 1.42); absorption as
+a mixture of blood, melanosomes, water and a bloodless baseline (Jacques 1998, 2013). Each channel is represented by one
+effective wavelength, as ``docs/twin.md`` explains.
+
+Diffusion: searchlight profiles of a semi-infinite medium. One set of random walks serves all optics. Lengths scale with
+the mean free path 1/s between scattering events, and absorption a weights a walk of length l by exp(-a l / s)
+(Beer-Lambert along the path), so a histogram of the walks' exit radius and length, both in mean free paths, holds every
+pair of coefficients. The histogram is shipped (``data/walks.npz``, made by ``tools/make_walk_table.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from typing import Annotated, Literal
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.special import j1
+
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
+
+Channel = Literal["red", "green", "blue", "nir"]
+
+CHANNELS: tuple[Channel, ...] = ("red", "green", "blue", "nir")
+
+BAND_CHANNELS: Mapping[str, tuple[Channel, ...]] = {"white": ("red", "green", "blue"), "nir": ("nir",)}
+"""The media that the camera's channels see: under NIR all three see the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectiveBand:
+    """What one channel sees: wavelengths in nm and absorption in 1/mm of the pure substances there."""
+
+    scattering_nm: float
+    """Centroid of the channel under the LED: scattering varies slowly."""
+    absorption_nm: float
+    """Where the channel's light is absorbed: the peak of a white LED's blue line for the blue channel."""
+    oxygenated: float
+    """Whole blood of 150 g/l haemoglobin, all of it oxygenated."""
+    deoxygenated: float
+    """Whole blood of 150 g/l haemoglobin, none of it oxygenated."""
+    water: float
+
+    @property
+    def melanosome(self) -> float:
+        """Absorption of the inside of a melanosome, 519 /cm (wavelength / 500 nm)^-3.5 (Jacques 2013)."""
+        return float(51.9 * (self.absorption_nm / 500.0) ** -3.5)
+
+    @property
+    def bloodless(self) -> float:
+        """Wavelength-dependent part of bloodless skin, 8.53 /cm exp(-(wavelength - 154) / 66.2 nm) (Jacques 1998)."""
+        return float(0.853 * np.exp(-(self.absorption_nm - 154.0) / 66.2))
+
+
+EFFECTIVE: Mapping[Channel, EffectiveBand] = {
+    "red": EffectiveBand(620.0, 620.0, 0.50, 3.5, 0.00026),
+    "green": EffectiveBand(540.0, 540.0, 28.5, 25.0, 0.00004),
+    "blue": EffectiveBand(460.0, 450.0, 33.7, 55.3, 0.00003),
+    "nir": EffectiveBand(850.0, 850.0, 0.57, 0.37, 0.0043),
+}
+"""Absorption of blood from Prahl's compilation (2.303 x molar extinction x 150 g/l / 64,500 g/mol), rounded."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelOptics:
+    """One medium as the renderer needs it."""
+
+    scattering_per_mm: float
+    """Reduced scattering coefficient."""
+    absorption_per_mm: float
+    relief_gain_per_um: float
+    """Relative change of the diffuse light per micrometre of relief, whatever the light's direction."""
+
+    @property
+    def attenuation_per_mm(self) -> float:
+        """Effective attenuation of diffusion theory, sqrt(3 a (a + s))."""
+        a, s = self.absorption_per_mm, self.scattering_per_mm
+        return float(np.sqrt(3.0 * a * (a + s)))
+
+
+@dataclass(frozen=True, slots=True)
+class SkinSettings(Checked):
+    """One finger's skin. The defaults give the coefficients measured on the reference renders."""
+
+    scattering_factor: Annotated[float, Limits(0.3, 3.0)] = 1.0
+    """Multiplies the reduced scattering of the power law; 0.3 to 3."""
+    melanin: Annotated[float, Limits(0.0, 0.05)] = 0.00056
+    """Volume fraction of melanosomes in the medium: 0.0002 very light, 0.004 dark, 0.02 very dark skin."""
+    blood: Annotated[float, Limits(0.0, 0.1)] = 0.006
+    """Volume fraction of whole blood (150 g/l haemoglobin)."""
+    oxygenation: Annotated[float, Limits(0.0, 1.0)] = 0.75
+    """Oxygenated share of the haemoglobin."""
+    water: Annotated[float, Limits(0.0, 1.0)] = 0.65
+    """Volume fraction of water."""
+    baseline_per_mm: Annotated[float, Limits(0.004, 1.0)] = 0.008
+    """Grey absorption of bloodless skin; the part that depends on wavelength is Jacques's."""
+    yellow_per_mm: Annotated[float, Limits(0.0, 1.0)] = 0.105
+    """Absorption in the blue channel by carotenoids, bilirubin and the thick horny layer of the finger pad."""
+    roughness: Annotated[float, Limits(0.05, 1.0)] = 0.25
+    """GGX alpha of the skin's surface."""
+    glare: Annotated[float, Limits(0.0, 5.0)] = 1.0
+    """Weight of the surface reflection: 1 bare skin (Fresnel), 0 polarised away, above 1 oily."""
+    relief_gain: Annotated[float, Limits(0.0, 3.0)] = 0.78
+    """The relief gain of a channel is this number times its effective attenuation: k h = gain x mu_eff x h."""
+
+    def channel(self, name: Channel) -> ChannelOptics:
+        """Return the coefficients of the channel `name`: ``red``, ``green``, ``blue`` or ``nir``."""
+        band = EFFECTIVE[name]
+        scattering = self.scattering_factor * 4.6 * (band.scattering_nm / 500.0) ** -1.42
+        absorption = (
+            self.blood * (self.oxygenation * band.oxygenated + (1.0 - self.oxygenation) * band.deoxygenated)
+            + self.melanin * band.melanosome
+            + self.water * band.water
+            + self.baseline_per_mm
+            + band.bloodless
+            + (self.yellow_per_mm if name == "blue" else 0.0)
+        )
+        optics = ChannelOptics(scattering, absorption, 0.0)
+        return replace(optics, relief_gain_per_um=self.relief_gain * optics.attenuation_per_mm * 1e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class SkinRanges:
+    """Ranges from which one finger's skin is drawn."""
+
+    base: SkinSettings = field(default_factory=SkinSettings)
+    """What is not drawn."""
+    scattering_factor: tuple[float, float] = (0.7, 1.4)
+    """Log-uniform."""
+    melanin: tuple[float, float] = (0.0002, 0.006)
+    """Log-uniform; palms and finger pads carry less melanin than the rest of the hand."""
+    blood: tuple[float, float] = (0.003, 0.012)
+    """Log-uniform."""
+    oxygenation: tuple[float, float] = (0.6, 0.85)
+    """Oxygenated share of the haemoglobin, 0 to 1; even."""
+    roughness: tuple[float, float] = (0.18, 0.35)
+    """GGX alpha of the skin's surface, 0.05 (polished) to 1 (matt); even."""
+    glare: tuple[float, float] = (0.5, 1.3)
+    """Weight of the surface reflection, 0 to 5: 1 bare skin, 0 polarised away, above 1 oily; even."""
+    relief_gain: tuple[float, float] = (0.55, 1.55)
+    """Log-uniform: the boundary model changes this term by 0.7 to 2 times."""
+
+    def __post_init__(self) -> None:
+        for name in ("scattering_factor", "melanin", "blood", "oxygenation", "roughness", "glare", "relief_gain"):
+            low, high = getattr(self, name)
+            require(0.0 <= low <= high, f"skin range {name} must be (low, high), but it is ({low}, {high}).")
+            replace(self.base, **{name: low})
+            replace(self.base, **{name: high})
+
+    def draw(self, rng: np.random.Generator) -> SkinSettings:
+        """Return the skin of one finger; every range takes one number from `rng`, in a fixed order."""
+        drawn = {}
+        for name, logarithmic in (
+            ("scattering_factor", True),
+            ("melanin", True),
+            ("blood", True),
+            ("oxygenation", False),
+            ("roughness", False),
+            ("glare", False),
+            ("relief_gain", True),
+        ):
+            low, high = getattr(self, name)
+            share = float(rng.random())
+            if logarithmic and low > 0.0:
+                drawn[name] = float(low * (high / low) ** share)
+            else:
+                drawn[name] = float(low + (high - low) * share)
+        return replace(self.base, **drawn)
+
+
+REFRACTIVE_INDEX = 1.42
+
+LONGEST_WALK = 3000.0
+
+RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
+
+LENGTH_EDGES = np.concatenate([[0.0], np.geomspace(1e-2, LONGEST_WALK, 91)])
+
+
+def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
+    """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n before the surface.
+
+    References
+    ----------
+    Born and Wolf, Principles of Optics, section 1.5.2, equation (21).
+    """
+    c = np.clip(cosine, 0.0, 1.0)
+    inside = 1.0 - (1.0 - c * c) * (1.0 / ratio**2)
+    t = np.sqrt(np.clip(inside, 0.0, 1.0))
+    tiny = 1e-12  # total reflection at grazing incidence: zero over zero, which the last line replaces by one
+    across = (c - ratio * t) / (c + ratio * t + tiny)
+    along = (ratio * c - t) / (ratio * c + t + tiny)
+    return np.asarray(np.where(inside <= 0.0, np.ones_like(c), 0.5 * (across * across + along * along)))
+
+
+def diffuse_transmittance(ratio: float = REFRACTIVE_INDEX) -> float:
+    """Fraction of diffuse (cosine-weighted) light that enters the medium: 1 - int 2 c F(c) dc over [0, 1]."""
+    c = (np.arange(4000) + 0.5) / 4000.0
+    return float(1.0 - np.mean(2.0 * c * fresnel(c, ratio)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkTable:
+    """Histogram of random walks without absorption, in mean free paths."""
+
+    counts: NDArray[np.float64]
+    """(radii, lengths): fraction of all walks that leave at a radius and after a length within the bins."""
+    lengths: NDArray[np.float64]
+    """(lengths,) mean length of the walks in each bin of lengths."""
+
+    def ring_weights(self, absorption_per_scattering: float) -> NDArray[np.float64]:
+        """(radii,) fraction of the entering light that leaves in each ring of `RADIUS_EDGES`."""
+        kept = np.exp(-absorption_per_scattering * self.lengths)
+        return np.asarray(np.sum(self.counts * kept, axis=1))
+
+
+def load_walks() -> WalkTable:
+    """Return the shipped table of walks."""
+    with (
+        resources.files("splitknit.simulator").joinpath("data/walks.npz").open("rb") as file,
+        np.load(file, allow_pickle=False) as table,
+    ):
+        counts = table["counts"].astype(np.float64) / float(table["walks"])
+        return WalkTable(counts=counts, lengths=table["lengths"].astype(np.float64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """The diffusion profile of one medium: light leaves ring k, between two radii, with weight `weights[k]`."""
+
+    radii_mm: NDArray[np.float64]
+    """(rings + 1,) edges of the rings."""
+    weights: NDArray[np.float64]
+    """(rings,) their sum is the albedo."""
+
+    @property
+    def albedo(self) -> float:
+        """Fraction of the light that entered which leaves again."""
+        return float(np.sum(self.weights))
+
+    def radius_mm(self, share: float) -> float:
+        """Radius within which `share` of the leaving light leaves."""
+        inside = np.concatenate([[0.0], np.cumsum(self.weights)]) / self.albedo
+        return float(np.interp(share, inside, self.radii_mm))
+
+    def transfer(self, cycles_per_mm: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Fourier (Hankel) transform of the profile at a frequency, evenly spread within each ring.
+
+        One ring between radii p and q has the transform 2 (q J1(kq) - p J1(kp)) / (k (q^2 - p^2)), k = 2 pi f.
+        The value at zero is the albedo.
+        """
+        k = 2.0 * np.pi * np.maximum(np.asarray(cycles_per_mm, dtype=np.float64), 1e-6)[..., None]
+        r = self.radii_mm
+        disc = r * j1(k * r) / k
+        rings = 2.0 * np.diff(disc, axis=-1) / np.diff(r * r)
+        return np.asarray(np.sum(rings * self.weights, axis=-1))
+
+    def transfer_grid(self, shape: tuple[int, int], pitch_mm: float) -> FloatArray:
+        """(H, W // 2 + 1) transfer on the grid of a real two-dimensional FFT of `shape`."""
+        rows = scipy.fft.fftfreq(shape[0], pitch_mm)
+        columns = scipy.fft.rfftfreq(shape[1], pitch_mm)
+        longest = float(np.hypot(rows.max() + 1.0 / (shape[0] * pitch_mm), columns.max()))
+        knots = longest * (np.arange(601) / 600.0) ** 2
+        values = self.transfer(knots)
+        # knots are spaced with the square of their index: the index itself is the coordinate to interpolate in
+        index = np.sqrt(np.hypot(rows[:, None], columns[None, :]) / longest) * 600.0
+        return np.interp(index, np.arange(601), values).astype(np.float32)
+
+    def kernel(self, pitch_mm: float, radius_mm: float) -> FloatArray:
+        """(2n + 1, 2n + 1) share of the light that leaves within each pixel, area-sampled; the sum is the albedo.
+
+        Light that leaves beyond the kernel is spread over the kernel in proportion. Each pixel is averaged over its
+        area on a grid of sub-pixels, exactly in the ring that holds the centre.
+        """
+        require(pitch_mm > 0 and radius_mm > pitch_mm, "a kernel needs a positive pitch and a radius above it.")
+        n = int(np.ceil(radius_mm / pitch_mm))
+        cumulative = np.concatenate([[0.0], np.cumsum(self.weights)])
+        squared = self.radii_mm**2
+        fine = 8
+        offset = ((np.arange((2 * n + 1) * fine) + 0.5) / fine - n - 0.5) * pitch_mm
+        result = np.zeros((2 * n + 1, 2 * n + 1))
+        density = np.diff(cumulative) / (np.pi * np.diff(squared))
+        for row in range(2 * n + 1):
+            rr = offset[row * fine : (row + 1) * fine, None] ** 2 + offset[None, :] ** 2
+            ring = np.clip(np.searchsorted(squared, rr, side="right") - 1, 0, density.size - 1)
+            result[row] = density[ring].reshape(fine, 2 * n + 1, fine).mean(axis=(0, 2)) * pitch_mm**2
+        result[n, n] = self._centre(pitch_mm)
+        return (result * (self.albedo / float(np.sum(result)))).astype(np.float32)
+
+    def _centre(self, pitch_mm: float) -> float:
+        """Light that leaves within the central pixel: a disc, exactly, and the corners by their angle."""
+        inner, outer = 0.5 * pitch_mm, 0.5 * np.sqrt(2.0) * pitch_mm
+        cumulative = np.concatenate([[0.0], np.cumsum(self.weights)])
+        edges = np.linspace(inner, outer, 201)
+        squared = self.radii_mm**2
+        light = np.diff(np.interp(edges**2, squared, cumulative))
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        inside = 1.0 - 4.0 * np.arccos(inner / middle) / np.pi
+        return float(np.interp(inner**2, squared, cumulative) + np.sum(light * np.clip(inside, 0.0, 1.0)))
+
+
+def diffusion_profile(walks: WalkTable, scattering_per_mm: float, absorption_per_mm: float) -> Profile:
+    """Return the profile of a medium with reduced scattering and absorption in 1/mm.
+
+    Raises
+    ------
+    BadInput
+        If scattering is not positive, absorption is negative, or absorption is so weak (below 0.2 % of scattering)
+        that walks longer than the table would matter.
+
+    References
+    ----------
+    Wang, Jacques and Zheng 1995, MCML; Zijp and ten Bosch 1998 on the scaling of one simulation to other optics.
+    """
+    require(scattering_per_mm > 0, f"scattering must be positive, but it is {scattering_per_mm} per mm.")
+    ratio = absorption_per_mm / scattering_per_mm
+    require(ratio >= 0.002, f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.")
+    return Profile(radii_mm=RADIUS_EDGES / scattering_per_mm, weights=walks.ring_weights(ratio))
+
+
+def walk(walks: int, seed: int, batch: int = 200_000) -> WalkTable:
+    """Simulate `walks` random walks from one point of a semi-infinite, isotropically scattering medium.
+
+    Light enters diffusely, walks without absorption and leaves with the Fresnel transmittance; what is reflected
+    inside goes on diffusely, as at a rough surface. Walks longer than `LONGEST_WALK` end there.
+    """
+    counts = np.zeros((RADIUS_EDGES.size - 1, LENGTH_EDGES.size - 1))
+    total = np.zeros(LENGTH_EDGES.size - 1)
+    for start, child in zip(
+        range(0, walks, batch), np.random.SeedSequence(seed).spawn(-(-walks // batch)), strict=True
+    ):
+        radii, lengths = _walk_batch(min(batch, walks - start), np.random.default_rng(child))
+        counts += np.histogram2d(radii, lengths, bins=(RADIUS_EDGES, LENGTH_EDGES))[0]
+        total += np.histogram(lengths, bins=LENGTH_EDGES, weights=lengths)[0]
+    number = np.sum(counts, axis=0)
+    middle = 0.5 * (LENGTH_EDGES[1:] + LENGTH_EDGES[:-1])
+    mean = np.where(number > 0, total / np.maximum(number, 1.0), middle)
+    return WalkTable(counts=counts / walks, lengths=mean)
+
+
+def _walk_batch(count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Exit radius and length of the walks of one batch that leave."""
+    position = np.zeros((3, count))
+    direction = _cosine_down(count, rng)
+    length = np.zeros(count)
+    radii, lengths = [], []
+    while length.size:
+        step = rng.standard_exponential(length.size)
+        moved = position + step * direction
+        out = np.flatnonzero(moved[2] > 0.0)
+        if out.size:
+            up = direction[2, out]
+            reach = -position[2, out] / up
+            edge = position[:, out] + reach * direction[:, out]
+            leaves = rng.random(out.size) >= fresnel(up, 1.0 / REFRACTIVE_INDEX)
+            gone, back = out[leaves], out[~leaves]
+            radii.append(np.hypot(edge[0, leaves], edge[1, leaves]))
+            lengths.append(length[gone] + reach[leaves])
+            step[out] = reach
+            moved[:, back] = edge[:, ~leaves]
+            moved[2, back] = 0.0
+        length = length + step
+        z = 2.0 * rng.random(length.size) - 1.0
+        turn = 2.0 * np.pi * rng.random(length.size)
+        side = np.sqrt(1.0 - z * z)
+        direction = np.stack([side * np.cos(turn), side * np.sin(turn), z])
+        keep = length < LONGEST_WALK
+        if out.size:
+            direction[:, back] = _cosine_down(back.size, rng)
+            keep[gone] = False
+        position, direction, length = moved[:, keep], direction[:, keep], length[keep]
+    return np.concatenate(radii), np.concatenate(lengths)
+
+
+def _cosine_down(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(3, count) directions into the medium, cosine-distributed."""
+    share, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
+    side = np.sqrt(share)
+    return np.stack([side * np.cos(turn), side * np.sin(turn), -np.sqrt(1.0 - share)])

@@ -1,0 +1,437 @@
+"""A finger in front of the camera: its pictures under every LED, as the sensor stores them, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.model import COLOURS, Band, Camera, Capture, FloatArray, Led, PixelArray, Rig
+from splitknit.settings import Checked, Limits, check_fields
+from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
+from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
+from splitknit.simulator.finger.conditions import Condition
+from splitknit.simulator.finger.finger import Pose, PoseRanges
+from splitknit.simulator.finger.motion import HandMotion
+from splitknit.simulator.light.lighting import finger_window, white_card
+from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
+from splitknit.simulator.light.skin import (
+    BAND_CHANNELS,
+    CHANNELS,
+    SkinRanges,
+    SkinSettings,
+    WalkTable,
+)
+from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.surface import Surface
+
+BACKGROUND_MM = 10.0
+"""Distance of the background below the finger plane."""
+_DUST_ALBEDO = 0.3
+"""Largest albedo of a speck; they lie between a tenth of it and all of it."""
+_SHADED_ROWS = 0.25
+"""Fraction of the frame, from its last row, that the hand's shadow covers."""
+
+
+@dataclass(frozen=True, slots=True)
+class BackgroundSettings(Checked):
+    """The scene around the finger."""
+
+    albedo: Annotated[float, Limits(0.0, 1.0)] = 0.006
+    """Diffuse reflectance of the black background."""
+    gradient: Annotated[float, Limits(-1.0, 1.0)] = 0.0
+    """Relative change of the background's albedo from one edge of the frame to the other."""
+    dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
+    """Bright specks on the background."""
+    hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
+    """Share of the light that the hand takes away at the finger's base, 0 to 1."""
+    ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
+    """Room light: radiance of a white card relative to the same card under one LED."""
+
+
+def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
+    """(H, W) albedo of the background: even, with a gradient and specks of dust where the settings ask for them."""
+    height, width = camera.image_size
+    albedo = np.full((height, width), settings.albedo, dtype=np.float32)
+    if settings.gradient:
+        angle = 2.0 * np.pi * rng.random()
+        across = np.linspace(-0.5, 0.5, width)[None, :] * np.cos(angle)
+        along = np.linspace(-0.5, 0.5, height)[:, None] * np.sin(angle)
+        albedo *= np.maximum(1.0 + settings.gradient * (across + along), 0.0).astype(np.float32)
+    area_cm2 = height * width / (10.0 * camera.px_per_mm) ** 2
+    for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
+        _speck(albedo, camera.px_per_mm, _DUST_ALBEDO, rng)
+    return albedo
+
+
+def hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
+    """(H, 1) share of the light that reaches each row: the hand's shadow has a soft edge."""
+    height = camera.image_size[0]
+    below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
+    share = np.clip(below, 0.0, 1.0)
+    smooth = share * share * (3.0 - 2.0 * share)
+    return (1.0 - settings.hand_shadow * smooth).astype(np.float32)[:, None]
+
+
+def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng: np.random.Generator) -> None:
+    height, width = albedo.shape
+    row, column = rng.random() * height, rng.random() * width
+    long_px = px_per_mm * 0.02 * (0.4 / 0.02) ** rng.random()
+    short_px = long_px * (0.2 + 0.8 * rng.random())
+    angle = np.pi * rng.random()
+    value = brightest * (0.1 + 0.9 * rng.random())
+    reach = int(np.ceil(2.5 * long_px)) + 1
+    top, left = max(int(row) - reach, 0), max(int(column) - reach, 0)
+    bottom, right = min(int(row) + reach + 1, height), min(int(column) + reach + 1, width)
+    dy = np.arange(top, bottom)[:, None] - row
+    dx = np.arange(left, right)[None, :] - column
+    u = (dx * np.cos(angle) + dy * np.sin(angle)) / long_px
+    v = (dy * np.cos(angle) - dx * np.sin(angle)) / short_px
+    patch = albedo[top:bottom, left:right]
+    np.maximum(patch, value * np.exp(-0.5 * (u * u + v * v) ** 2), out=patch, casting="same_kind")
+
+
+@dataclass(frozen=True, slots=True)
+class TwinSettings(Checked):
+    """One simulated capture."""
+
+    scale: float = 0.5
+    """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is given."""
+    rig_seed: int | None = 0
+    """Seed of the LEDs' individual intensities; None makes them equal."""
+    intensity_spread: float = 0.1
+    """Standard deviation of the LEDs' intensities."""
+    skin: SkinSettings | SkinRanges = field(default_factory=SkinRanges)
+    """The skin itself, or the ranges from which each finger's is drawn."""
+    pose: Pose | PoseRanges = field(default_factory=PoseRanges)
+    """The pose itself, or the ranges from which each impression's is drawn."""
+    render: RenderSettings = field(default_factory=RenderSettings)
+    background: BackgroundSettings = field(default_factory=BackgroundSettings)
+    sensor: SensorSettings = field(default_factory=SensorSettings)
+    rig: Rig | None = None
+    """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
+    `scale`, `rig_seed` and `intensity_spread`."""
+    sensor_scale: Annotated[float | None, Limits(0.0, 1.0, above=True)] = None
+    """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
+    binned. None: as :func:`splitknit.simulator.camera.sensor.binning_scale` tells it of the camera."""
+    motion: HandMotion = field(default_factory=HandMotion)
+    """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""
+    mirrors: MirrorViews = field(default_factory=MirrorViews)
+    """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
+    condition: Condition = field(default_factory=Condition)
+    """State of the finger's skin: clean unless `condition.kind` says wet, dry, dusty, scarred or glossy."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(
+            not self.condition.active or (self.motion.amplitude_mm == 0 and not self.between_mirrors),
+            "a finger in some condition lies still and without mirrors in the twin; leave out motion and mirrors, or "
+            "condition.",
+        )
+        require(
+            self.motion.amplitude_mm == 0 or not self.between_mirrors,
+            "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
+        )
+
+    @property
+    def between_mirrors(self) -> bool:
+        """Whether the finger lies between mirrors."""
+        return bool(self.mirrors.names) or (self.rig is not None and bool(self.rig.mirrors))
+
+
+def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
+    """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and y, and its lens."""
+    truth: dict[str, NDArray[Any]] = {
+        "height_mm": surface.height_mm,
+        "shape_mm": surface.shape_mm,
+        "mask": surface.mask,
+        "normals": surface.normals,
+        "relief_um": surface.relief_um,
+        "pitch_mm": np.array(surface.camera.pitch_mm),
+    }
+    if surface.x_mm is not None and surface.y_mm is not None:
+        truth |= {"x_mm": surface.x_mm, "y_mm": surface.y_mm} | _flat("camera", asdict(surface.camera))
+    if surface.coat is not None:
+        truth |= surface.coat.truth()
+    return truth | _flat("landmark", surface.landmarks)
+
+
+def optics_truth(skin: SkinSettings) -> dict[str, NDArray[Any]]:
+    """Return the coefficients by channel, in the order red, green, blue, NIR, and the parameters they come from."""
+    media = [skin.channel(channel) for channel in CHANNELS]
+    truth: dict[str, NDArray[Any]] = {
+        "optics_channels": np.array(CHANNELS),
+        "optics_scattering_per_mm": np.array([m.scattering_per_mm for m in media]),
+        "optics_absorption_per_mm": np.array([m.absorption_per_mm for m in media]),
+        "optics_relief_gain_per_um": np.array([m.relief_gain_per_um for m in media]),
+    }
+    return truth | _flat("skin", asdict(skin))
+
+
+def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """One array for each entry; what is inside mappings and lists of arrays gets longer names."""
+    result: dict[str, NDArray[Any]] = {}
+    for key, value in values.items():
+        name = f"{prefix}_{key}"
+        if isinstance(value, Mapping):
+            result |= _flat(name, value)
+        elif isinstance(value, list):
+            result |= _flat(name, {str(k): one for k, one in enumerate(value)})
+        elif value is not None:
+            result[name] = np.asarray(value)
+    return result
+
+
+class Scene:
+    """One finger in front of the camera."""
+
+    def __init__(
+        self,
+        subject: tuple[Surface, Rig, SkinSettings],
+        settings: TwinSettings,
+        rng: np.random.Generator,
+        walks: WalkTable,
+    ) -> None:
+        """Lay the background, whose dust `rng` draws, and find how far each pixel is out of focus."""
+        surface, rig, skin = subject
+        self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
+        self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
+        self.shade = hand_shadow(rig.camera, settings.background)
+        self.scale = settings.sensor_scale or binning_scale(rig.camera)
+        self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
+        self.blur: FloatArray | None = None
+        if settings.render.aperture_mm > 0.0:
+            depth, top = finger_depth(surface)
+            self.blur = self.blur_by(depth, top)
+
+    def photograph(self, name: str, seed: np.random.SeedSequence) -> Taken:
+        """Photograph one band.
+
+        An LED of a colour is a narrow line: all pixels that see it see the skin at its wavelength, blurred as light of
+        this colour is; how strongly they see it is the camera's crosstalk. Glare and exposure are those of the middle
+        of the lens: what the images are divided by its fall-off.
+        """
+        numbers = [k for k, led in enumerate(self.rig.leds) if led.band == name]
+        leds = [self.rig.leds[k] for k in numbers]
+        light, groups = self.render(name, leds), exposures_of(leds)
+        exposure = np.float32(self.settings.sensor.exposure / self.brightest(light, groups, leds))
+        ambient = self.ambient(name, leds)
+        glare = np.zeros((len(leds), *self.rig.camera.image_size), dtype=np.float16)
+        seen_by = "coloured" if any(led.colour for led in leds) else name
+
+        def shoot(e: int, seed: np.random.SeedSequence) -> PixelArray:
+            for k in groups[e]:
+                glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
+            return self.record(self.exposed(light, groups[e], leds, ambient) * exposure, seen_by, seed)
+
+        named = [tuple(numbers[k] for k in group) for group in groups]
+        band = take_band(
+            (name, seen_by), named, self, shoot, ambient * exposure, seed=seed, workers=self.settings.render.workers
+        )
+        return band, glare, np.array(float(exposure))
+
+    def render(self, name: str, leds: Sequence[Led]) -> BandLight:
+        """Light of the finger under LEDs of one band."""
+        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+        return render_band(
+            self.surface, leds, optics, roughness=self.skin.roughness, glare=self.skin.glare, walks=self.walks,
+            settings=self.settings.render,
+        )  # fmt: skip
+
+    def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
+        """(H, W, 3) what the sensor's pixels see while the LEDs of a group are lit together, and the room's light.
+
+        Parameters
+        ----------
+        light : of every one of `leds`
+        group : which of them share the exposure
+        leds : white or coloured
+        ambient : (H, W, 3)
+        """
+        mixing = self._mixing
+        frame = ambient.copy()
+        for k in group:
+            lit = self.frame(light, k, white_card(self.rig.camera, leds[k], -BACKGROUND_MM))
+            if leds[k].colour:
+                c = COLOURS.index(leds[k].colour)
+                frame += lit[..., c : c + 1] * mixing[:, c].astype(np.float32)
+            else:
+                frame += lit
+        return frame
+
+    def brightest(self, light: BandLight, groups: Sequence[Sequence[int]], leds: Sequence[Led]) -> float:
+        """99.9th percentile of the diffuse light behind the lens, in the channel where it is highest.
+
+        White LEDs count together, coloured ones by the exposure.
+        """
+        fallen = None if self.fall_off is None else self.fall_off[light.window]
+        if not any(led.colour for led in leds):
+            return brightest(light.diffuse, fallen)
+        seen = 1.0 if fallen is None else fallen[::4, ::4]
+        found = []
+        for group in groups:
+            total = np.zeros((3, *light.diffuse[0, 0, ::4, ::4].shape))
+            for k in group:
+                sample = light.diffuse[k, :, ::4, ::4] * seen
+                if leds[k].colour:
+                    c = COLOURS.index(leds[k].colour)
+                    total += self._mixing[:, c, None, None] * sample[c]
+                else:
+                    total += sample
+            found += [float(np.percentile(channel[channel > 0], 99.9)) for channel in total]
+        return max(found)
+
+    @property
+    def _mixing(self) -> NDArray[np.float64]:
+        crosstalk = self.rig.camera.crosstalk
+        return np.eye(3) if crosstalk is None else np.asarray(crosstalk)
+
+    def frame(self, light: BandLight, k: int, card: FloatArray) -> FloatArray:
+        """(H, W, 3) radiance of the whole frame under light k."""
+        frame = np.repeat((card * self.albedo)[..., None], 3, axis=2)
+        window = frame[light.window]
+        for c in range(3):
+            diffuse = light.diffuse[k, min(c, light.diffuse.shape[1] - 1)]
+            window[..., c] += diffuse + light.glare[k]
+        frame *= self.shade[..., None]
+        return frame
+
+    def ambient(self, name: str, leds: Sequence[Led]) -> FloatArray:
+        """(H, W, 3) radiance of finger and background with all LEDs off."""
+        level = room_level(self.rig.camera, leds, self.settings.background.ambient)
+        frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
+        if level > 0.0:
+            optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
+            skin = render_ambient(
+                self.surface, level, optics, roughness=self.skin.roughness, walks=self.walks,
+                settings=self.settings.render,
+            )  # fmt: skip
+            window = frame[finger_window(self.surface)]
+            for c in range(3):
+                window[..., c] += skin[min(c, skin.shape[0] - 1)]
+        return np.asarray(frame, dtype=np.float32)
+
+    def blur_by(self, depth: FloatArray, top_mm: float) -> FloatArray:
+        """(H, W) defocus in pixels (standard deviation) of what lies at z = `depth`; `top_mm` is the finger's."""
+        camera, render = self.rig.camera, self.settings.render
+        focus = top_mm - render.focus_depth_mm
+        return blur_sigma_px(depth, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
+
+    def through_lens(self, frame: FloatArray) -> FloatArray:
+        """(H, W, 3) the radiance (H, W, 3) as defocus and fall-off of the lens leave it."""
+        if self.blur is not None:
+            frame = defocus(frame, self.blur)
+        return frame if self.fall_off is None else frame * self.fall_off[..., None]
+
+    def record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
+        """(H, W, 3) what the sensor stores of the radiance (H, W, 3) times the exposure."""
+        return record(self.through_lens(frame), name, seed, self.settings.sensor, self.scale)
+
+
+def room_level(camera: Camera, leds: Sequence[Led], share: float) -> float:
+    """Radiance of a white card under the room's light: `share` of that under one LED (mean of all)."""
+    return share * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
+
+
+Taken = tuple[Band, NDArray[np.float16], NDArray[Any]]
+"""Images of one band, the glare (L, H, W) of each of its LEDs in the images' units, and the exposure (one number)."""
+
+
+def take_band(
+    name: tuple[str, str],
+    groups: Sequence[tuple[int, ...]],
+    scene: Scene,
+    shoot: Callable[[int, np.random.SeedSequence], PixelArray],
+    dark: FloatArray,
+    *,
+    seed: np.random.SeedSequence,
+    workers: int = 1,
+) -> Band:
+    """Take the images of one band and its ambient frame.
+
+    Parameters
+    ----------
+    name : of the band, and of how the sensor responds (:data:`splitknit.simulator.camera.sensor.RESPONSE`)
+    groups : the rig's LEDs of every exposure
+    scene : gives the rig, and records the ambient frame
+    shoot : takes the image of an exposure with a seed of its noise
+    dark : (H, W, 3) light with all LEDs off
+    """
+    band, seen_by = name
+    rig, seeds = scene.rig, seed.spawn(len(groups) + 1)
+    with ThreadPoolExecutor(workers) as pool:
+        images = list(pool.map(shoot, range(len(groups)), seeds[:-1]))
+    colours = rig.colours_of(groups) if seen_by == "coloured" else ()
+    return Band(
+        name=band,
+        pixels=np.stack(images),  # type: ignore[arg-type]
+        leds=tuple(groups),
+        exposure=np.ones(len(groups)),
+        black_level=np.zeros(len(groups)),
+        ambient=scene.record(dark, seen_by, seeds[-1]),
+        shading=rig.camera.shading,
+        colours=colours,
+        crosstalk=rig.camera.crosstalk if colours else None,
+    )
+
+
+def take_capture(
+    rig: Rig,
+    skin: SkinSettings,
+    settings: TwinSettings,
+    photograph: Callable[[str, np.random.SeedSequence], Taken],
+    *,
+    seed: np.random.SeedSequence,
+    truth: dict[str, NDArray[Any]],
+) -> Capture:
+    """Photograph every band of a rig; glare, exposures, optics and LEDs are added to `truth`."""
+    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
+    bands = {}
+    for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
+        bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = photograph(name, band_seed)
+    truth |= optics_truth(skin)
+    truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
+    return Capture(
+        rig=rig, bands=bands, encoding=settings.sensor.encoding, material="skin", subject={"id": "anonymous"}
+    )
+
+
+def finger_depth(surface: Surface) -> tuple[FloatArray, float]:
+    """(H, W) z of the finger's shape in mm, and that of its highest point.
+
+    Beyond the outline that of the outline goes on: the dark background shows no blur of its own.
+    """
+    mask = surface.mask
+    z = np.where(mask, surface.shape_mm, 0).astype(np.float32)
+    weight, size = mask.astype(np.float32), 0.5 * surface.camera.px_per_mm
+    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
+    return np.where(mask, z, near).astype(np.float32), float(z[mask].max())
+
+
+def brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
+    """99.9th percentile of the diffuse light behind the lens over all lights, in the channel where it is highest."""
+    sample = diffuse[:, :, ::4, ::4]
+    if fall_off is not None:
+        sample = sample * fall_off[::4, ::4]
+    values = [np.percentile(sample[:, c][sample[:, c] > 0], 99.9) for c in range(sample.shape[1])]
+    return float(max(values))
+
+
+def exposures_of(leds: Sequence[Led]) -> list[tuple[int, ...]]:
+    """Which of `leds` share an exposure: the k-th of each colour; a white one has its own."""
+    groups: dict[int, list[int]] = {}
+    seen = dict.fromkeys(COLOURS, 0)
+    alone = []
+    for k, led in enumerate(leds):
+        if led.colour:
+            groups.setdefault(seen[led.colour], []).append(k)
+            seen[led.colour] += 1
+        else:
+            alone.append((k,))
+    return [*(tuple(group) for group in groups.values()), *alone]
