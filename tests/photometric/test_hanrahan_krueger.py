@@ -13,7 +13,7 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.photometric import (
     HanrahanKruegerSettings,
     LevenbergSettings,
-    chunks,
+    equations,
     hanrahan_krueger,
     hanrahan_krueger_near,
     lambertian,
@@ -108,7 +108,7 @@ def test_bytes_do_not_depend_on_threads_or_chunks(monkeypatch):
         return [a.tobytes() for a in (normals, albedo, fit.share, fit.depth, fit.misfit, fit.iterations)]
 
     first = content()
-    monkeypatch.setattr(chunks.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(equations.os, "cpu_count", lambda: 1)
     assert content() == first
     monkeypatch.setattr(equations, "_pixels_per_chunk", lambda lights: 300)
     assert content() == first

@@ -8,7 +8,7 @@ from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, sh
 
 from splitknit.errors import BadInput
 from splitknit.skin import MetricSettings, SkinSettings, diffusion, reconstruct_skin
-from splitknit.skin import coarse as shape_module
+from splitknit.skin import surface as shape_module
 from splitknit.skin.coarse import compare
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import fine_lighting

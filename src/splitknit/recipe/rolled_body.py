@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.imaging.view import pixels_of
 from splitknit.mirrors import MirrorShape, MirrorShapeSettings, Slopes, Views, mirror_outline
-from splitknit.mirrors.body import Body
+from splitknit.mirrors.body import Body, Fit, Pose, SeenIn
 from splitknit.mirrors.fit import fit_body, refuse_misfit
 from splitknit.mirrors.mirror import TURN_DEG, cap, first_body, turn_of_tips
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
 from splitknit.mirrors.rolled import Chart
 from splitknit.mirrors.settings import ROW_MM
-from splitknit.mirrors.state import Fit, Pose, SeenIn
 from splitknit.model import BoolArray, Camera, Mirror
 
 Array = NDArray[np.float64]
