@@ -62,5 +62,5 @@ def test_bad_settings_are_one_sentence(twin_folder: Path, tmp_path: Path, capsys
     said = capsys.readouterr()
     assert said.out == ""
     assert len(said.err.strip().splitlines()) == 1
-    assert "hanrahan_krueger.base_reflectance must lie between 0.01 and 1" in said.err
+    assert "hanrahan_krueger.base_reflectance must be from 0.01 to 1" in said.err
     assert not (tmp_path / "out").exists()

@@ -303,7 +303,7 @@ def test_cases_and_matchers_that_cannot_be(people: Path) -> None:
         BatchSettings(cases=(Case("a", "ea"), Case("a", "pr")))
     with pytest.raises(BadInput, match="no matcher 'eyes'"):
         BatchSettings(matchers=("eyes",))
-    with pytest.raises(BadInput, match="share of impostors"):
+    with pytest.raises(BadInput, match="impostors must be from 0 to 1"):
         BatchSettings(impostors=1.5)
 
 

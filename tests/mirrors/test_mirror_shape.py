@@ -10,9 +10,9 @@ import pytest
 from mirrored import Scene, scene, turned
 
 from splitknit.errors import BadInput
+from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.mirrors.state import Slopes
 from splitknit.mirrors.views import Views
 from splitknit.simulator.finger.finger import Pose
 

@@ -7,7 +7,7 @@ import pytest
 from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, shape_rms
 
 from splitknit.errors import BadInput
-from splitknit.skin import coarse as shape_module
+from splitknit.skin import surface as shape_module
 from splitknit.skin.coarse import compare
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen

@@ -94,7 +94,7 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.evaluation import comparisons, scores_of_comparisons
+    >>> from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
     >>> finger, session = np.tile(np.arange(12), 2), np.repeat([1, 2], 12)
     >>> pairs, rng = comparisons(finger, session), np.random.default_rng(0)
     >>> noisy = [pairs.genuine + rng.normal(0, 0.4, pairs.a.size) for _ in range(2)]

@@ -19,7 +19,7 @@ from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude, pair_up
 from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_subjects
-from splitknit.io.provenance import plain_json
+from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores
 from splitknit.model import Progress, no_progress
 from splitknit.settings import Checked
@@ -198,14 +198,12 @@ def _facts(
 ) -> dict[str, Any]:
     import datetime  # noqa: PLC0415
 
-    import splitknit  # noqa: PLC0415 - the version, without an import cycle
-
     systems = {result.scores.name: system_facts(result, settings.bootstrap) for result in results}
     first = results[0]
     return {
         "format": FORMAT,
         "version": 1,
-        "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
+        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "system": first.scores.name,
         "eer": systems[first.scores.name]["eer"],

@@ -160,7 +160,6 @@ def frankot_chellappa(gradient_x: Any, gradient_y: Any, mask: Any = None, paddin
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.integration import frankot_chellappa
     >>> x = np.arange(64)
     >>> slope = np.tile(np.cos(2 * np.pi * x / 32), (64, 1))
     >>> height = frankot_chellappa(slope, np.zeros_like(slope))

@@ -359,7 +359,6 @@ def poisson(
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.integration import poisson
     >>> rows, columns = np.mgrid[0:40, 0:60]
     >>> inside = np.hypot(rows - 20, columns - 30) < 18
     >>> height = poisson(np.full((40, 60), 0.5), np.full((40, 60), -0.25), inside)

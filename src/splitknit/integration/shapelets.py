@@ -126,7 +126,6 @@ def shapelets(
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.integration import ShapeletSettings, shapelet_response, shapelets
     >>> x = np.arange(256)
     >>> omega = 2 * np.pi * 16 / 256
     >>> slope = np.tile(-omega * np.sin(omega * (x + 0.5)), (64, 1))  # of cos(omega x)

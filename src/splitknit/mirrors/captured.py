@@ -19,12 +19,12 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
 from splitknit.integration.rays import unevenness
+from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
 from splitknit.mirrors.rolled.reflection import facing_share, led_image, mirrored_share
 from splitknit.mirrors.rolled.view_lights import Glass, glass_in
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.mirrors.state import Slopes
 from splitknit.mirrors.views import Views, find_views, view_binning
 from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
 from splitknit.photometric.near_light import pseudo_normals

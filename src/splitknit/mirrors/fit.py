@@ -15,10 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.mirrors.body import Body, basis
+from splitknit.mirrors.body import (
+    LIMITS,
+    Body,
+    Fit,
+    Pose,
+    SeenIn,
+    Slopes,
+    State,
+    all_misfits,
+    all_planes,
+    basis,
+    convex,
+    misfit_of,
+)
 from splitknit.mirrors.planes import Touching
 from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, MirrorShapeSettings
-from splitknit.mirrors.state import LIMITS, Fit, Pose, SeenIn, Slopes, State, all_misfits, all_planes, convex, misfit_of
 
 # Mirrors beyond the tip: they show the form of the largest sections.
 

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.imaging.view import pixels_of, view_of
-from splitknit.mirrors.body import Body, heights_on, nearest
+from splitknit.mirrors.body import Body, Fit, Pose, SeenIn, Slopes, heights_on, nearest, touched
 from splitknit.mirrors.fit import facts_of, fit_body, refuse_misfit
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, medial_line, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
 from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
-from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes, touched
 from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 

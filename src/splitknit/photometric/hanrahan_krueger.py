@@ -84,7 +84,6 @@ def hanrahan_krueger(
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.photometric import hanrahan_krueger
     >>> lights = np.array([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [0.0, 0.0, 1.0]])
     >>> stack = np.tile((0.5 * lights @ [0.0, 0.0, 1.0])[:, None, None], (1, 2, 2))
     >>> normals, albedo, fit = hanrahan_krueger(stack, lights)

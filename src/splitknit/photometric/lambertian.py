@@ -47,7 +47,6 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
     Examples
     --------
     >>> import numpy as np
-    >>> from splitknit.photometric import lambertian
     >>> lights = np.array([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [0.0, 0.0, 1.0]])
     >>> stack = np.tile((0.5 * lights @ [0.0, 0.0, 1.0])[:, None, None], (1, 2, 2))
     >>> normals, albedo = lambertian(stack, lights)

@@ -64,7 +64,7 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 
     Examples
     --------
-    >>> from splitknit.simulator.rig import default_rig
+    >>> from splitknit.model import default_rig
     >>> shadow_tips(default_rig(), 14.0)[0].round(2).tolist()  # the LED on the right throws it to the left
     [-5.83, 0.0]
     """

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.imaging.areas import mirror_outline
 from splitknit.imaging.view import pixels_of
-from splitknit.mirrors.body import Body
+from splitknit.mirrors.body import Body, Fit, Pose, SeenIn, Slopes
 from splitknit.mirrors.fit import fit_body, refuse_misfit
 from splitknit.mirrors.mirror import TURN_DEG, MirrorShape, cap, first_body, turn_of_tips
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
 from splitknit.mirrors.rolled.chart import Chart
 from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
-from splitknit.mirrors.state import Fit, Pose, SeenIn, Slopes
 from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, Camera, Mirror
 
