@@ -15,7 +15,7 @@ from test_contract_pi import PINS, mock_pins
 
 from splitknit.apps import capture_verb
 from splitknit.apps.cli import main
-from splitknit.capture import pi_camera, pi_lights
+from splitknit.capture import pi
 from splitknit.capture.enrolment import Place
 from splitknit.capture.exposure import Focus, FocusWatch
 from splitknit.io import read_capture, write_rig
@@ -52,8 +52,8 @@ def rig_of_pi(monkeypatch, finger, tmp_path):
     monkeypatch.setattr(SceneCamera, "world", world)
     monkeypatch.setattr(SceneCamera, "scene", finger)
     monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=SceneCamera))
-    monkeypatch.setattr(pi_camera.time, "clock_gettime_ns", lambda clock: world.now_ns)
-    monkeypatch.setattr(pi_lights.PiLightBank, "_wait", lambda self, seconds: world.sleep(seconds))
+    monkeypatch.setattr(pi.time, "clock_gettime_ns", lambda clock: world.now_ns)
+    monkeypatch.setattr(pi.PiLightBank, "_wait", lambda self, seconds: world.sleep(seconds))
     mock_pins()
     write_rig(default_rig(0.1, 0), tmp_path / "rig.json")
     yield ["capture", "--device", "pi", "--rig", str(tmp_path / "rig.json"), *CAMERA], world

@@ -2,11 +2,10 @@
 
 from splitknit.calibration.camera import CameraCalibration, CameraSettings, calibrate_camera
 from splitknit.calibration.plane import PlanePose, plane_pose
-from splitknit.calibration.targets import Board, BoardSettings, find_board, find_disc, size_in_view
+from splitknit.calibration.targets import Board, find_board, find_disc, size_in_view
 
 __all__ = [
     "Board",
-    "BoardSettings",
     "CameraCalibration",
     "CameraSettings",
     "PlanePose",

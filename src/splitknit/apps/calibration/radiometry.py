@@ -30,7 +30,6 @@ from splitknit.calibration.sensor import (
     Dark,
     NoiseModel,
     Response,
-    ResponseSettings,
     dark_frames,
     fit_response,
     noise_model,
@@ -279,9 +278,11 @@ def measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float 
             rows.append(_patches(frame))
             samples += _noise(frame, dark)
         values, even = (np.stack([row[part] for row in rows]) for part in (0, 1))
-        chosen = ResponseSettings(limit_percent=limit_percent)
         response = fit_response(
-            _even_patches(values, even), [one.exposure for one in plan.exposures], chosen, name=str(plan.document)
+            _even_patches(values, even),
+            [one.exposure for one in plan.exposures],
+            limit_percent,
+            name=str(plan.document),
         )
         require(
             response.encoding == capture.encoding,

@@ -20,7 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from splitknit.calibration.sensor import ResponseSettings
+from splitknit.calibration.sensor import MIN_EXPOSURES
 from splitknit.errors import require
 from splitknit.io.fields import Fields, inside, read_json
 
@@ -75,10 +75,9 @@ def read_radiometry_plan(folder: Path) -> RadiometryPlan:
             entry = Fields(item, str(file), f"exposures[{k}]")
             time = entry.number("exposure_s", 1e-9, 1e6) * entry.number("gain", 1e-6, 1e6, 1.0)
             exposures.append(Exposure(inside(folder, entry.get("file"), str(file), entry.path("file")), time))
-        least = ResponseSettings().least_exposures
         require(
-            len(exposures) >= least,
-            f"{file}: exposures names {len(exposures)} images, but at least {least} of different exposure are needed.",
+            len(exposures) >= MIN_EXPOSURES,
+            f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed.",
         )
     files = [*dark, *(one.file for one in exposures)]
     for k, path in enumerate(files):
