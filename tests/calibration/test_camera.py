@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from camera_views import BOARD, MATRIX, SIZE, seen, turned, views
 
-from splitknit.calibration.camera import CameraSettings, LensSettings, calibrate_camera, fit_lens
+from splitknit.calibration.camera import CameraSettings, calibrate_camera, fit_lens
 from splitknit.errors import BadInput
 
 
@@ -126,7 +126,7 @@ def test_little_tilt_is_warned_about():
 
 
 def test_what_cannot_be_told_of_the_principal_point_is_said():
-    settings = CameraSettings(lens=LensSettings(principal_limit=1e-4))
+    settings = CameraSettings(principal_limit=1e-4)
     found = calibrate_camera(views(0), BOARD, SIZE, settings=settings)
     assert found.lens.matrix[:2, 2].tolist() == [399.5, 274.5]
     assert "principal point" in found.lens.fixed

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from camera_views import MATRIX, seen, turned
 
-from splitknit.calibration.targets import Board, BoardSettings, find_board, size_in_view
+from splitknit.calibration.targets import Board, find_board, size_in_view
 from splitknit.errors import BadInput
 
 SIZE = (400, 560)
@@ -88,7 +88,7 @@ def test_large_pictures_are_searched_small_and_measured_large():
     board = Board(9, 6, 3.0)
     image, truth = picture(board)
     large = cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
-    found = find_board(large, board, BoardSettings(search_px=560))
+    found = find_board(large, board, search_px=560)
     assert error(found, (truth + 0.5) * 3 - 0.5) < 0.15
 
 

@@ -198,8 +198,8 @@ def test_what_is_no_stack_of_cards_is_refused(rig):
         fit_flat_field(placed.camera, distant, pixels, light)
     with pytest.raises(BadInput, match="below the camera"):
         card_light(rig.camera, rig.leds[0], pixels, CardPlane(200.0))
-    with pytest.raises(BadInput, match="robust_percent"):
-        FlatFieldSettings(robust_percent=0)
+    with pytest.raises(BadInput, match=r"flat_field\.dust_percent"):
+        FlatFieldSettings(dust_percent=0)
 
 
 def test_a_fit_of_what_it_is_does_not_move(rig):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.sensor import ResponseSettings, fit_response
+from splitknit.calibration.sensor import fit_response
 from splitknit.errors import BadInput
 from splitknit.simulator.camera.sensor import SensorSettings, record
 
@@ -46,7 +46,7 @@ def test_an_srgb_camera():
 @pytest.mark.parametrize("bend", [0.0, 0.01, 0.02, 0.04])
 def test_the_departure_is_measured(bend):
     """v = L + b 4 L (1 - L), as a well that fills: a parabola departs from its best line by a third to two thirds."""
-    found = fit_response(noisy(TRUE + bend * 4 * TRUE * (1 - TRUE), 0.0005), TIMES, ResponseSettings(limit_percent=5))
+    found = fit_response(noisy(TRUE + bend * 4 * TRUE * (1 - TRUE), 0.0005), TIMES, limit_percent=5)
     assert found.linear_percent == pytest.approx(100 * bend * 0.6, abs=0.15 + 20 * bend)
     if bend:
         assert found.linear_percent > 100 * bend * 0.35

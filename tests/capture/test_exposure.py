@@ -85,9 +85,7 @@ def test_a_pixel_is_clipped_if_two_channels_are():
     assert clipped_share(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"target": 0.0}, {"target": 0.99}, {"percentile": 10}, {"longest_s": 0}, {"steps": 1}]
-)
+@pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])
 def test_settings_are_checked(wrong):
     with pytest.raises(BadInput, match="exposure"):
         ExposureSettings(**wrong)

@@ -74,7 +74,7 @@ def test_grey_light_is_the_mean_above_black():
     np.testing.assert_allclose(grey_light(np.full((2, 2, 1), 65535, dtype=np.uint16)), 1.0)
 
 
-@pytest.mark.parametrize("wrong", [{"detail_mm": 0.0}, {"patience": 0}, {"rise": 1.0}])
+@pytest.mark.parametrize("wrong", [{"most": 0}, {"patience": 0}, {"rise": 1.0}])
 def test_settings_are_checked(wrong):
     with pytest.raises(BadInput, match="focus"):
         FocusSettings(**wrong)

@@ -14,7 +14,16 @@ from fake_picamera2 import FakePicamera2, World, tuning
 from gpiozero.pins.mock import MockFactory
 from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
-from splitknit.capture.pi import PiCamera, PiCameraSettings, developed, linear_tuning, open_camera, open_lights, open_pi
+from splitknit.capture.pi import (
+    _WHITE_GAINS,
+    PiCamera,
+    PiCameraSettings,
+    developed,
+    linear_tuning,
+    open_camera,
+    open_lights,
+    open_pi,
+)
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 
@@ -53,7 +62,7 @@ def test_the_picture_is_the_middle_of_the_sensor_one_to_one_and_nothing_is_autom
         assert controls["FrameDurationLimits"] == (47_700, 47_700)
         camera.lock(0.1, 1.0, "white")
         assert made.asked[-1][1]["FrameDurationLimits"] == (101_000, 101_000)
-        assert made.asked[-1][1]["ColourGains"] == PiCameraSettings().white_gains
+        assert made.asked[-1][1]["ColourGains"] == _WHITE_GAINS
     assert made.calls == ["start", "stop", "close"]
 
 

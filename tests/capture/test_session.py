@@ -238,7 +238,7 @@ def test_a_rig_that_does_not_fit_is_refused(finger):
     assert list(check_fit(camera, lights, white)) == ["white"]
 
 
-@pytest.mark.parametrize("wrong", [{"saturated_share": 0.0}, {"moved_mm": -1.0}, {"retries": -1}, {"least_light": 2.0}])
+@pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])
 def test_settings_are_checked(wrong):
     with pytest.raises(BadInput, match="checks"):
         CheckSettings(**wrong)

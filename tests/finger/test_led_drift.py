@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.finger.led_drift import DriftSettings, drift_words, led_drift
+from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import light_field
 from splitknit.model import Rig, default_rig
@@ -167,5 +167,3 @@ def test_bad_input_is_refused(dome):
         led_drift(0 * stack, dome.lights)
     with pytest.raises(BadInput, match="normals"):
         led_drift(stack, dome.lights, None, np.zeros((3, 3, 3)))
-    with pytest.raises(BadInput, match="most_pixels"):
-        DriftSettings(most_pixels=1)

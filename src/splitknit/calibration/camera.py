@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.targets import Board
 from splitknit.errors import BadInput, require
+from splitknit.settings import Checked, Limits
 
 # --- Zhang's fit, with as many terms of distortion as the views determine ---------------------------------------------
 
@@ -27,22 +28,10 @@ _LONGEST = 40.0
 """Focal lengths above this many image sides are the sign of a fit that ran away."""
 
 
-@dataclass(frozen=True, slots=True)
-class LensSettings:
-    """What a term must be to be kept."""
-
-    significance: float = 4.0
-    """A term is kept where it differs from nothing by more than this many standard deviations."""
-    principal_limit: float = 0.05
-    """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
-    longer side."""
-
-    gross_aspect: float = 0.015
-    """A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
-
-    def __post_init__(self) -> None:
-        require(self.significance > 0, "LensSettings: significance must be positive.")
-        require(self.principal_limit > 0, "LensSettings: principal_limit must be positive.")
+_SIGNIFICANCE = 4.0
+"""A term is kept where it differs from nothing by more than this many standard deviations."""
+_GROSS_ASPECT = 0.015
+"""A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +65,12 @@ class _Views:
 
 
 def fit_lens(
-    board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int], settings: LensSettings | None = None
+    board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int], principal_limit: float = 0.05
 ) -> LensFit:
     """Fit matrix and distortion; each term only where the views tell it from nothing.
 
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
-    its value differs from zero by more than `settings.significance` of the standard deviations that the fit itself
+    its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself
     gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
     cannot be told. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
     the Jacobian promises more than those show, theirs is taken.
@@ -91,7 +80,7 @@ def fit_lens(
     board_mm : (N, 2) the board's corners in its plane
     corner_sets : V arrays (N, 2), column and row of the corners in each view
     image_size : rows, columns
-    settings : LensSettings
+    principal_limit : see :class:`CameraSettings`
 
     Raises
     ------
@@ -103,7 +92,6 @@ def fit_lens(
     Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms of the distortion as in
     OpenCV's ``calibrateCameraExtended``, whose standard deviations come from the Jacobian at the solution.
     """
-    settings = settings or LensSettings()
     board = np.asarray(board_mm, dtype=np.float64)
     flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
     corners = [np.asarray(one, dtype=np.float32).reshape(-1, 1, 2) for one in corner_sets]
@@ -111,7 +99,7 @@ def fit_lens(
     kept: tuple[str, ...] = ("cx", "cy")
     fixed: dict[str, str] = {}
     best = _fit(views, kept)
-    if max(best.deviations["cx"], best.deviations["cy"]) > settings.principal_limit * max(image_size):
+    if max(best.deviations["cx"], best.deviations["cy"]) > principal_limit * max(image_size):
         words = "{0:.0f} px of standard deviation are too much; it was held in the middle of the image"
         fixed["principal point"] = words.format(max(best.deviations["cx"], best.deviations["cy"]))
         kept = ()
@@ -133,8 +121,8 @@ def fit_lens(
         }
         deviations = {**trial.deviations, "aspect": _aspect_deviation(values["aspect"], best, trial, views)}
         ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
-        gross = step != ("aspect",) or abs(values["aspect"]) > settings.gross_aspect or "k1" in fixed or "k1" in kept
-        if ratio > settings.significance and gross:
+        gross = step != ("aspect",) or abs(values["aspect"]) > _GROSS_ASPECT or "k1" in fixed or "k1" in kept
+        if ratio > _SIGNIFICANCE and gross:
             kept, best = kept + step, trial
             fixed.pop(_called(step), None)
         elif step == ("aspect",):
@@ -252,36 +240,33 @@ def _undetermined(why: str) -> str:
 # --- calibration ------------------------------------------------------------------------------------------------------
 
 
+_MIN_VIEWS = 5
+"""Views that must remain."""
+_OUTLIER_SPREAD = 5.0
+"""A view is rejected if its error exceeds the median by this many times the robust spread of all errors."""
+_SAME_PX = 0.3
+"""Views whose corners differ by less than this (rms) are one view, photographed twice."""
+_MAX_FOCAL_ERROR = 0.01
+"""Relative standard deviation of the focal length from which views are refused."""
+_FOCAL_WARNED = 0.003
+"""The same, from which there is a warning."""
+_MAX_ASPECT = 0.02
+"""Difference of fx / fy from one that is refused: sensors have square pixels."""
+_MIN_VARIETY_DEG = 10.0
+"""Views should hold boards whose normals differ by more than this."""
+_MIN_COVERAGE = 0.5
+"""Part of the picture that the corners of all views together should span."""
+
+
 @dataclass(frozen=True, slots=True)
-class CameraSettings:
+class CameraSettings(Checked):
     """What views must be like."""
 
-    least_views: int = 5
-    """Views that must remain."""
-    outlier_spread: float = 5.0
-    """A view is rejected if its error exceeds the median by this many times the robust spread of all errors ..."""
-    outlier_ratio: float = 1.6
-    """... and by this factor."""
-    same_px: float = 0.3
-    """Views whose corners differ by less than this (rms) are one view, photographed twice."""
-    focal_refused: float = 0.01
-    """Relative standard deviation of the focal length from which views are refused."""
-    focal_warned: float = 0.003
-    """The same, from which there is a warning."""
-    aspect_refused: float = 0.02
-    """Difference of fx / fy from one that is refused: sensors have square pixels."""
-    tilt_deg: float = 10.0
-    """Views should hold boards whose normals differ by more than this."""
-    coverage: float = 0.5
-    """Part of the picture that the corners of all views together should span."""
-    lens: LensSettings = field(default_factory=LensSettings)
-
-    def __post_init__(self) -> None:
-        require(self.least_views >= 3, "CameraSettings: least_views must be at least 3.")
-        require(self.outlier_spread > 0 and self.outlier_ratio >= 1, "CameraSettings: the outlier rule is too narrow.")
-        require(
-            0 < self.focal_warned <= self.focal_refused, "CameraSettings: focal_warned must not exceed the refusal."
-        )
+    outlier_ratio: Annotated[float, Limits(1)] = 1.6
+    """A view is rejected if its error exceeds the median by this factor, and by five times the robust spread."""
+    principal_limit: Annotated[float, Limits(0, above=True)] = 0.05
+    """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
+    longer side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,22 +333,22 @@ def calibrate_camera(
     views = [_checked(one, board) for one in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]
     require(len(names) == len(views), f"{len(names)} names for {len(views)} views.")
-    kept, repeated = _without_repeats(views, names, settings.same_px)
-    _require_enough(len(kept), len(views), settings, f" ({len(repeated)} of them twice)" if repeated else "")
+    kept, repeated = _without_repeats(views, names, _SAME_PX)
+    _require_enough(len(kept), len(views), f" ({len(repeated)} of them twice)" if repeated else "")
     rejected: dict[str, float] = {}
     while True:
-        lens = fit_lens(board.points_mm, [views[k] for k in kept], image_size, settings.lens)
+        lens = fit_lens(board.points_mm, [views[k] for k in kept], image_size, settings.principal_limit)
         worst = _outlier(lens.view_rms_px, settings)
         if worst is None:
             break
         rejected[names[kept[worst]]] = float(lens.view_rms_px[worst])
         del kept[worst]
         shown = ", ".join(f"{name} ({error:.2f} px)" for name, error in rejected.items())
-        _require_enough(len(kept), len(views), settings, f" (the error of {shown} is far above the others')")
+        _require_enough(len(kept), len(views), f" (the error of {shown} is far above the others')")
     tilts = np.degrees(np.arccos(np.clip(-lens.normals[:, 2], -1, 1)))
     variety = float(np.degrees(np.arccos(np.clip(lens.normals @ lens.normals.T, -1, 1)).max()))
     coverage = _coverage(np.concatenate([views[k] for k in kept]), image_size)
-    warnings = _judged(lens, tilts, variety, coverage, settings)
+    warnings = _judged(lens, tilts, variety, coverage)
     used = tuple(names[k] for k in kept)
     return CameraCalibration(lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings)
 
@@ -397,10 +382,10 @@ def _orders(view: Points) -> tuple[Points, Points]:
     return view, view[::-1]
 
 
-def _require_enough(count: int, given: int, settings: CameraSettings, why: str) -> None:
+def _require_enough(count: int, given: int, why: str) -> None:
     require(
-        count >= settings.least_views,
-        f"only {count} of {given} photographs of the board can be used{why}, but {settings.least_views} are needed "
+        count >= _MIN_VIEWS,
+        f"only {count} of {given} photographs of the board can be used{why}, but {_MIN_VIEWS} are needed "
         "and 15 are advised; take more, the board tilted differently in each.",
     )
 
@@ -410,7 +395,7 @@ def _outlier(errors: NDArray[np.float64], settings: CameraSettings) -> int | Non
     worst = int(np.argmax(errors))
     middle = float(np.median(errors))
     spread = 1.4826 * float(np.median(np.abs(errors - middle)))
-    limit = max(middle + settings.outlier_spread * spread, settings.outlier_ratio * middle)
+    limit = max(middle + _OUTLIER_SPREAD * spread, settings.outlier_ratio * middle)
     return worst if errors[worst] > limit else None
 
 
@@ -425,21 +410,19 @@ def _coverage(corners: Points, image_size: tuple[int, int]) -> float:
     return float(across.mean())
 
 
-def _judged(
-    lens: LensFit, tilts: NDArray[np.float64], variety: float, coverage: float, settings: CameraSettings
-) -> tuple[str, ...]:
+def _judged(lens: LensFit, tilts: NDArray[np.float64], variety: float, coverage: float) -> tuple[str, ...]:
     """Warnings, or the refusal of views that tell too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
-        abs(ratio - 1) < settings.aspect_refused,
+        abs(ratio - 1) < _MAX_ASPECT,
         f"the pixels come out as no squares (fx / fy = {ratio:.3f}): the photographs were stretched, or the printed "
         "squares are none; measure the print along both sides, and use the camera's own images.",
     )
     relative = lens.deviations["fx"] / lens.matrix[0, 0]
     tilted = f"the boards' tilts are {tilts.min():.0f} to {tilts.max():.0f} deg, {variety:.0f} deg apart at most"
     remedy = "tilt the board by 20 to 40 deg to several sides"
-    if relative > settings.focal_refused:
-        if variety < settings.tilt_deg:
+    if relative > _MAX_FOCAL_ERROR:
+        if variety < _MIN_VARIETY_DEG:
             raise BadInput(
                 f"the boards all lie nearly parallel ({tilted}), and then focal length and distance cannot be told "
                 f"apart (the focal length is uncertain by {100 * relative:.1f} %); {remedy}."
@@ -449,13 +432,13 @@ def _judged(
             f"their places by {lens.rms_px:.2f} px); {remedy}, let it fill the picture, and hold it still."
         )
     warnings = []
-    if relative > settings.focal_warned:
+    if relative > _FOCAL_WARNED:
         warnings.append(f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}.")
-    elif variety < settings.tilt_deg:
+    elif variety < _MIN_VARIETY_DEG:
         warnings.append(f"the boards lie nearly parallel ({tilted}); {remedy}.")
     if "principal point" in lens.fixed:
         warnings.append(f"the principal point is not determined ({lens.fixed['principal point']}).")
-    if coverage < settings.coverage:
+    if coverage < _MIN_COVERAGE:
         warnings.append(
             f"the boards cover {100 * coverage:.0f} % of the picture; outside them the distortion is a guess: "
             "let the board reach into every corner."

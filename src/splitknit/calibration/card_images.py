@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,18 +15,10 @@ from splitknit.model import Band, Capture, FloatArray, Led, Rig
 # Images in a few hundred numbers: robust means over cells, which dust and noise hardly touch.
 
 
-@dataclass(frozen=True, slots=True)
-class CellSettings:
-    """How an image is condensed."""
-
-    across: int = 40
-    """Cells along the image's longer side."""
-    inner: int = 5
-    """A cell's brightness is the median of the means of this many blocks a side."""
-
-    def __post_init__(self) -> None:
-        require(4 <= self.across <= 400, f"cells.across must be 4 to 400, but it is {self.across}.")
-        require(1 <= self.inner <= 20, f"cells.inner must be 1 to 20, but it is {self.inner}.")
+_ACROSS = 40
+"""Cells along the image's longer side."""
+_INNER = 5
+"""A cell's brightness is the median of the means of this many blocks a side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,14 +33,14 @@ class Cells:
     """Rows and columns of cells; N is their product."""
 
 
-def cells_of(band: Band, encoding: str, settings: CellSettings | None = None) -> Cells:
+def cells_of(band: Band, encoding: str, across: int = _ACROSS) -> Cells:
     """Linear grey light of a band in cells: black level and ambient light removed, the lens's fall-off left in.
 
     Parameters
     ----------
     band : Band
     encoding : ``linear`` or ``srgb``
-    settings : CellSettings, optional
+    across : cells along the image's longer side
 
     Returns
     -------
@@ -59,15 +51,14 @@ def cells_of(band: Band, encoding: str, settings: CellSettings | None = None) ->
     BadInput
         If the images are too small for the cells.
     """
-    chosen = settings or CellSettings()
     size = band.pixels.shape[1:3]
     require(
-        min(size) >= 16 and max(size) >= chosen.across,
-        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least {chosen.across}.",
+        min(size) >= 16 and max(size) >= across,
+        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least {across}.",
     )
-    binning = max(1, round(max(size) / (chosen.across * chosen.inner)))
+    binning = max(1, round(max(size) / (across * _INNER)))
     stack = linear_stack(band, encoding, "grey", binning=binning)
-    inner = min(chosen.inner, max(1, max(size) // (binning * chosen.across)))
+    inner = min(_INNER, max(1, max(size) // (binning * across)))
     light = median_blocks(stack, inner)
     rows, columns = light.shape[1:]
     side = binning * inner
@@ -86,23 +77,12 @@ def median_blocks(stack: FloatArray, side: int) -> Array:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class CardSettings:
-    """What the images of a card must show."""
-
-    cells: CellSettings = field(default_factory=CellSettings)
-    """How images are condensed."""
-    clipped_percent: float = 0.5
-    """An image is refused if more than this share of its pixels is at full scale."""
-    full_scale: float = 0.985
-    """A value from here on is at full scale."""
-    least_light: float = 0.02
-    """An image whose median is below this share of full scale is black."""
-
-    def __post_init__(self) -> None:
-        for name in ("full_scale", "least_light"):
-            require(0 < getattr(self, name) <= 1, f"card.{name} must lie between 0 and 1.")
-        require(0 <= self.clipped_percent <= 100, "card.clipped_percent must lie between 0 and 100.")
+_MAX_CLIPPED_PERCENT = 0.5
+"""An image is refused if more than this share of its pixels is at full scale."""
+_FULL_SCALE = 0.985
+"""A value from here on is at full scale."""
+_MIN_LIGHT = 0.02
+"""An image whose median is below this share of full scale is black."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,9 +109,7 @@ def led_name(leds: Sequence[Led], index: int) -> str:
     return f"{band} {sum(led.band == band for led in leds[:index])}"
 
 
-def card_images(
-    capture: Capture, rig: Rig, black_level: float | None = None, settings: CardSettings | None = None
-) -> CardImages:
+def card_images(capture: Capture, rig: Rig, black_level: float | None = None) -> CardImages:
     """Condense a capture of a white card.
 
     Parameters
@@ -139,7 +117,6 @@ def card_images(
     capture : of the card, each LED of the rig alone in one image
     rig : whose LEDs the capture names
     black_level : stored value of no light, for images of which the capture does not say it
-    settings : CardSettings, optional
 
     Returns
     -------
@@ -150,14 +127,13 @@ def card_images(
     BadInput
         If capture and rig do not fit, an LED has no image or several, or an image is black or clipped.
     """
-    chosen = settings or CardSettings()
     _check_fit(capture, rig)
     bands = [_with_black(band, black_level) for band in capture.bands.values()]
     order = _images_of_leds(bands, rig)
     for band in bands:
         for k in range(len(band.pixels)):
-            _check_image(band, k, rig, chosen)
-    cells = [cells_of(replace(band, shading=()), capture.encoding, chosen.cells) for band in bands]
+            _check_image(band, k, rig)
+    cells = [cells_of(replace(band, shading=()), capture.encoding) for band in bands]
     stored = [
         [float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max for image in band.pixels]
         for band in bands
@@ -223,19 +199,19 @@ def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
     return [found[k] for k in range(len(rig.leds))]
 
 
-def _check_image(band: Band, k: int, rig: Rig, settings: CardSettings) -> None:
+def _check_image(band: Band, k: int, rig: Rig) -> None:
     name = band.files[k] if band.files else f"image {k} of the band '{band.name}'"
     pixels, full = band.pixels[k], float(np.iinfo(band.pixels.dtype).max)
-    clipped = 100 * float((pixels.max(axis=2) >= settings.full_scale * full).mean())
+    clipped = 100 * float((pixels.max(axis=2) >= _FULL_SCALE * full).mean())
     require(
-        clipped <= settings.clipped_percent,
-        f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most {settings.clipped_percent:g} % "
+        clipped <= _MAX_CLIPPED_PERCENT,
+        f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most {_MAX_CLIPPED_PERCENT:g} % "
         f"may be); take the card with a shorter exposure.",
     )
     middle = (float(np.median(pixels[::4, ::4])) - float(band.black_level[k])) / full
     led = band.leds[k][0]
     require(
-        middle > settings.least_light,
+        middle > _MIN_LIGHT,
         f"{name} is black ({100 * middle:.1f} % of full scale): LED {led} ({led_name(rig.leds, led)}) did not light, "
         f"or the exposure is far too short.",
     )

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from splitknit.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
 from splitknit.errors import require
 from splitknit.model import Camera, Led
+from splitknit.settings import Checked, Limits
 
 # Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
 #
@@ -186,30 +187,26 @@ def card_gloss(  # noqa: PLR0917
 Array = NDArray[np.float64]
 
 
+_ROBUST_PERCENT = 0.5
+"""Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less and less: dust."""
+_ENOUGH_PERCENT = 0.05
+"""The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
+_ENOUGH_FRACTION = 0.05
+"""... or by no more than this share of it."""
+_MIN_FIELD = 0.3
+"""A cell that is darker than this share of the model's brightness does not show the card."""
+_MAX_EMPTY = 0.005
+"""Share of the cells that may be so."""
+MAX_DUST = 0.05
+"""Largest share of dust; beyond it the card is not uniform."""
+
+
 @dataclass(frozen=True, slots=True)
-class FlatFieldSettings:
+class FlatFieldSettings(Checked):
     """How the model is fitted and judged."""
 
-    robust_percent: float = 0.5
-    """Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less and less: dust."""
-    dust_percent: float = 2.0
+    dust_percent: Annotated[float, Limits(0, above=True)] = 2.0
     """A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
-    enough_percent: float = 0.05
-    """The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
-    enough_share: float = 0.05
-    """... or by no more than this share of it."""
-    least_field_share: float = 0.3
-    """A cell that is darker than this share of the model's brightness does not show the card."""
-    empty_cells: float = 0.005
-    """Share of the cells that may be so."""
-    worst_dust_share: float = 0.05
-    """Largest share of dust; beyond it the card is not uniform."""
-
-    def __post_init__(self) -> None:
-        for name in ("robust_percent", "dust_percent", "enough_percent", "enough_share"):
-            require(getattr(self, name) > 0, f"flat_field.{name} must be positive.")
-        for name in ("least_field_share", "empty_cells", "worst_dust_share"):
-            require(0 < getattr(self, name) < 1, f"flat_field.{name} must lie between 0 and 1.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,18 +297,18 @@ def fit_flat_field(  # noqa: PLR0917
     logarithm = np.log(np.maximum(images, max(floor, 1e-12)))
     start = _start(model, logarithm)
     _check_lit(leds, start)
-    scale = 0.01 * chosen.robust_percent
+    scale = 0.01 * _ROBUST_PERCENT
     fits: list[CardFit] = []
     for order in LADDER:
         fits.append(fit_order(model, start, order, logarithm, scale))
         start = fits[-1].answer
         if order.lens and not order.aims:
-            _check_field(np.exp(logarithm - model.logarithm(start)), chosen)
+            _check_field(np.exp(logarithm - model.logarithm(start)))
     residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
     dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * chosen.dust_percent
     require(not dust.all(), "the card is not uniform: no part of the picture looks like an even card.")
     rms = [100 * float(np.sqrt(np.mean(one[:, ~dust] ** 2))) for one in residuals]
-    enough = max(float(np.hypot(min(rms), chosen.enough_percent)), (1 + chosen.enough_share) * min(rms))
+    enough = max(float(np.hypot(min(rms), _ENOUGH_PERCENT)), (1 + _ENOUGH_FRACTION) * min(rms))
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
     rest = np.where(dust, np.nan, residuals[-1])
@@ -364,18 +361,18 @@ def _check_lit(leds: Sequence[Led], start: Answer) -> None:
         )
 
 
-def _check_field(ratio: Array, settings: FlatFieldSettings) -> None:
+def _check_field(ratio: Array) -> None:
     """Refuse a card that ends inside the picture: cells that are far darker than the rest under most LEDs."""
-    empty = np.median(ratio, axis=0) < settings.least_field_share
+    empty = np.median(ratio, axis=0) < _MIN_FIELD
     share = float(empty.mean())
     require(
-        share <= settings.empty_cells,
+        share <= _MAX_EMPTY,
         f"the card does not fill the field: {100 * share:.0f} % of the picture is far darker than the rest; take a "
         f"larger card, or move it until it reaches over all borders.",
     )
     strange = float((np.abs(np.median(ratio, axis=0) - 1) > 0.05).mean())
     require(
-        strange <= 2 * settings.worst_dust_share,
+        strange <= 2 * MAX_DUST,
         f"the card is not uniform: {100 * strange:.0f} % of the picture departs by more than 5 % from an even card "
         f"under all LEDs; use a clean matt white card that reaches over all borders.",
     )

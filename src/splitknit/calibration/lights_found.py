@@ -21,7 +21,7 @@ from splitknit.calibration.light_table import (
     refusal,
 )
 from splitknit.calibration.lights import Circle, LedEstimate, by_circle
-from splitknit.calibration.nail import JointFit, NailSettings, by_joint_fit
+from splitknit.calibration.nail import STRAY_MM, JointFit, NailSettings, by_joint_fit
 from splitknit.errors import BadInput, require
 from splitknit.model import Camera, Led, Rig
 
@@ -91,7 +91,7 @@ def calibrate_lights(
     strays = joint.strays if joint is not None and method == "joint" else frozenset()
     found = [(band, led, one.disagreement_deg) for (band, led), one in chosen.items()]
     judged = judge(found, copied, strays, settings.limits.limit_deg)
-    sentence = refusal(judged, settings.limits.limit_deg, settings.nail.stray_mm)
+    sentence = refusal(judged, settings.limits.limit_deg, STRAY_MM)
     by_name = {(one.band, one.led): one for one in plain}
     leds = [_led_facts(one, chosen, by_name, joint, keep=keep) for one in judged]
     facts: dict[str, Any] = {

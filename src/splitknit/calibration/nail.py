@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,49 +37,43 @@ from splitknit.calibration.lights import Circle, LedEstimate, by_circle, combine
 from splitknit.errors import require
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Camera
+from splitknit.settings import Checked, Limits
 
 # --- model: residuals of all rows, and how they depend on the unknowns ------------------------------------------------
 
 Points = NDArray[np.float64]
 
 
+_NAIL_HEIGHT_SD_MM = 1.0
+"""Of the known height."""
+_FREE_SD_MM = 30.0
+"""Takes the place of all deviations of LEDs and circle where the nail's height is known."""
+_OUTLIER = 4.0
+"""A tip this many standard deviations from its place is named, and has lost most of its weight."""
+STRAY_MM = 10.0
+"""An LED further than this off the fitted circle is refused."""
+
+
 @dataclass(frozen=True, slots=True)
-class NailSettings:
+class NailSettings(Checked):
     """How well everything is known beforehand: standard deviations, and what counts as astray."""
 
-    tip_sd_px: float = 1.0
+    tip_sd_px: Annotated[float, Limits(1e-6, 1e4)] = 1.0
     """A shadow tip in the image, each way."""
-    nail_sd_mm: float = 0.1
+    nail_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 0.1
     """The nail in the image, on the finger plane, each way, the same in all rows of one position."""
-    led_sd_mm: float = 1.0
+    led_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
     """Each LED about the circle, outwards and in height."""
-    centre_sd_mm: float = 1.0
+    centre_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
     """The circle's centre, each way."""
-    radius_sd_mm: float = 1.0
+    radius_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
     """The circle's radius."""
-    height_sd_mm: float = 1.0
+    height_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
     """The circle's height."""
-    nail_height_mm: float | None = None
+    nail_height_mm: Annotated[float | None, Limits(0.5, 500)] = None
     """Where it is known. Then the LEDs' places follow from it, and the circle only guards against nonsense."""
-    nail_height_sd_mm: float = 1.0
-    """Of the known height."""
-    free_sd_mm: float = 30.0
-    """Takes the place of all deviations of LEDs and circle where the nail's height is known."""
-    nail_seen: str = "tip"
+    nail_seen: Literal["tip", "base"] = "tip"
     """What the nail's pixel is: its ``tip``, which a perspective camera sees further out than the ``base``."""
-    outlier: float = 4.0
-    """A tip this many standard deviations from its place is named, and has lost most of its weight."""
-    stray_mm: float = 10.0
-    """An LED further than this off the fitted circle is refused."""
-
-    def __post_init__(self) -> None:
-        for name in ("tip_sd_px", "nail_sd_mm", "led_sd_mm", "centre_sd_mm", "radius_sd_mm", "height_sd_mm"):
-            require(1e-6 <= getattr(self, name) <= 1e4, f"NailSettings: {name} must be a positive number.")
-        for name in ("nail_height_sd_mm", "free_sd_mm", "outlier", "stray_mm"):
-            require(1e-6 <= getattr(self, name) <= 1e4, f"NailSettings: {name} must be a positive number.")
-        require(self.nail_seen in ("tip", "base"), f"nail_seen must be tip or base, but it is '{self.nail_seen}'.")
-        height = self.nail_height_mm
-        require(height is None or 0.5 <= height <= 500, f"the nail's height must be 0.5 to 500 mm, not {height}.")
 
 
 class NailModel:
@@ -118,7 +113,7 @@ class NailModel:
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
         out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self._led_sd
         up = (leds[:, 2] - circle.height_mm - offsets[3]) / self._led_sd
-        known = [(height - (settings.nail_height_mm or 0.0)) / settings.nail_height_sd_mm] if self.known else []
+        known = [(height - (settings.nail_height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
         return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self._offset_sd, known])
 
     def jacobian(self, x: Points, weights: Points) -> Points:
@@ -163,12 +158,12 @@ class NailModel:
         top += 2 * number
         total[top + np.arange(4), at + 1 + np.arange(4)] = 1.0 / self._offset_sd
         if self.known:
-            total[-1, at] = 1.0 / self.settings.nail_height_sd_mm
+            total[-1, at] = 1.0 / _NAIL_HEIGHT_SD_MM
         return total
 
     @property
     def _led_sd(self) -> float:
-        return self.settings.free_sd_mm if self.known else self.settings.led_sd_mm
+        return _FREE_SD_MM if self.known else self.settings.led_sd_mm
 
     @property
     def _nail_sd_px(self) -> float:
@@ -178,7 +173,7 @@ class NailModel:
     def _offset_sd(self) -> Points:
         one = self.settings
         if self.known:
-            return np.full(4, one.free_sd_mm)
+            return np.full(4, _FREE_SD_MM)
         return np.array([one.centre_sd_mm, one.centre_sd_mm, one.radius_sd_mm, one.height_sd_mm])
 
     def _seen(self, height: float) -> float:
@@ -296,7 +291,7 @@ def _solve(model: NailModel) -> tuple[Points, Points]:
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
         before, x = x, _least_squares(model, x, weights)
         distance = np.linalg.norm(model.tip_residuals(x), axis=1) / settings.tip_sd_px
-        weights = 1.0 / (1.0 + (distance / (settings.outlier * sharpness)) ** 2) ** 2
+        weights = 1.0 / (1.0 + (distance / (_OUTLIER * sharpness)) ** 2) ** 2
         if sharpness == 1.0 and float(np.abs(x - before).max()) < 1e-5:
             break
     return x, weights
@@ -339,7 +334,7 @@ def _result(model: NailModel, x: Points, weights: Points) -> JointFit:
     settings, circle = model.settings, model.circle
     leds, places, height, offsets = model.parts(x)
     found = model.tip_residuals(x)
-    astray = np.linalg.norm(found, axis=1) > settings.outlier * settings.tip_sd_px
+    astray = np.linalg.norm(found, axis=1) > _OUTLIER * settings.tip_sd_px
     covariance = _covariance(model, x, weights)
     estimates, degrees, sizes = [], [], []
     ends = plane_points(model.camera, model.tip_px)
@@ -359,7 +354,7 @@ def _result(model: NailModel, x: Points, weights: Points) -> JointFit:
     x0, y0 = circle.centre_mm
     centre = (x0 + float(offsets[0]), y0 + float(offsets[1]))
     fitted = Circle(circle.radius_mm + float(offsets[2]), circle.height_mm + float(offsets[3]), centre)
-    off = np.abs(np.linalg.norm(leds[:, :2] - np.asarray(centre), axis=1) - fitted.radius_mm) > settings.stray_mm
+    off = np.abs(np.linalg.norm(leds[:, :2] - np.asarray(centre), axis=1) - fitted.radius_mm) > STRAY_MM
     return JointFit(
         leds=tuple(estimates),
         interval_deg=np.array(degrees),

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.card_images import CardImages, CardSettings, card_images, led_name
+from splitknit.calibration.card_images import CardImages, card_images, led_name
 from splitknit.calibration.card_model import CardPlane, card_light
-from splitknit.calibration.flat_field import FlatField, FlatFieldSettings, fit_flat_field
+from splitknit.calibration.flat_field import MAX_DUST, FlatField, FlatFieldSettings, fit_flat_field
 from splitknit.errors import BadInput, require
 from splitknit.model import Capture, Rig
+from splitknit.settings import Checked, Limits
 
 # --- calibration ------------------------------------------------------------------------------------------------------
 
@@ -27,29 +28,24 @@ PROVENANCE = "radiometry"
 """Where a rig's provenance holds what is found here."""
 
 
+_GLOSS_PERCENT = 2.0
+"""A card whose mirror spot is brighter than this (and five of its errors) shines."""
+_AMBIENT_PERCENT = 5.0
+"""Light from elsewhere above which there is a warning, relative to the LEDs'."""
+_PATTERN_PERCENT = 1.0
+"""Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
+
+
 @dataclass(frozen=True, slots=True)
-class RadiometrySettings:
+class RadiometrySettings(Checked):
     """Limits of a radiometric calibration."""
 
-    images: CardSettings = field(default_factory=CardSettings)
-    """What the images of the card must show."""
     flat_field: FlatFieldSettings = field(default_factory=FlatFieldSettings)
     """How the model is fitted."""
-    limit_percent: float = 1.0
+    limit_percent: Annotated[float, Limits(0, above=True)] = 1.0
     """Largest rms of an LED's residuals."""
-    gloss_percent: float = 2.0
-    """A card whose mirror spot is brighter than this (and five of its errors) shines."""
-    ambient_percent: float = 5.0
-    """Light from elsewhere above which there is a warning, relative to the LEDs'."""
-    drift_percent: float = 3.0
+    drift_percent: Annotated[float, Limits(0, above=True)] = 3.0
     """Departure of an LED from the calibration above which there is a warning."""
-    pattern_percent: float = 1.0
-    """Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
-
-    def __post_init__(self) -> None:
-        for name in ("limit_percent", "gloss_percent", "ambient_percent", "drift_percent", "pattern_percent"):
-            value = getattr(self, name)
-            require(bool(np.isfinite(value)) and value > 0, f"radiometry.{name} must be positive, but it is {value}.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +88,7 @@ def calibrate_radiometry(
         If the images do not show an even, matt card under each LED alone; naming what and where.
     """
     chosen, plane = settings or RadiometrySettings(), card or CardPlane()
-    images = card_images(capture, rig, black_level, chosen.images)
+    images = card_images(capture, rig, black_level)
     flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane, chosen.flat_field)
     _check(flat, rig, chosen)
     leds = [_led_facts(rig, flat, images, k, chosen) for k in range(len(rig.leds))]
@@ -127,7 +123,7 @@ def calibrate_radiometry(
 
 def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     dust = float(flat.dust.mean())
-    most = flat.settings.worst_dust_share
+    most = MAX_DUST
     require(
         dust <= most,
         f"the card is not uniform: {100 * dust:.0f} % of the picture departs by more than "
@@ -148,11 +144,11 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
         f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
         f"is).",
     )
-    shines = flat.gloss_percent > settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error
+    shines = flat.gloss_percent > _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error
     require(
         not shines,
         f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the LEDs (at most "
-        f"{settings.gloss_percent:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
+        f"{_GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
     )
 
 
@@ -186,9 +182,9 @@ def _warnings(
                 f"there is no ambient image of the band {band}: room light"
                 f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
             )
-        elif share > settings.ambient_percent:
+        elif share > _AMBIENT_PERCENT:
             words.append(
-                f"light from elsewhere is {share:.1f} % of the {band} LEDs' (limit {settings.ambient_percent:g} %); "
+                f"light from elsewhere is {share:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
                 f"close the lid, for it changes from image to image."
             )
     for k, largest in enumerate(flat.largest_percent):
@@ -200,7 +196,7 @@ def _warnings(
     dim = float(images.brightest.min())
     if dim < 0.25:
         words.append(f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for less noise.")
-    if flat.gloss_percent > 0.5 * settings.gloss_percent and flat.gloss_percent > 5 * flat.gloss_error:
+    if flat.gloss_percent > 0.5 * _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
         words.append(f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the LEDs.")
     return tuple(words)
 
@@ -253,7 +249,7 @@ def check_card(
     """
     chosen = settings or RadiometrySettings()
     levels, plane, given = _stored(rig)
-    images = card_images(capture, rig, black_level, chosen.images)
+    images = card_images(capture, rig, black_level)
     expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
     now = images.light / expected
     ratio = np.median(now, axis=1)
@@ -307,7 +303,7 @@ def _sentences(  # noqa: PLR0917
         name = f"LED {led_name(rig.leds, k)}"
         if abs(value - 1) > 0.01 * settings.drift_percent:
             words.append(f"{name} is {_change(float(value))} than at the calibration.")
-        if pattern[k] > settings.pattern_percent:
+        if pattern[k] > _PATTERN_PERCENT:
             words.append(
                 f"{name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across the picture): it "
                 f"moved or turned."
@@ -319,7 +315,7 @@ def _sentences(  # noqa: PLR0917
                 f"or card changed."
             )
     for band, share in ambient.items():
-        if share is not None and share > settings.ambient_percent:
+        if share is not None and share > _AMBIENT_PERCENT:
             words.append(f"light from elsewhere is {share:.1f} % of the {band} LEDs'.")
     return words
 

@@ -22,10 +22,10 @@ from splitknit.calibration.radiometry import (
     check_facts,
 )
 from splitknit.calibration.sensor import (
+    MIN_EXPOSURES,
     Dark,
     NoiseModel,
     Response,
-    ResponseSettings,
     dark_frames,
     fit_response,
     noise_model,
@@ -220,9 +220,11 @@ def _measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float
             rows.append(_patches(frame))
             samples += _noise(frame, dark)
         values, even = (np.stack([row[part] for row in rows]) for part in (0, 1))
-        chosen = ResponseSettings(limit_percent=limit_percent)
         response = fit_response(
-            _even_patches(values, even), [one.exposure for one in plan.exposures], chosen, name=str(plan.document)
+            _even_patches(values, even),
+            [one.exposure for one in plan.exposures],
+            limit_percent,
+            name=str(plan.document),
         )
         require(
             response.encoding == capture.encoding,
@@ -406,10 +408,9 @@ def read_radiometry_plan(folder: Path) -> RadiometryPlan:
             entry = Fields(item, str(file), f"exposures[{k}]")
             time = entry.number("exposure_s", 1e-9, 1e6) * entry.number("gain", 1e-6, 1e6, 1.0)
             exposures.append(Exposure(inside(folder, entry.get("file"), str(file), entry.path("file")), time))
-        least = ResponseSettings().least_exposures
         require(
-            len(exposures) >= least,
-            f"{file}: exposures names {len(exposures)} images, but at least {least} of different exposure are needed.",
+            len(exposures) >= MIN_EXPOSURES,
+            f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed.",
         )
     files = [*dark, *(one.file for one in exposures)]
     for k, path in enumerate(files):

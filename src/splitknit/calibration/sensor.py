@@ -24,32 +24,21 @@ from splitknit.model import PixelArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseSettings:
-    """How the response is fitted and judged."""
-
-    degree: int = 5
-    """Of the polynomial."""
-    limit_percent: float = 1.0
-    """Values are linear if they depart from a line by no more than this many per cent of full scale."""
-    inconsistent_percent: float = 1.0
-    """Residuals (median over images of their rms) from where on no response explains the images: the scene moved or
-    the light changed."""
-    clip: float = 0.98
-    """Values from here on (of full scale) are left out."""
-    least_exposures: int = 4
-    """Different exposure times that are needed."""
-    least_ratio: float = 3.0
-    """Longest over shortest exposure."""
-    least_range: float = 0.3
-    """Part of the full scale that the values must span."""
-
-    def __post_init__(self) -> None:
-        require(2 <= self.degree <= 9, f"response.degree must be 2 to 9, but it is {self.degree}.")
-        require(self.least_exposures >= 3, "response.least_exposures must be at least 3.")
-        for name in ("limit_percent", "inconsistent_percent", "least_ratio", "least_range"):
-            require(getattr(self, name) > 0, f"response.{name} must be positive.")
-        require(0.5 <= self.clip <= 1.0, "response.clip must lie between 0.5 and 1.")
+_DEGREE = 5
+"""Of the polynomial."""
+_LIMIT_PERCENT = 1.0
+"""Values are linear if they depart from a line by no more than this many per cent of full scale."""
+_INCONSISTENT_PERCENT = 1.0
+"""Residuals (median over images of their rms) from where on no response explains the images: the scene moved or
+the light changed."""
+_CLIP = 0.98
+"""Values from here on (of full scale) are left out."""
+MIN_EXPOSURES = 4
+"""Different exposure times that are needed."""
+_MIN_RATIO = 3.0
+"""Longest over shortest exposure."""
+_MIN_RANGE = 0.3
+"""Part of the full scale that the values must span."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +62,7 @@ class Response:
 
 
 def fit_response(
-    values: Any, exposure_s: Any, settings: ResponseSettings | None = None, *, name: str = "the exposure series"
+    values: Any, exposure_s: Any, limit_percent: float = _LIMIT_PERCENT, *, name: str = "the exposure series"
 ) -> Response:
     """Judge the response of a camera.
 
@@ -82,7 +71,7 @@ def fit_response(
     values : (J, N) stored values as parts of full scale
         N places of a scene that does not change, J exposures: means over small even patches. NaN where clipped.
     exposure_s : (J,) exposure times (times gain), any unit
-    settings : ResponseSettings, optional
+    limit_percent : values are linear if they depart from a line by no more, in per cent of full scale
     name : of the series, for messages
 
     Returns
@@ -107,18 +96,18 @@ def fit_response(
     >>> fit_response(0.02 + times[:, None] * light, times).encoding
     'linear'
     """
-    chosen = settings or ResponseSettings()
-    stored, times = _checked(values, exposure_s, chosen, name)
-    line = _straightness(stored, times, chosen)
+    require(limit_percent > 0, "limit_percent must be positive.")
+    stored, times = _checked(values, exposure_s, name)
+    line = _straightness(stored, times)
     linear_light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
-    decoded = _straightness(linear_light, times, chosen)
+    decoded = _straightness(linear_light, times)
     residual = min(line.residual, decoded.residual)
     require(
-        residual <= 0.01 * chosen.inconsistent_percent,
+        residual <= 0.01 * _INCONSISTENT_PERCENT,
         f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the light changed, or "
         f"exposure or gain were not what the file says; take the series again with everything fixed.",
     )
-    limit = 0.01 * chosen.limit_percent
+    limit = 0.01 * limit_percent
     if line.departure > limit and decoded.departure > limit:
         raise BadInput(
             f"{name} is neither linear (it departs by {100 * line.departure:.1f} % of full scale) nor sRGB "
@@ -146,7 +135,7 @@ class _Line:
     curve: tuple[Array, Array]
 
 
-def _checked(values: Any, exposure_s: Any, settings: ResponseSettings, name: str) -> tuple[Array, Array]:
+def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     stored, times = np.array(values, dtype=np.float64), np.asarray(exposure_s, dtype=np.float64)
     require(stored.ndim == 2, f"values must have the shape (J, N), but it has {stored.shape}.")
     require(
@@ -155,15 +144,15 @@ def _checked(values: Any, exposure_s: Any, settings: ResponseSettings, name: str
     )
     different = len(np.unique(times))
     require(
-        different >= settings.least_exposures,
-        f"{name} has {different} different exposures, but at least {settings.least_exposures} are needed.",
+        different >= MIN_EXPOSURES,
+        f"{name} has {different} different exposures, but at least {MIN_EXPOSURES} are needed.",
     )
     ratio = float(times.max() / times.min())
     require(
-        ratio >= settings.least_ratio,
-        f"{name} spans a ratio of {ratio:.1f} in exposure, but {settings.least_ratio:g} at least is needed.",
+        ratio >= _MIN_RATIO,
+        f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_RATIO:g} at least is needed.",
     )
-    stored[~(stored < settings.clip)] = np.nan
+    stored[~(stored < _CLIP)] = np.nan
     seen = np.isfinite(stored).sum(axis=0) >= 3
     require(
         int(seen.sum()) >= 30,
@@ -173,8 +162,8 @@ def _checked(values: Any, exposure_s: Any, settings: ResponseSettings, name: str
     _check_growth(stored, times, name)
     span = float(np.nanmax(stored) - np.nanmin(stored))
     require(
-        span >= settings.least_range,
-        f"{name} covers {100 * span:.0f} % of full scale, but {100 * settings.least_range:.0f} % is needed to tell "
+        span >= _MIN_RANGE,
+        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to tell "
         f"a curve from a line; expose longer, or take a scene with bright and dark parts.",
     )
     return stored, times
@@ -195,11 +184,11 @@ def _check_growth(stored: Array, times: Array, name: str) -> None:
     )
 
 
-def _straightness(stored: Array, times: Array, settings: ResponseSettings) -> _Line:
+def _straightness(stored: Array, times: Array) -> _Line:
     """Fit f(v) t = light, the highest degree first that grows everywhere, and compare it with a line."""
     low, high = float(np.nanmin(stored)), float(np.nanmax(stored))
     grid = np.linspace(low, high, 201)
-    for degree in range(settings.degree, 0, -1):
+    for degree in range(_DEGREE, 0, -1):
         polynomial, residual = _polynomial(stored, times, degree, (low, high))
         light = polynomial(grid)
         if bool((np.diff(light) > 0).all()):
@@ -242,18 +231,13 @@ _CURVATURE = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], d
 """Zero on planes, and of variance 36 on white noise of variance one (Immerkaer 1996)."""
 
 
-@dataclass(frozen=True, slots=True)
-class DarkSettings:
-    """How a dark frame is judged."""
-
-    hot_sigmas: float = 8.0
-    """A pixel is hot if it lies this many deviations above the black level ..."""
-    hot_percent: float = 1.0
-    """... and this many per cent of full scale."""
-    light_percent: float = 2.0
-    """A frame whose corners and middle differ by more than this many per cent of full scale is not dark."""
-    highest_percent: float = 25.0
-    """A black level above this is none: the lens was not covered."""
+_HOT_SIGMAS = 8.0
+"""A pixel is hot if it lies this many deviations above the black level ..."""
+_HOT_PERCENT = 1.0
+"""... and this many per cent of full scale."""
+_LIGHT_PERCENT = 2.0
+"""A frame whose corners and middle differ by more than this many per cent of full scale is not dark."""
+_MAX_BLACK_PERCENT = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,13 +258,12 @@ class Dark:
     frames: int
 
 
-def dark_frames(frames: Sequence[PixelArray], settings: DarkSettings | None = None, *, name: str = "dark") -> Dark:
+def dark_frames(frames: Sequence[PixelArray], *, name: str = "dark") -> Dark:
     """Measure frames that were taken with the lens covered.
 
     Parameters
     ----------
     frames : (H, W, C) integers each, of one size and depth
-    settings : DarkSettings, optional
     name : of the frames, for messages
 
     Returns
@@ -292,7 +275,6 @@ def dark_frames(frames: Sequence[PixelArray], settings: DarkSettings | None = No
     BadInput
         If there is none, they differ in size, or light fell on them.
     """
-    chosen = settings or DarkSettings()
     require(len(frames) > 0, "there is no dark frame.")
     require(
         all(frame.shape == frames[0].shape and frame.dtype == frames[0].dtype for frame in frames),
@@ -302,10 +284,10 @@ def dark_frames(frames: Sequence[PixelArray], settings: DarkSettings | None = No
     stack = np.stack([frame.astype(np.float32) / np.float32(full) for frame in frames])
     mean = stack.mean(axis=0)  # (H, W, C)
     black = np.array([_clipped_mean(mean[..., c]) for c in range(mean.shape[2])])
-    _check_dark(mean, black, chosen, name)
+    _check_dark(mean, black, name)
     sigma = np.array([_deviation(stack[..., c]) for c in range(mean.shape[2])])
     away = mean - black.astype(np.float32)
-    hot = (away > np.maximum(chosen.hot_sigmas * sigma / np.sqrt(len(frames)), 0.01 * chosen.hot_percent)).any(axis=2)
+    hot = (away > np.maximum(_HOT_SIGMAS * sigma / np.sqrt(len(frames)), 0.01 * _HOT_PERCENT)).any(axis=2)
     calm = np.where(hot, np.float32(0.0), away.mean(axis=2))
     cut = float((stack == 0).mean()) > 0.2
     return Dark(
@@ -320,13 +302,13 @@ def dark_frames(frames: Sequence[PixelArray], settings: DarkSettings | None = No
     )
 
 
-def _check_dark(mean: Array, black: Array, settings: DarkSettings, name: str) -> None:
+def _check_dark(mean: Array, black: Array, name: str) -> None:
     height, width = mean.shape[:2]
     parts = mean[: height // 3 * 3, : width // 3 * 3].reshape(3, height // 3, 3, width // 3, -1)
     uneven = np.ptp(np.median(parts.mean(axis=-1), axis=(1, 3)))
     level = float(black.max())
     require(
-        level <= 0.01 * settings.highest_percent and float(uneven) <= 0.01 * settings.light_percent,
+        level <= 0.01 * _MAX_BLACK_PERCENT and float(uneven) <= 0.01 * _LIGHT_PERCENT,
         f"{name} is not dark: its level is {100 * level:.1f} % of full scale and differs by {100 * float(uneven):.1f} "
         f"% across the picture; cover the lens, switch off all LEDs and take it again.",
     )

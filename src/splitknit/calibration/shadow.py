@@ -164,29 +164,18 @@ _STRETCH = 1.12
 """A tip's shadow against the tip: for a nail of an eighth to a tenth of the LEDs' height. It hardly matters."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShadowSettings:
-    """What counts as nail and as shadow. Sizes on the finger plane."""
-
-    nail_level: float = 0.45
-    """The nail is darker than this part of the ground around it under every LED."""
-    shadow_level: float = 0.5
-    """A shadow is darker than this part of the same place under the other LEDs."""
-    least_nail_mm2: float = 0.3
-    """Area of the nail that is seen."""
-    least_shadow_mm: float = 0.7
-    """A shadow must reach this far beyond the nail."""
-    border_mm: float = 0.3
-    """A shadow that comes nearer to the picture's border leaves it."""
-    max_pixels: int = 500
-    """Pixels about one shadow's outline that the fit takes, evenly spread."""
-
-    def __post_init__(self) -> None:
-        require(0.05 <= self.nail_level <= 0.9, "ShadowSettings: nail_level must lie in 0.05 to 0.9.")
-        require(0.05 <= self.shadow_level <= 0.9, "ShadowSettings: shadow_level must lie in 0.05 to 0.9.")
-        for name in ("least_nail_mm2", "least_shadow_mm", "border_mm"):
-            require(0 <= getattr(self, name) <= 100, f"ShadowSettings: {name} must lie between 0 and 100.")
-        require(self.max_pixels >= 100, "ShadowSettings: max_pixels must be at least 100.")
+_NAIL_LEVEL = 0.45
+"""The nail is darker than this part of the ground around it under every LED."""
+_SHADOW_LEVEL = 0.5
+"""A shadow is darker than this part of the same place under the other LEDs."""
+_MIN_NAIL_MM2 = 0.3
+"""Area of the nail that is seen."""
+_MIN_SHADOW_MM = 0.7
+"""A shadow must reach this far beyond the nail."""
+_BORDER_MM = 0.3
+"""A shadow that comes nearer to the picture's border leaves it."""
+_MAX_PIXELS = 500
+"""Pixels about one shadow's outline that the fit takes, evenly spread."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,9 +192,7 @@ class NailView:
     """(H, W)."""
 
 
-def find_nail(
-    stack: FloatArray, px_per_mm: float, names: Sequence[str], settings: ShadowSettings | None = None
-) -> NailView:
+def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
     """Find the tips of the nail and of its shadows.
 
     Parameters
@@ -213,7 +200,6 @@ def find_nail(
     stack : (L, H, W), L >= 3, linear light, the nail in one place, another LED lit in each image
     px_per_mm : scale on the finger plane
     names : of the images, for messages
-    settings : ShadowSettings
 
     Returns
     -------
@@ -224,15 +210,14 @@ def find_nail(
     BadInput
         If there is no nail, or an image without its shadow (named).
     """
-    settings = settings or ShadowSettings()
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)
     require(float(np.percentile(usual, 99)) > 0, f"{names[0]} and the images beside it are black.")
     ground = _smooth(usual, np.ones(usual.shape, dtype=np.bool_))
-    dark = usual < settings.nail_level * ground
+    dark = usual < _NAIL_LEVEL * ground
     ratios = [_ratio(image, usual, dark) for image in images]
-    shadows = np.stack([(ratio < settings.shadow_level) & ~dark for ratio in ratios])
-    nail = _nail_among(dark, shadows, px_per_mm, settings, names)
+    shadows = np.stack([(ratio < _SHADOW_LEVEL) & ~dark for ratio in ratios])
+    nail = _nail_among(dark, shadows, px_per_mm, names)
     rows, columns = np.nonzero(nail)
     middle = np.array([columns.mean(), rows.mean()])
     size = float(np.sqrt(rows.size / np.pi))
@@ -242,14 +227,14 @@ def find_nail(
     for end, name in zip(ends, names, strict=True):
         reach = float(np.linalg.norm(end - middle)) - size if end is not None else 0.0
         require(
-            reach >= settings.least_shadow_mm * px_per_mm,
+            reach >= _MIN_SHADOW_MM * px_per_mm,
             f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail stands in "
             f"the picture.",
         )
-    scale = Scale(px_per_mm, settings.max_pixels)
+    scale = Scale(px_per_mm, _MAX_PIXELS)
     first: list[Shape | None] = []
     for ratio, part, end in zip(ratios, parts, ends, strict=True):
-        if end is None or _leaves(part, settings.border_mm * px_per_mm):
+        if end is None or _leaves(part, _BORDER_MM * px_per_mm):
             first.append(None)
             continue
         start = Shape(
@@ -314,12 +299,10 @@ def _terms(r: Points, c: Points) -> Points:
     return np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
 
 
-def _nail_among(
-    dark: BoolArray, shadows: NDArray[np.bool_], px_per_mm: float, settings: ShadowSettings, names: Sequence[str]
-) -> BoolArray:
+def _nail_among(dark: BoolArray, shadows: NDArray[np.bool_], px_per_mm: float, names: Sequence[str]) -> BoolArray:
     """The dark thing from which most shadows start: dots on the ground have none."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)
-    area = settings.least_nail_mm2 * px_per_mm**2
+    area = _MIN_NAIL_MM2 * px_per_mm**2
     best, most = 0, 0.0
     ring_width = _disc(0.4 * px_per_mm)
     for label in range(1, count):

@@ -71,31 +71,17 @@ class Board:
         return np.stack([x.ravel(), y.ravel()], axis=1) * float(self.square_mm)
 
 
-@dataclass(frozen=True, slots=True)
-class BoardSettings:
-    """How corners are sought."""
-
-    search_px: int = 1200
-    """Longer side of the image in which the board is sought; corners are then refined in the full image."""
-    window: float = 0.3
-    """Half the window in which a corner is refined, as a part of the shortest side of a square in the image."""
-    window_px: tuple[int, int] = (3, 40)
-    """Smallest and largest half window."""
-    smooth_px: float = 1.5
-    """Standard deviation of the blur before corners are refined: edges as sharp as a pixel draw corners to its middle
-    (0.05 px at a side of 57 px, 0.015 px with it). At most 5 % of a side."""
-    contrast: float = 0.4
-    """Contrast, relative to the board's corners, from which a place one square further is a corner of the board too."""
-
-    def __post_init__(self) -> None:
-        require(self.search_px >= 100, "BoardSettings: search_px must be at least 100.")
-        require(0 < self.window < 0.5, "BoardSettings: window must lie between 0 and 0.5.")
-        require(1 <= self.window_px[0] <= self.window_px[1], "BoardSettings: window_px must be rising and positive.")
-        require(self.smooth_px >= 0, "BoardSettings: smooth_px must not be negative.")
-        require(0 < self.contrast < 1, "BoardSettings: contrast must lie between 0 and 1.")
-
-
-DEFAULTS = BoardSettings()
+_SEARCH_PX = 1200
+"""Longer side of the image in which the board is sought; corners are then refined in the full image."""
+_WINDOW = 0.3
+"""Half the window in which a corner is refined, as a part of the shortest side of a square in the image."""
+_WINDOW_PX = (3, 40)
+"""Smallest and largest half window."""
+_SMOOTH_PX = 1.5
+"""Standard deviation of the blur before corners are refined: edges as sharp as a pixel draw corners to its middle
+(0.05 px at a side of 57 px, 0.015 px with it). At most 5 % of a side."""
+_CONTRAST = 0.4
+"""Contrast, relative to the board's corners, from which a place one square further is a corner of the board too."""
 
 
 def grey(pixels: Any) -> FloatArray:
@@ -115,14 +101,14 @@ def grey(pixels: Any) -> FloatArray:
     return np.asarray(np.clip((image - low) * (255.0 / (high - low)), 0, 255), dtype=np.float32)
 
 
-def find_board(pixels: Any, board: Board, settings: BoardSettings = DEFAULTS) -> Points | None:
+def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Points | None:
     """Find the inner corners of a checkerboard.
 
     Parameters
     ----------
     pixels : (H, W) or (H, W, C) image, any scale of brightness
     board : Board
-    settings : BoardSettings
+    search_px : longer side of the image in which the board is sought; corners are refined in the full image
 
     Returns
     -------
@@ -136,37 +122,37 @@ def find_board(pixels: Any, board: Board, settings: BoardSettings = DEFAULTS) ->
     distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
     """
     image = grey(pixels)
-    for small, factor in _reduced(image, settings):
+    for small, factor in _reduced(image, search_px):
         for search in (_by_quads, _by_sector):  # the quick one first; what either finds is checked and refined
             grid = search(small, board)
             if grid is None:
                 continue
-            refined = _refined(image, (grid + 0.5) / factor - 0.5, settings)
-            if _is_board(image, refined) and _grown(image, refined, settings, steps=1).shape == refined.shape:
+            refined = _refined(image, (grid + 0.5) / factor - 0.5)
+            if _is_board(image, refined) and _grown(image, refined, steps=1).shape == refined.shape:
                 return np.asarray(refined.reshape(-1, 2), dtype=np.float64)
     return None
 
 
-def size_in_view(pixels: Any, settings: BoardSettings = DEFAULTS) -> tuple[int, int] | None:
+def size_in_view(pixels: Any) -> tuple[int, int] | None:
     """Inner corners (more, fewer) of the checkerboard in an image, whatever its size, or None where there is none."""
     image = grey(pixels)
-    for small, factor in _reduced(image, settings):
+    for small, factor in _reduced(image, _SEARCH_PX):
         seeds = [_sector_of_any_size(small)]
         for columns, rows in ((6, 5), (5, 4), (4, 3)):
             seeds += [_by_quads(small, Board(columns, rows, 1.0))]
         for seed in seeds:
             if seed is None:
                 continue
-            grid = _refined(image, (seed + 0.5) / factor - 0.5, settings)
+            grid = _refined(image, (seed + 0.5) / factor - 0.5)
             if _is_board(image, grid):
-                rows, columns = _grown(image, grid, settings, steps=200).shape[:2]
+                rows, columns = _grown(image, grid, steps=200).shape[:2]
                 return max(rows, columns), min(rows, columns)
     return None
 
 
-def _reduced(image: FloatArray, settings: BoardSettings) -> list[tuple[NDArray[np.uint8], float]]:
+def _reduced(image: FloatArray, search_px: int) -> list[tuple[NDArray[np.uint8], float]]:
     """8-bit images to search in, and their sizes relative to the full one: a small one first."""
-    factor = min(1.0, settings.search_px / max(image.shape))
+    factor = min(1.0, search_px / max(image.shape))
     sizes = [factor] if factor > 0.5 else [factor, min(1.0, 2 * factor)]
     results = []
     for part in sizes:
@@ -197,11 +183,11 @@ def _grid(corners: Any, rows: int, columns: int) -> Points:
     return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
 
 
-def _refined(image: FloatArray, grid: Points, settings: BoardSettings) -> Points:
+def _refined(image: FloatArray, grid: Points) -> Points:
     """Corners (rows, columns, 2) to a small part of a pixel, with windows that stay within the four squares around."""
     side = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
-    half = int(np.clip(round(settings.window * side), *settings.window_px))
-    blur = min(settings.smooth_px, 0.05 * side)
+    half = int(np.clip(round(_WINDOW * side), *_WINDOW_PX))
+    blur = min(_SMOOTH_PX, 0.05 * side)
     if blur > 0.3:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur), dtype=np.float32)
     corners = np.ascontiguousarray(grid.reshape(-1, 1, 2), dtype=np.float32)
@@ -216,9 +202,9 @@ def _is_board(image: FloatArray, grid: Points) -> bool:
     return bool(contrast.min() > 0.2 * np.median(contrast) > 0)
 
 
-def _grown(image: FloatArray, grid: Points, settings: BoardSettings, steps: int) -> Points:
+def _grown(image: FloatArray, grid: Points, steps: int) -> Points:
     """The grid with all rows and columns that lie beyond it and are corners too, `steps` at most on each side."""
-    least = settings.contrast * float(np.median(_contrast(image, grid)))
+    least = _CONTRAST * float(np.median(_contrast(image, grid)))
     for turn in range(4):
         grid = np.rot90(grid, axes=(0, 1))
         for _ in range(steps):
@@ -227,7 +213,7 @@ def _grown(image: FloatArray, grid: Points, settings: BoardSettings, steps: int)
             inside = np.all((line >= 2) & (line <= np.array(image.shape[::-1]) - 3))
             if not inside or np.median(_contrast(image, further)[1]) < least:
                 break
-            grid = np.concatenate([grid, _refined(image, further, settings)[1:]])
+            grid = np.concatenate([grid, _refined(image, further)[1:]])
         del turn
     return grid
 
@@ -253,30 +239,19 @@ _STARTS = 8
 """Dots from which a grid is tried."""
 
 
-@dataclass(frozen=True, slots=True)
-class DiscSettings:
-    """What a dot looks like."""
-
-    least_px: float = 4.0
-    """Smallest diameter."""
-    largest: float = 0.2
-    """Largest diameter, as a part of the picture's shorter side."""
-    roundness: float = 0.75
-    """Shortest over longest axis, at least: dots seen at 40 deg have 0.77."""
-    fill: float = 0.85
-    """Area over that of the ellipse with the same moments, and its inverse."""
-    near: float = 0.25
-    """How far from its expected place, in spacings, a dot of the grid may lie."""
-
-    def __post_init__(self) -> None:
-        require(self.least_px >= 2, "DiscSettings: least_px must be at least 2.")
-        require(0 < self.near < 0.5, "DiscSettings: near must lie between 0 and 0.5.")
+_MIN_DOT_PX = 4.0
+"""Smallest diameter."""
+_MAX_DOT = 0.2
+"""Largest diameter, as a part of the picture's shorter side."""
+_MIN_ROUNDNESS = 0.75
+"""Shortest over longest axis, at least: dots seen at 40 deg have 0.77."""
+_MIN_FILL = 0.85
+"""Area over that of the ellipse with the same moments, and its inverse."""
+_MAX_MISS = 0.25
+"""How far from its expected place, in spacings, a dot of the grid may lie."""
 
 
-_DOTS = DiscSettings()
-
-
-def find_dots(pixels: Any, settings: DiscSettings = _DOTS) -> Points:
+def find_dots(pixels: Any) -> Points:
     """Centres (N, 2), column and row, of black round dots on a bright ground, in no order.
 
     Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and
@@ -286,11 +261,10 @@ def find_dots(pixels: Any, settings: DiscSettings = _DOTS) -> Points:
     Parameters
     ----------
     pixels : (H, W) or (H, W, C) image
-    settings : DiscSettings
     """
     image = grey(pixels)
     side = min(image.shape)
-    ground = _ground(image, settings.largest * side)
+    ground = _ground(image, _MAX_DOT * side)
     darkness = np.clip(1 - image / np.maximum(ground, 1e-3), 0, 1)
     ink = float(np.percentile(darkness, 99.9))
     if ink < 0.15:
@@ -299,13 +273,13 @@ def find_dots(pixels: Any, settings: DiscSettings = _DOTS) -> Points:
     dots = []
     for label, (left, top, width, height, area) in enumerate(np.asarray(boxes).tolist()):
         inside = left > 0 and top > 0 and left + width < image.shape[1] and top + height < image.shape[0]
-        if label == 0 or not inside or area < settings.least_px**2 / 2 or max(width, height) > settings.largest * side:
+        if label == 0 or not inside or area < _MIN_DOT_PX**2 / 2 or max(width, height) > _MAX_DOT * side:
             continue
         pad = 2 + round(0.15 * max(width, height))
         rows = slice(max(top - pad, 0), top + height + pad)
         columns = slice(max(left - pad, 0), left + width + pad)
         others = (labels[rows, columns] > 0) & (labels[rows, columns] != label)
-        dot = _dot(np.where(others, 0, darkness[rows, columns]), area, settings)
+        dot = _dot(np.where(others, 0, darkness[rows, columns]), area)
         if dot is not None:
             dots.append((dot[0] + columns.start, dot[1] + rows.start, area))
     if not dots:
@@ -315,7 +289,7 @@ def find_dots(pixels: Any, settings: DiscSettings = _DOTS) -> Points:
     return found[alike, :2]
 
 
-def number_dots(centres: Any, settings: DiscSettings = _DOTS) -> tuple[NDArray[np.int64], Points]:
+def number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
     """Assign dots to the places of a square grid.
 
     A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
@@ -325,7 +299,6 @@ def number_dots(centres: Any, settings: DiscSettings = _DOTS) -> tuple[NDArray[n
     Parameters
     ----------
     centres : (N, 2) from :func:`find_dots`
-    settings : DiscSettings
 
     Returns
     -------
@@ -344,7 +317,7 @@ def number_dots(centres: Any, settings: DiscSettings = _DOTS) -> tuple[NDArray[n
     known: dict[tuple[int, int], int] = {}
     for first in by_middle[:_STARTS].tolist():
         for neighbour in np.argsort(apart[first])[1:4].tolist():
-            grown = _grown_dots(dots, first, dots[neighbour] - dots[first], settings)
+            grown = _grown_dots(dots, first, dots[neighbour] - dots[first])
             known = grown if len(grown) > len(known) else known
             if len(known) == len(dots):
                 break
@@ -352,7 +325,7 @@ def number_dots(centres: Any, settings: DiscSettings = _DOTS) -> tuple[NDArray[n
     return np.array(list(known), dtype=np.int64), dots[list(known.values())]
 
 
-def _grown_dots(dots: Points, first: int, step: Points, settings: DiscSettings) -> dict[tuple[int, int], int]:
+def _grown_dots(dots: Points, first: int, step: Points) -> dict[tuple[int, int], int]:
     """The grid that grows from one dot with one step to a neighbour: index of the dot at each place."""
     along = step if abs(step[0]) >= abs(step[1]) else np.array([-step[1], step[0]])  # as near to the columns as it can
     along = along * np.sign(along[0])
@@ -368,7 +341,7 @@ def _grown_dots(dots: Points, first: int, step: Points, settings: DiscSettings) 
             expected = here + sign * basis[axis]
             nearest = int(np.argmin(np.linalg.norm(dots - expected, axis=1)))
             miss = float(np.linalg.norm(dots[nearest] - expected)) / float(np.linalg.norm(basis[axis]))
-            if beyond in known or nearest in known.values() or miss > settings.near:
+            if beyond in known or nearest in known.values() or miss > _MAX_MISS:
                 continue
             found = sign * (dots[nearest] - here)
             known[beyond] = nearest
@@ -377,7 +350,7 @@ def _grown_dots(dots: Points, first: int, step: Points, settings: DiscSettings) 
     return known
 
 
-def find_disc(pixels: Any, spacing_mm: float, settings: DiscSettings = _DOTS) -> tuple[Points, Points]:
+def find_disc(pixels: Any, spacing_mm: float) -> tuple[Points, Points]:
     """Dots of the calibration disc: (M, 2) places on it in mm, and (M, 2) columns and rows in the image.
 
     Raises
@@ -386,7 +359,7 @@ def find_disc(pixels: Any, spacing_mm: float, settings: DiscSettings = _DOTS) ->
         If `spacing_mm` cannot be, or no grid of dots is in view.
     """
     require(0.1 <= spacing_mm <= 1000, f"the dots' spacing must be from 0.1 to 1000 mm, but it is {spacing_mm:g}.")
-    numbers, places = number_dots(find_dots(pixels, settings), settings)
+    numbers, places = number_dots(find_dots(pixels))
     return np.asarray(numbers * float(spacing_mm), dtype=np.float64), places
 
 
@@ -409,7 +382,7 @@ def _ground(image: FloatArray, reach_px: float) -> FloatArray:
     return np.asarray(wide, dtype=np.float32)
 
 
-def _dot(darkness: FloatArray, area: int, settings: DiscSettings) -> tuple[float, float] | None:
+def _dot(darkness: FloatArray, area: int) -> tuple[float, float] | None:
     """Centre (column, row) of darkness if it is round, else None."""
     ink = darkness.max()
     weight = np.clip(darkness / ink, 0.1, None) - 0.1
@@ -420,7 +393,7 @@ def _dot(darkness: FloatArray, area: int, settings: DiscSettings) -> tuple[float
     spread = np.array([[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]) / total
     small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(spread), 1e-9))
     ellipse = 4 * np.pi * small * large  # the area of a filled ellipse with these moments
-    if small < settings.roundness * large or not settings.fill < area / ellipse < 1 / settings.fill:
+    if small < _MIN_ROUNDNESS * large or not _MIN_FILL < area / ellipse < 1 / _MIN_FILL:
         return None
     return moments["m10"] / total, moments["m01"] / total
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput, check_image, check_mask, require
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
 
@@ -23,35 +25,29 @@ BRIGHT = 99.5
 """Percentile that stands for a target's light: most of its picture may be black."""
 
 
+_PERCENTILE = 99.9
+"""Of the finger's pixels, in the brightest channel: how bright it is."""
+_START_S = 0.01
+"""Exposure time of the first preview, at gain 1; above 0."""
+_CLIPPED = 0.97
+"""From this share of full scale on a preview says nothing but "less"."""
+_TOLERANCE = 0.06
+"""The search ends when the level is as near to the target as this, relative."""
+_STEPS = 12
+"""Previews of the brightest LED at most."""
+_MIN_LEVEL = 0.3
+"""The finger is too dark if it does not even reach this share of the target with all that the camera can."""
+
+
 @dataclass(frozen=True, slots=True)
-class ExposureSettings:
+class ExposureSettings(Checked):
     """How bright the brightest image shall be."""
 
-    target: float = 0.7
-    """Share of full scale that the finger reaches under its brightest LED..."""
-    percentile: float = 99.9
-    """... in this percentile of its pixels, of the brightest channel."""
-    start_s: float = 0.01
-    """Exposure time of the first preview, at gain 1; above 0."""
-    longest_s: float = 0.066
+    target: Annotated[float, Limits(0.05, 0.95)] = 0.7
+    """Fraction of full scale that the 99.9th percentile of the finger reaches (brightest channel, brightest
+    LED)."""
+    longest_s: Annotated[float, Limits(0, above=True)] = 0.066
     """Longer times would spoil the seven seconds (see ``docs/capture.md``); above this the gain is raised."""
-    clipped: float = 0.97
-    """From this share of full scale on a preview says nothing but "less"."""
-    tolerance: float = 0.06
-    """The search ends when the level is as near to the target as this, relative."""
-    steps: int = 12
-    """Previews of the brightest LED at most."""
-    least: float = 0.3
-    """The finger is too dark if it does not even reach this share of the target with all that the camera can."""
-
-    def __post_init__(self) -> None:
-        require(0.05 <= self.target <= 0.95, f"exposure.target must be 0.05 to 0.95, but it is {self.target:g}.")
-        require(50 <= self.percentile <= 100, "exposure.percentile must be 50 to 100.")
-        require(min(self.start_s, self.longest_s) > 0, "exposure.start_s and exposure.longest_s must be positive.")
-        require(self.target < self.clipped <= 1, "exposure.clipped must lie between exposure.target and 1.")
-        require(0.005 <= self.tolerance <= 0.5, "exposure.tolerance must be 0.005 to 0.5.")
-        require(self.steps >= 2, "exposure.steps must be at least 2.")
-        require(0 <= self.least <= 1, "exposure.least must be 0 to 1.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,16 +96,16 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
     BadInput
         If it is too bright or too dark at every exposure.
     """
-    product = settings.start_s
+    product = _START_S
     while True:
         time_s, gain = split(product, camera, settings)
         frames = {}
         for led in leds:
             frames[led] = look(led, time_s, gain)
-            if level_of(frames[led], None, settings.percentile) >= settings.clipped:
+            if level_of(frames[led], None, _PERCENTILE) >= _CLIPPED:
                 break
-        levels = [level_of(frame, None, settings.percentile) for frame in frames.values()]
-        if max(levels) >= settings.clipped:
+        levels = [level_of(frame, None, _PERCENTILE) for frame in frames.values()]
+        if max(levels) >= _CLIPPED:
             shorter = product / 4
             require(
                 split(shorter, camera, settings) != (time_s, gain),
@@ -159,26 +155,26 @@ def find_exposure(
     BadInput
         If the finger stays too dark or too bright.
     """
-    levels = {led: level_of(frame, region, settings.percentile) for led, frame in seen.frames.items()}
+    levels = {led: level_of(frame, region, _PERCENTILE) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
-    for _ in range(settings.steps):
-        if abs(level / settings.target - 1.0) <= settings.tolerance:
+    for _ in range(_STEPS):
+        if abs(level / settings.target - 1.0) <= _TOLERANCE:
             break
-        factor = 0.3 if level >= settings.clipped else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
+        factor = 0.3 if level >= _CLIPPED else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
         wanted = split(time_s * gain * factor, camera, settings)
         if np.allclose(wanted, (time_s, gain), rtol=1e-6):
             break  # the camera's limit
         time_s, gain = wanted
         frame = look(brightest, time_s, gain)
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
-        level = level_of(frame, region, settings.percentile)
-    if level < settings.least * settings.target:
+        level = level_of(frame, region, _PERCENTILE)
+    if level < _MIN_LEVEL * settings.target:
         raise BadInput(
             f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED brings it to "
             f"{100 * level:.0f} % of full scale; check the LEDs' supply."
         )
-    if level >= settings.clipped:
+    if level >= _CLIPPED:
         raise BadInput(
             f"the finger is overexposed even with {1e3 * time_s:.2f} ms at gain {gain:.1f}; close the lid, or lower "
             "the LEDs' current."
@@ -207,28 +203,29 @@ def clipped_share(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> flo
 # --- focus ------------------------------------------------------------------------------------------------------------
 
 
+_DETAIL_MM = 0.02
+"""Standard deviation of the smoothing before the Laplacian: a pixel and a half of the full frame. Finer is more
+sensitive to focus and to noise. At least 0.7 pixels are smoothed."""
+MIN_SNR = 0.1
+"""Below this the finger shows no detail above the noise: the picture is refused as out of focus."""
+MIN_PX_PER_MM = 18.0
+"""Coarser pictures are not refused: ridges are so small in them that they pass for noise."""
+
+
 @dataclass(frozen=True, slots=True)
-class FocusSettings:
+class FocusSettings(Checked):
     """How focus is measured and when a live measurement ends."""
 
-    detail_mm: float = 0.02
-    """Standard deviation of the smoothing before the Laplacian: a pixel and a half of the full frame. Finer is more
-    sensitive to focus and to noise. At least 0.7 pixels are smoothed."""
-    patience: int = 8
+    patience: Annotated[int, Limits(1)] = 8
     """A live measurement ends after so many in a row that do not rise above the best so far by `rise`."""
-    rise: float = 0.02
+    rise: Annotated[float, Limits(0, 1)] = 0.02
     """Relative."""
-    most: int = 400
+    most: Annotated[int, Limits(1)] = 400
     """Measurements at most."""
-    least_snr: float = 0.1
-    """Below this the finger shows no detail above the noise: the picture is refused as out of focus."""
-    least_px_per_mm: float = 18.0
-    """Coarser pictures are not refused: ridges are so small in them that they pass for noise."""
 
     def __post_init__(self) -> None:
-        require(0.002 <= self.detail_mm <= 1, "focus.detail_mm must be 0.002 to 1 mm.")
-        require(self.patience >= 1 and self.most >= 1, "focus.patience and focus.most must be at least 1.")
-        require(0 <= self.rise < 1 and self.least_snr >= 0, "focus.rise must be 0 to 1, focus.least_snr not negative.")
+        check_fields(self)
+        require(self.rise < 1, "focus.rise must be below 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,9 +238,7 @@ class Focus:
     """Variance of the detail over that of the noise."""
 
 
-def measure_focus(
-    image: NDArray[np.floating], region: BoolArray, px_per_mm: float, settings: FocusSettings | None = None
-) -> Focus:
+def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
     """Measure the focus of one picture.
 
     The variance of the Laplacian of Gaussian of the relative brightness inside the region, less what the noise
@@ -271,10 +266,9 @@ def measure_focus(
     Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the
     noise).
     """
-    settings = settings or FocusSettings()
     light = check_image(image)
     inside = check_mask(region, (light.shape[0], light.shape[1]))
-    sigma = max(settings.detail_mm * px_per_mm, 0.7)
+    sigma = max(_DETAIL_MM * px_per_mm, 0.7)
     local = cv2.GaussianBlur(light, (0, 0), 6.0 * sigma)
     floor = np.float32(max(0.05 * float(np.mean(light[inside], dtype=np.float64)), 1e-9))
     relative = np.asarray(light / np.maximum(local, floor), dtype=np.float32)

@@ -83,6 +83,23 @@ LINE_S = 18.904e-6
 """Time in which the sensor reads one row at full resolution: exposures are whole numbers of it."""
 
 
+_WHITE_GAINS = (1.11, 2.13)
+"""Gains of red and blue that make a white card white under the white LEDs (5000 K)."""
+_NIR_GAINS = (1.0, 1.0)
+"""The same under NIR, where the colour filters are transparent."""
+_LONGEST_S = 0.2
+"""Longest exposure time that the camera is asked for, 0.001 to 5 s."""
+_MAX_GAIN = 10.6
+"""Largest analogue gain of the IMX219."""
+_MAX_FRAMES = 30
+"""Frames that are thrown away, at most, while waiting for a good one."""
+_PREVIEW_COLUMNS = 800
+"""Width of a preview, about."""
+_TUNING_FILE = "imx219_noir.json"
+"""Libcamera's tuning of the sensor, by file name; what would bend light (tone curve, colours, shading) is left
+out of it."""
+
+
 @dataclass(frozen=True, slots=True)
 class PiCameraSettings:
     """How the camera module is driven."""
@@ -91,21 +108,6 @@ class PiCameraSettings:
     """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32."""
     raw: bool = False
     """Raw 10-bit images, demosaiced here to 16 bits, instead of 8-bit ones from the Pi's image processor."""
-    white_gains: tuple[float, float] = (1.11, 2.13)
-    """Gains of red and blue that make a white card white under the white LEDs (5000 K)."""
-    nir_gains: tuple[float, float] = (1.0, 1.0)
-    """The same under NIR, where the colour filters are transparent."""
-    longest_s: float = 0.2
-    """Longest exposure time that the camera is asked for, 0.001 to 5 s."""
-    highest_gain: float = 10.6
-    """Largest analogue gain of the IMX219."""
-    most_frames: int = 30
-    """Frames that are thrown away, at most, while waiting for a good one."""
-    preview_columns: int = 800
-    """Width of a preview, about."""
-    tuning_file: str = "imx219_noir.json"
-    """Libcamera's tuning of the sensor, by file name; what would bend light (tone curve, colours, shading) is left
-    out of it."""
 
     def __post_init__(self) -> None:
         rows, columns = self.image_size
@@ -114,12 +116,6 @@ class PiCameraSettings:
             f"pi.image_size must be even rows up to {SENSOR_SIZE[0]} and columns up to {SENSOR_SIZE[1]} that are a "
             f"multiple of 32, but it is {list(self.image_size)}.",
         )
-        for name in ("white_gains", "nir_gains"):
-            require(all(0.1 <= gain <= 16 for gain in getattr(self, name)), f"pi.{name} must be two gains, 0.1 to 16.")
-        require(0.001 <= self.longest_s <= 5, "pi.longest_s must be 0.001 to 5 s.")
-        require(1 <= self.highest_gain <= 10.67, "pi.highest_gain must be 1 to 10.67.")
-        require(self.most_frames >= 5, "pi.most_frames must be at least 5.")
-        require(self.preview_columns >= 100, "pi.preview_columns must be at least 100.")
 
 
 class PiCamera(Closing):
@@ -155,7 +151,7 @@ class PiCamera(Closing):
             "'rpicam-hello --list-cameras'.",
         )
         try:
-            tuning = linear_tuning(picamera2.load_tuning_file(self._settings.tuning_file))
+            tuning = linear_tuning(picamera2.load_tuning_file(_TUNING_FILE))
             self._camera = picamera2(tuning=tuning)
             self._camera.configure(self._configuration())
             self._camera.start()
@@ -176,12 +172,12 @@ class PiCamera(Closing):
     @property
     def exposures(self) -> ExposureRange:
         """See :class:`splitknit.devices.Camera`."""
-        return ExposureRange(4 * LINE_S, self._settings.longest_s, 1.0, self._settings.highest_gain)
+        return ExposureRange(4 * LINE_S, _LONGEST_S, 1.0, _MAX_GAIN)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.Camera`."""
         self.exposures.check(exposure_s, gain)
-        gains = {"white": self._settings.white_gains, "nir": self._settings.nir_gains}.get(band)
+        gains = {"white": _WHITE_GAINS, "nir": _NIR_GAINS}.get(band)
         require(gains is not None, f"the bands are white and nir, not '{band}'.")
         assert gains is not None
         exposure_us = round(exposure_s * 1e6)
@@ -244,7 +240,7 @@ class PiCamera(Closing):
         """Wait for a frame that was exposed after now and as locked."""
         camera, since_ns = self._opened(), self._now_ns()
         metadata: Mapping[str, Any] = {}
-        for discarded in range(self._settings.most_frames):
+        for discarded in range(_MAX_FRAMES):
             request = camera.capture_request()
             try:
                 metadata = request.get_metadata()
@@ -255,7 +251,7 @@ class PiCamera(Closing):
         wanted = self._wanted or (0, 0.0, (0.0, 0.0))
         raise BadInput(
             f"the camera did not take its settings: {wanted[0]} us at gain {wanted[1]:g} were asked for, but after "
-            f"{self._settings.most_frames} frames it reports {metadata.get('ExposureTime')} us at gain "
+            f"{_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
             f"{metadata.get('AnalogueGain')}; restart the Pi, and use the IMX219 module."
         )
 
@@ -281,7 +277,7 @@ class PiCamera(Closing):
         else:
             pixels, black = np.ascontiguousarray(request.make_array("main")), 0.0
         if not whole:
-            factor = max(1, round(pixels.shape[1] / self._settings.preview_columns))
+            factor = max(1, round(pixels.shape[1] / _PREVIEW_COLUMNS))
             size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
             pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
         return Frame(

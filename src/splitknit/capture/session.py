@@ -14,6 +14,8 @@ import numpy as np
 from splitknit.capture.exposure import (
     BRIGHT,
     MEDIAN,
+    MIN_PX_PER_MM,
+    MIN_SNR,
     Exposure,
     ExposureSettings,
     Focus,
@@ -27,7 +29,7 @@ from splitknit.capture.exposure import (
     typical_level,
 )
 from splitknit.capture.pins import led_names
-from splitknit.capture.shots import CheckSettings, Examiner, Shooting, Shot, shrink_region
+from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Examiner, Shooting, Shot, shrink_region
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_mask
@@ -147,7 +149,6 @@ def run_session(
             bands,
             names,
             settings=settings.exposure,
-            limits=MeteringLimits(checks.least_relative, checks.most_ambient),
             px_per_mm=px_per_mm,
             find_finger=settings.find_finger,
             progress=lambda share: progress("finding the exposure", 0.3 * share),
@@ -168,8 +169,8 @@ def run_session(
         lights.off()
     shooting.check_drift()
     verdict = list(shooting.verdict)
-    judged = settings.find_finger and px_per_mm >= settings.focus.least_px_per_mm
-    if judged and focus.snr < settings.focus.least_snr:
+    judged = settings.find_finger and px_per_mm >= MIN_PX_PER_MM
+    if judged and focus.snr < MIN_SNR:
         verdict.append("the finger is out of focus (nothing on it is sharper than the noise): focus and capture again")
     return Session(
         bands={band: replace(one, shading=rig.camera.shading) for band, one in shooting.bands.items()},
@@ -209,7 +210,7 @@ def _focus(
         lights.on(exposure.brightest)
         frame = camera.capture()
         light = grey_light(frame.pixels[part[0], part[1]], frame.black_level)
-        focus = measure_focus(light, region, px_per_mm, settings.focus)
+        focus = measure_focus(light, region, px_per_mm)
         enough = watch.add(focus)
         if watch_focus is None or watch_focus(focus, watch) or enough:
             lights.off()
@@ -229,16 +230,6 @@ class Metering:
     """By band."""
 
 
-@dataclass(frozen=True, slots=True)
-class MeteringLimits:
-    """What the previews must show."""
-
-    least_relative: float
-    """An LED lights if the finger gets more than this share of what the median LED gives."""
-    most_ambient: float
-    """Light with all LEDs off over the median LED's, at most."""
-
-
 def meter(
     camera: Camera,
     lights: LightBank,
@@ -246,7 +237,6 @@ def meter(
     names: Sequence[str],
     *,
     settings: ExposureSettings,
-    limits: MeteringLimits,
     px_per_mm: float,
     find_finger: bool = True,
     progress: Callable[[float], None] = lambda share: None,
@@ -258,7 +248,7 @@ def meter(
     camera, lights : the devices
     bands : band to its LEDs, white first
     names : of all LEDs, for messages
-    settings, limits : what is wanted
+    settings : what is wanted
     px_per_mm : of full-size photographs
     find_finger : False where a target is photographed: the whole picture counts
     progress : told the share that is done
@@ -294,7 +284,6 @@ def meter(
             {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()},
             dark,
             names,
-            limits,
         )
         exposures[band] = find_exposure(
             look_here, seen, region, dark, camera=camera.exposures, settings=settings, typical=typical
@@ -331,15 +320,15 @@ def _check_light(band: str, seen: Survey, room: Frame) -> None:
     )
 
 
-def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str], limits: MeteringLimits) -> None:
+def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str]) -> None:
     typical = float(np.median(list(levels.values())))
-    unlit = [names[led] for led, level in levels.items() if level < max(limits.least_relative * typical, 0.002)]
+    unlit = [names[led] for led, level in levels.items() if level < max(MIN_RELATIVE * typical, 0.002)]
     require(
         not unlit,
         f"{_listed(unlit)} did not light; check {'its' if len(unlit) == 1 else 'their'} wiring and capture again.",
     )
     require(
-        dark <= limits.most_ambient * typical,
+        dark <= MAX_AMBIENT * typical,
         f"there is light although all LEDs are off ({100 * dark / max(typical, 1e-9):.0f} % of an LED's): close the "
         "lid, or look for an LED that stays on.",
     )

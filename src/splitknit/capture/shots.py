@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -12,42 +12,39 @@ from numpy.typing import NDArray
 
 from splitknit.capture.exposure import MEDIAN, Exposure, clipped_share, grey_light
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
-from splitknit.errors import require
 from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Band, BoolArray, FloatArray, PixelArray
+from splitknit.settings import Checked, Limits
 
 # --- checks -----------------------------------------------------------------------------------------------------------
 
 
+_MAX_SATURATED = 0.05
+"""A shot is overexposed if more of the finger is at full scale (in two channels)."""
+_DRIFTED_MM = 0.12
+"""A finger that moved by more against all shots of its band, where the light's part is taken off, has drifted."""
+_MIN_LIGHT = 0.4
+"""An LED did not light if the finger gets less than this fraction of what the preview promised."""
+MIN_RELATIVE = 0.12
+"""An LED did not light if, in the previews, it gives less than this fraction of the median LED of its band."""
+MAX_AMBIENT = 0.3
+"""Light with all LEDs off, relative to the median lit shot, above which the lid is open."""
+_WORKING_PX_PER_MM = 10.0
+"""Scale of the copies in which motion is measured."""
+
+
 @dataclass(frozen=True, slots=True)
-class CheckSettings:
+class CheckSettings(Checked):
     """Limits of the checks."""
 
-    saturated_share: float = 0.05
-    """A shot is overexposed if more of the finger is at full scale (in two channels)."""
-    moved_mm: float = 0.13
+    _group = "checks"
+
+    moved_mm: Annotated[float, Limits(0, above=True)] = 0.13
     """A finger that moved by more between two shots has moved. A changing light looks like up to 0.07 mm of motion.
     Coarse pictures measure less well: at least 1.5 pixels are allowed."""
-    drifted_mm: float = 0.12
-    """... and by more against all shots of its band, where the light's part is taken off."""
-    least_light: float = 0.4
-    """An LED did not light if the finger gets less than this share of what the preview promised."""
-    least_relative: float = 0.12
-    """... or, in the previews, less than this share of the median LED of its band."""
-    most_ambient: float = 0.3
-    """Light with all LEDs off, relative to the median lit shot, above which the lid is open."""
-    retries: int = 2
+    retries: Annotated[int, Limits(0, 20)] = 2
     """How often a bad shot is taken again."""
-    working_px_per_mm: float = 10.0
-    """Scale of the copies in which motion is measured."""
-
-    def __post_init__(self) -> None:
-        for name in ("saturated_share", "least_light", "least_relative", "most_ambient"):
-            require(0 < getattr(self, name) <= 1, f"checks.{name} must lie in (0, 1].")
-        for name in ("moved_mm", "drifted_mm", "working_px_per_mm"):
-            require(getattr(self, name) > 0, f"checks.{name} must be positive.")
-        require(0 <= self.retries <= 20, "checks.retries must be 0 to 20.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +81,9 @@ class Examiner:
 
     def look(self, frame: Frame) -> Look:
         """Reduce a shot to what the checks need."""
-        step = max(1, int(self._px_per_mm / (2.5 * self.settings.working_px_per_mm)))
+        step = max(1, int(self._px_per_mm / (2.5 * _WORKING_PX_PER_MM)))
         full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
-        scale = min(1.0, self.settings.working_px_per_mm * step / self._px_per_mm)
+        scale = min(1.0, _WORKING_PX_PER_MM * step / self._px_per_mm)
         grey = reduce_image(grey_light(full, frame.black_level), scale)
         inside, window = self._mask((grey.shape[0], grey.shape[1]))
         level = float(np.percentile(grey[inside], self._typical))
@@ -105,7 +102,7 @@ class Examiner:
     @property
     def drifted_mm(self) -> float:
         """Motion against all shots of a band from which on it has drifted."""
-        return max(self.settings.drifted_mm, 1.5 / self._px_per_mm)
+        return max(_DRIFTED_MM, 1.5 / self._px_per_mm)
 
     def working_px_per_mm(self, columns: int, full_columns: int) -> float:
         """Scale of a copy with so many columns."""
@@ -124,7 +121,7 @@ class Examiner:
         stack = np.stack([look.grey - dark.grey for look in looks])
         inside, _ = self._mask((stack.shape[1], stack.shape[2]))
         px = self.working_px_per_mm(stack.shape[2], full_columns)
-        motion = shot_motion(stack, inside, px, MotionSettings(working_px_per_mm=self.settings.working_px_per_mm))
+        motion = shot_motion(stack, inside, px, MotionSettings(working_px_per_mm=_WORKING_PX_PER_MM))
         length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
         believed = motion.reliability >= MIN_RELIABILITY
         return np.asarray(np.where(believed, length, 0.0), dtype=np.float64)
@@ -134,7 +131,7 @@ class Examiner:
         if shape not in self._masks:
             share = cv2.resize(self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
             inside = np.asarray(share > 0.5)
-            px = self.settings.working_px_per_mm
+            px = _WORKING_PX_PER_MM
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
             self._masks[shape] = (inside if inside.any() else np.ones(shape, dtype=np.bool_)), window
         return self._masks[shape]
@@ -249,12 +246,12 @@ class Shooting:
 
     def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[_Trouble]]:
         """Motion in mm, and what is wrong."""
-        name, limits = self._names[led], self._settings
-        if look.level - dark.level < limits.least_light * expected:
+        name = self._names[led]
+        if look.level - dark.level < _MIN_LIGHT * expected:
             words = f"{name} did not light: check its wiring and capture again"
             return None, [_Trouble("unlit", words)]
         troubles = []
-        if look.saturated > limits.saturated_share:
+        if look.saturated > _MAX_SATURATED:
             words = f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture again"
             troubles.append(_Trouble("saturated", words))
         moved = None

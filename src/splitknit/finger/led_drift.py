@@ -24,33 +24,23 @@ from splitknit.errors import check_mask, check_stack, require
 # Gains of LEDs and the surface they light, told apart: the best surface for given gains, patterns that show.
 
 
-@dataclass(frozen=True, slots=True)
-class DriftSettings:
-    """How gains are found and judged."""
-
-    limit_percent: float = 3.0
-    """An LED has drifted if it departs by more."""
-    most_pixels: int = 5_000
-    """Pixels that are looked at, on a regular grid."""
-    dark_share: float = 0.15
-    """An image shadows a pixel if it is darker than this share of the pixel's median image."""
-    robust_sigmas: float = 2.0
-    """Residuals beyond this many deviations count less and less (Cauchy's weights): gloss, soft shadows."""
-    least_information: float = 0.2
-    """Patterns of gains that keep less of their information are left out."""
-    block_px: int = 24
-    """Standard errors take squares of this side as independent of each other, not pixels: what is not matt about a
-    surface is alike from pixel to pixel."""
-    least_explained: float = 0.6
-    """A single LED is named if it explains this share of the departure."""
-    rounds: int = 15
-    """Of the iteration."""
-
-    def __post_init__(self) -> None:
-        require(self.limit_percent > 0 and self.robust_sigmas > 0, "drift: limits must be positive.")
-        require(self.most_pixels >= 100 and self.block_px >= 1, "drift.most_pixels must be at least 100.")
-        require(0 <= self.dark_share < 1 and 0 <= self.least_information < 1, "drift: shares must lie in [0, 1).")
-        require(self.rounds >= 1, "drift.rounds must be at least 1.")
+_LIMIT_PERCENT = 3.0
+"""An LED has drifted if it departs by more."""
+_MAX_PIXELS = 5_000
+"""Pixels that are looked at, on a regular grid."""
+_DARK = 0.15
+"""An image shadows a pixel if it is darker than this share of the pixel's median image."""
+_ROBUST_SIGMAS = 2.0
+"""Residuals beyond this many deviations count less and less (Cauchy's weights): gloss, soft shadows."""
+_MIN_INFORMATION = 0.2
+"""Patterns of gains that keep less of their information are left out."""
+_BLOCK_PX = 24
+"""Standard errors take squares of this side as independent of each other, not pixels: what is not matt about a
+surface is alike from pixel to pixel."""
+_MIN_EXPLAINED = 0.6
+"""A single LED is named if it explains this share of the departure."""
+_ROUNDS = 15
+"""Of the iteration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +73,7 @@ class SurfaceState:
     """(L,) diagonal of the information if the surface were known."""
 
 
-def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any, settings: DriftSettings) -> Samples:
+def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any) -> Samples:
     """Choose pixels that enough LEDs light; see :func:`splitknit.finger.led_drift.led_drift`."""
     images = check_stack(stack, least=5)
     count, height, width = images.shape
@@ -94,11 +84,11 @@ def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any, setti
         f"light_vectors must have the shape ({count}, 3) or ({count}, 3, {height}, {width}), but it has "
         f"{vectors.shape}.",
     )
-    step = max(1, int(np.sqrt(inside.sum() / settings.most_pixels)))
+    step = max(1, int(np.sqrt(inside.sum() / _MAX_PIXELS)))
     rows, columns = np.nonzero(inside[::step, ::step])
     rows, columns = rows * step, columns * step
     light = images[:, rows, columns].astype(np.float64)
-    lit = light > np.maximum(settings.dark_share * np.median(light, axis=0), 1e-12)
+    lit = light > np.maximum(_DARK * np.median(light, axis=0), 1e-12)
     good = lit.sum(axis=0) >= 5
     require(
         int(good.sum()) >= 100,
@@ -116,7 +106,7 @@ def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any, setti
         surface = np.asarray(normals, dtype=np.float64)
         require(surface.shape == (height, width, 3), f"normals must have the shape ({height}, {width}, 3).")
         own = np.maximum(np.einsum("pld,pd->pl", own, surface[rows, columns]), 0.0)[..., None]
-    side = settings.block_px
+    side = _BLOCK_PX
     block = rows // side * (width // side + 1) + columns // side
     return Samples(light, np.ascontiguousarray(own), lit, np.unique(block, return_inverse=True)[1])
 
@@ -139,11 +129,11 @@ def project_surface(samples: Samples, gain: Array, weight: Array) -> SurfaceStat
     )
 
 
-def robust_weights(samples: Samples, state: SurfaceState, settings: DriftSettings) -> Array:
+def robust_weights(samples: Samples, state: SurfaceState) -> Array:
     """(L, P) Cauchy's weights by the residuals, as long as an image lights the pixel."""
     lit = samples.lit.T
     scale = robust_deviation(state.residual[lit])
-    return np.asarray((lit / (1 + (state.residual / (settings.robust_sigmas * scale)) ** 2)).T)
+    return np.asarray((lit / (1 + (state.residual / (_ROBUST_SIGMAS * scale)) ** 2)).T)
 
 
 def robust_deviation(residual: Array) -> float:
@@ -161,9 +151,9 @@ def gain_patterns(state: SurfaceState) -> tuple[Array, Array]:
     return (vectors * root[:, None]).T, np.clip(shares, 0.0, 1.0)
 
 
-def gain_solver(patterns: Array, shares: Array, settings: DriftSettings) -> Array:
+def gain_solver(patterns: Array, shares: Array) -> Array:
     """(L, L) from the score to relative gains, what cannot be told left as it is."""
-    kept = shares >= settings.least_information
+    kept = shares >= _MIN_INFORMATION
     return np.asarray(patterns[kept].T @ (patterns[kept] / shares[kept, None]))
 
 
@@ -198,9 +188,7 @@ class LedDrift:
     """Robust deviation of the images from a matt surface after the fit."""
 
 
-def led_drift(
-    stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None, settings: DriftSettings | None = None
-) -> LedDrift:
+def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None) -> LedDrift:
     """Relative brightness of every LED against its calibration, from one capture of any matt surface.
 
     Parameters
@@ -211,7 +199,6 @@ def led_drift(
     mask : (H, W) bool, optional
     normals : (H, W, 3), optional
         Where the surface is known. All patterns but the common factor can then be told.
-    settings : DriftSettings, optional
 
     Returns
     -------
@@ -237,33 +224,31 @@ def led_drift(
     (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999), for what
     lights of unknown strength leave open.
     """
-    chosen = settings or DriftSettings()
-    samples = drift_samples(stack, light_vectors, mask, normals, chosen)
+    samples = drift_samples(stack, light_vectors, mask, normals)
     gain = np.ones(len(samples.light))
     weight = samples.lit.astype(np.float64)
-    for _ in range(chosen.rounds):
+    for _ in range(_ROUNDS):
         state = project_surface(samples, gain, weight)
-        weight = robust_weights(samples, state, chosen)
+        weight = robust_weights(samples, state)
         state = project_surface(samples, gain, weight)
         patterns, shares = gain_patterns(state)
-        step = gain_solver(patterns, shares, chosen) @ state.score.sum(axis=0)
+        step = gain_solver(patterns, shares) @ state.score.sum(axis=0)
         gain = gain * (1 + np.clip(step, -0.3, 0.3))
         gain /= gain.mean()
         if float(np.abs(step).max()) < 1e-4:
             break
-    return _judge(samples, gain, weight, chosen)
+    return _judge(samples, gain, weight)
 
 
-def drift_words(drift: LedDrift, names: Sequence[str], settings: DriftSettings | None = None) -> list[str]:
+def drift_words(drift: LedDrift, names: Sequence[str]) -> list[str]:
     """Say in sentences what departs; none where nothing does.
 
     Parameters
     ----------
     drift : LedDrift
     names : of the LEDs, such as ``white 3``
-    settings : DriftSettings, optional
     """
-    limit = (settings or DriftSettings()).limit_percent
+    limit = _LIMIT_PERCENT
     if drift.suspect is not None:
         change = 100 * abs(drift.suspect_gain - 1)
         word = "darker" if drift.suspect_gain < 1 else "brighter"
@@ -281,11 +266,11 @@ def drift_words(drift: LedDrift, names: Sequence[str], settings: DriftSettings |
     ]
 
 
-def _judge(samples: Samples, gain: Array, weight: Array, settings: DriftSettings) -> LedDrift:
+def _judge(samples: Samples, gain: Array, weight: Array) -> LedDrift:
     state = project_surface(samples, gain, weight)
     patterns, shares = gain_patterns(state)
-    solver = gain_solver(patterns, shares, settings)
-    hidden = np.linalg.qr(patterns[shares < settings.least_information].T)[0]  # (L, L - R)
+    solver = gain_solver(patterns, shares)
+    hidden = np.linalg.qr(patterns[shares < _MIN_INFORMATION].T)[0]  # (L, L - R)
     shown = np.linalg.svd(np.eye(len(gain)) - hidden @ hidden.T)[0][:, : len(gain) - hidden.shape[1]].T
     scores = np.zeros((int(samples.block.max()) + 1, len(gain)))
     np.add.at(scores, samples.block, state.score)
@@ -293,13 +278,13 @@ def _judge(samples: Samples, gain: Array, weight: Array, settings: DriftSettings
     seen = shown @ np.log(gain)
     covariance = shown @ spread @ shown.T + _MODEL_ERROR**2 * np.eye(len(shown))
     suspect, value, error, explained = _single(shown, seen, covariance)
-    drifted = abs(np.expm1(value)) > 0.01 * settings.limit_percent and abs(value) > 3 * error
+    drifted = abs(np.expm1(value)) > 0.01 * _LIMIT_PERCENT and abs(value) > 3 * error
     return LedDrift(
         gain=np.exp(shown.T @ seen),
         error=np.sqrt(np.maximum(np.diag(shown.T @ covariance @ shown), 0.0)),
         observable=shown,
         information=shares,
-        suspect=suspect if drifted and explained >= settings.least_explained else None,
+        suspect=suspect if drifted and explained >= _MIN_EXPLAINED else None,
         suspect_gain=float(np.exp(value)),
         suspect_error=error,
         explained=explained,

@@ -175,6 +175,10 @@ class BoardSettings(Checked):
     """Size of the circuit's board along x."""
     pcb_y_mm: Annotated[float, Limits(0.05, 1000)] = 70.0
     """Size of the circuit's board along y: 90 x 70 is a common size of prototype board."""
+    pcb_hole_x_mm: Annotated[float, Limits(0.05, 1000)] = 84.0
+    """Distance of the circuit's holes along x."""
+    pcb_hole_y_mm: Annotated[float, Limits(0.05, 1000)] = 64.0
+    """Distance of the circuit's holes along y."""
 
 
 PI_X_MM = 85.0
@@ -193,10 +197,6 @@ PI_POST_HEIGHT_MM = 6.0
 """From the box's floor up to the Pi's board."""
 PI_POST_HOLE_MM = 2.1
 """For self-tapping M2.5 screws."""
-PCB_HOLE_X_MM = 84.0
-"""Distance of the circuit's holes along x."""
-PCB_HOLE_Y_MM = 64.0
-"""Distance of the circuit's holes along y."""
 PCB_OVER_PI_MM = 22.0
 """From the Pi's board to the circuit's board: over the USB sockets."""
 PCB_POST_HOLE_MM = 2.5

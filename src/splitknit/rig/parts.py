@@ -37,8 +37,6 @@ from splitknit.rig.part_settings import (
     MIRROR_LONG_MM,
     NAIL_RADIUS_MM,
     NOZZLE_MM,
-    PCB_HOLE_X_MM,
-    PCB_HOLE_Y_MM,
     PCB_OVER_PI_MM,
     PCB_POST_HOLE_MM,
     PI_HOLE_EDGE_MM,
@@ -320,7 +318,8 @@ def pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
 
 def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the holes of the circuit's board."""
-    x, y = PCB_HOLE_X_MM / 2, PCB_HOLE_Y_MM / 2
+    board = dimensions.settings.board
+    x, y = board.pcb_hole_x_mm / 2, board.pcb_hole_y_mm / 2
     return [(sx * x, sy * y) for sx in (-1, 1) for sy in (-1, 1)]
 
 
