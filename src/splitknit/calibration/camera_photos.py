@@ -24,10 +24,9 @@ from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io import file_hash, provenance, read_rig, write_rig
 from splitknit.io.images import DEFAULTS, decode_image
 from splitknit.io.targets import check_rig_file
-from splitknit.model import Camera, PixelArray, Rig
+from splitknit.model import Camera, PixelArray, Progress, Rig, no_progress
 from splitknit.simulator.rig import default_rig
 
-Progress = Callable[[str, float], None]
 _SENSOR_COLUMNS = 3280
 _UNBINNED_COLUMNS = 1920
 
@@ -71,7 +70,7 @@ class FoundCamera:
     warnings: tuple[str, ...]
 
 
-def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, fraction: None) -> dict[str, Any]:
+def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[str, Any]:
     """Calibrate, write the rig file, return the facts.
 
     Raises

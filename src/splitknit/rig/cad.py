@@ -7,7 +7,7 @@ Into the folder go ``stl/`` (as printed), ``step/`` and ``assembly.step`` (in th
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from splitknit.errors import BadInput
 from splitknit.io import atomic_folder, file_hash, plain_json, provenance, read_rig, write_image
 from splitknit.io.pictures import ColourArray
 from splitknit.io.targets import check_target
-from splitknit.model import Rig
+from splitknit.model import Progress, Rig, no_progress
 from splitknit.rig.assembly import STACK, STACK_BELOW, RigPart, build_parts, require_build123d
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimension_table import dimension_table
@@ -265,9 +265,6 @@ def _write_labels(
         )
 
 
-Progress = Callable[[str, float], None]
-
-
 def cad_to_folder(
     out: Path,
     *,
@@ -275,7 +272,7 @@ def cad_to_folder(
     changes: Mapping[str, Any] | None = None,
     below: bool = False,
     pictures: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Draw, check and write all parts of a rig; return the document of ``parts.json`` and the folder's name.
 
@@ -293,7 +290,6 @@ def cad_to_folder(
     BadInput
         In one sentence: a rig that cannot be built, a setting out of range, build123d not installed.
     """
-    say: Progress = progress or (lambda what, fraction: None)
     check_target(out, "parts.json", "an earlier set of parts")
     rig, hashes = _rig(rig_file)
     settings = override(PartSettings(), changes or {})
@@ -306,21 +302,23 @@ def cad_to_folder(
     with atomic_folder(out) as target:
         for name in ("stl", "step", "pictures"):
             (target / name).mkdir()
-        parts = build_parts(dimensions, lambda name, fraction: say(f"drawing {name}", 0.45 * fraction))
+        parts = build_parts(dimensions, lambda name, fraction: progress(f"drawing {name}", 0.45 * fraction))
         reports, placed = {}, {}
         for done, part in enumerate(parts):
             name = part.kind.name
-            say(f"checking {name}", 0.45 + 0.35 * done / len(parts))
+            progress(f"checking {name}", 0.45 + 0.35 * done / len(parts))
             placed[name] = triangles_of(part)
             file = target / "stl" / f"{name}.stl"
             write_stl(file, as_printed(part, placed[name]), name)
             reports[name] = report_part(part.kind, read_stl(file), settings.printer)
             write_step(target / "step" / f"{name}.step", part)
         stack = STACK_BELOW if below else STACK
-        say("assembling", 0.80)
+        progress("assembling", 0.80)
         by_name = {part.kind.name: part for part in parts}
         write_assembly(target / "assembly.step", [by_name[name] for name in stack], below=below)
-        drawn = _write_pictures(target / "pictures", by_name, placed, below=below, progress=say) if pictures else []
+        drawn = (
+            _write_pictures(target / "pictures", by_name, placed, below=below, progress=progress) if pictures else []
+        )
         if not pictures:
             (target / "pictures").rmdir()
         facts = {
@@ -333,7 +331,7 @@ def cad_to_folder(
         }
         document = json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n"
         (target / "parts.json").write_text(document, encoding="utf-8")
-    say("done", 1.0)
+    progress("done", 1.0)
     return {**facts, "out": str(out)}
 
 
@@ -378,7 +376,7 @@ def _write_pictures(
     placed: Mapping[str, Triangles],
     *,
     below: bool,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> list[str]:
     """Draw everything into a folder; return the names of the files.
 

@@ -15,7 +15,7 @@ from splitknit.errors import require
 from splitknit.io import write_capture, write_image, write_rig
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.targets import check_target
-from splitknit.model import Band, Capture, Rig
+from splitknit.model import Band, Capture, Progress, Rig, no_progress
 from splitknit.simulator.bench import DarkScene, Scene, photograph_bench, well_exposed
 from splitknit.simulator.bench_flat import Board, BoardScene, CardScene, DiscScene
 from splitknit.simulator.bench_nail import NailScene
@@ -23,7 +23,6 @@ from splitknit.simulator.bench_poses import board_poses
 from splitknit.simulator.bench_scene import BenchSettings
 from splitknit.simulator.built_rig import built_rig, nominal_rig
 
-Progress = Callable[[str, float], None]
 MARKER = "rig_true.json"
 NAIL_MM = 13.0
 NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
@@ -64,7 +63,7 @@ def bench_to_folder(
     seed: int,
     scale: float = 0.5,
     photos: BenchPhotos | None = None,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
 
