@@ -111,8 +111,8 @@ def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
         "Uncertainty of the relief",
         on_paper(colour(values, 0.0, high), weight),
         "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
-        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against the "
-        "relief.",
+        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small "
+        "against the relief.",
         charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
         frame.pitch_mm,
     )
