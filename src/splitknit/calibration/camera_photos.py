@@ -31,9 +31,8 @@ from splitknit.io.images import DEFAULTS, decode_image
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_rig_file
-from splitknit.model import Camera, PixelArray, Rig, default_rig
+from splitknit.model import Camera, PixelArray, Progress, Rig, default_rig, no_progress
 
-Progress = Callable[[str, float], None]
 _SENSOR_COLUMNS = 3280
 _UNBINNED_COLUMNS = 1920
 
@@ -77,7 +76,7 @@ class FoundCamera:
     warnings: tuple[str, ...]
 
 
-def calibrate_to_rig(job: CameraJob, progress: Progress = lambda stage, fraction: None) -> dict[str, Any]:
+def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[str, Any]:
     """Calibrate, write the rig file, return the facts.
 
     Raises

@@ -7,7 +7,7 @@ Into the folder go ``stl/`` (as printed), ``step/`` and ``assembly.step`` (in th
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from splitknit.io.pictures import ColourArray
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.model import Rig, default_rig
+from splitknit.model import Progress, Rig, default_rig, no_progress
 from splitknit.rig.assembly import (
     STACK,
     STACK_BELOW,
@@ -278,9 +278,6 @@ def _write_labels(
         )
 
 
-Progress = Callable[[str, float], None]
-
-
 def cad_to_folder(
     out: Path,
     *,
@@ -288,7 +285,7 @@ def cad_to_folder(
     changes: Mapping[str, Any] | None = None,
     below: bool = False,
     pictures: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Draw, check and write all parts of a rig; return the document of ``parts.json`` and the folder's name.
 
@@ -306,7 +303,6 @@ def cad_to_folder(
     BadInput
         In one sentence: a rig that cannot be built, a setting out of range, build123d not installed.
     """
-    say: Progress = progress or (lambda what, fraction: None)
     check_target(out, "parts.json", "an earlier set of parts")
     rig, hashes = _rig(rig_file)
     settings = override(PartSettings(), changes or {})
@@ -319,21 +315,23 @@ def cad_to_folder(
     with atomic_folder(out) as target:
         for name in ("stl", "step", "pictures"):
             (target / name).mkdir()
-        parts = build_parts(dimensions, lambda name, fraction: say(f"drawing {name}", 0.45 * fraction))
+        parts = build_parts(dimensions, lambda name, fraction: progress(f"drawing {name}", 0.45 * fraction))
         reports, placed = {}, {}
         for done, part in enumerate(parts):
             name = part.kind.name
-            say(f"checking {name}", 0.45 + 0.35 * done / len(parts))
+            progress(f"checking {name}", 0.45 + 0.35 * done / len(parts))
             placed[name] = triangles_of(part)
             file = target / "stl" / f"{name}.stl"
             write_stl(file, as_printed(part, placed[name]), name)
             reports[name] = report_part(part.kind, read_stl(file), settings.printer)
             write_step(target / "step" / f"{name}.step", part)
         stack = STACK_BELOW if below else STACK
-        say("assembling", 0.80)
+        progress("assembling", 0.80)
         by_name = {part.kind.name: part for part in parts}
         write_assembly(target / "assembly.step", [by_name[name] for name in stack], below=below)
-        drawn = _write_pictures(target / "pictures", by_name, placed, below=below, progress=say) if pictures else []
+        drawn = (
+            _write_pictures(target / "pictures", by_name, placed, below=below, progress=progress) if pictures else []
+        )
         if not pictures:
             (target / "pictures").rmdir()
         facts = {
@@ -346,7 +344,7 @@ def cad_to_folder(
         }
         document = json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n"
         (target / "parts.json").write_text(document, encoding="utf-8")
-    say("done", 1.0)
+    progress("done", 1.0)
     return {**facts, "out": str(out)}
 
 
@@ -391,7 +389,7 @@ def _write_pictures(
     placed: Mapping[str, Triangles],
     *,
     below: bool,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> list[str]:
     """Draw everything into a folder; return the names of the files.
 

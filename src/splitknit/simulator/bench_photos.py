@@ -17,14 +17,13 @@ from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
 from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
-from splitknit.model import Band, Capture, Rig, nominal_rig
+from splitknit.model import Band, Capture, Progress, Rig, no_progress, nominal_rig
 from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
 from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene
 from splitknit.simulator.camera.device import Scene
 from splitknit.simulator.rigs import built_rig
 
-Progress = Callable[[str, float], None]
 MARKER = "rig_true.json"
 NAIL_MM = 13.0
 NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
@@ -65,7 +64,7 @@ def bench_to_folder(
     seed: int,
     scale: float = 0.5,
     photos: BenchPhotos | None = None,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
 
