@@ -177,8 +177,8 @@ def test_under_the_lens_cap_only_noise_is_left():
         (lambda _: CardScene(**drawn(), reflectance=1.2), "reflectance must lie in"),
         (lambda _: CardScene(**drawn(), tilt_deg=(50, 0)).light([0]), "at most 45 deg"),
         (lambda _: CardScene(camera=drawn()["camera"], leds=()), "at least one LED"),
-        (lambda _: BenchSettings(ambient=-0.1), "ambient must lie between"),
-        (lambda _: BenchSettings(led_radius_mm=np.nan), "led_radius_mm must lie between"),
+        (lambda _: BenchSettings(ambient=-0.1), "bench.ambient must be from 0 to 1"),
+        (lambda _: BenchSettings(led_radius_mm=np.nan), "bench.led_radius_mm must be from 0 to 10"),
     ],
 )
 def test_what_cannot_be_photographed_is_refused(call, words):

@@ -13,21 +13,21 @@ from splitknit.model import Camera, default_rig
 from splitknit.simulator.finger.conditions import (
     KINDS,
     Condition,
+    _dried,
+    _ridge_angle,
+    _scale_reflectance,
+    _water_level,
+    _water_of,
     conditioned_surface,
-    dried,
-    ridge_angle,
-    scale_reflectance,
     scarred,
-    water_level,
-    water_of,
 )
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings, master_print
 from splitknit.simulator.light.coat import (
     DENSITY_MG_PER_MM3,
+    _reflected,
+    _sphere_brightness,
     draw_grains,
-    reflected,
-    sphere_brightness,
     stamp,
 )
 from splitknit.simulator.light.renderer import RenderSettings, render_band
@@ -84,7 +84,7 @@ def test_a_renderer_takes_the_coat_by_itself(egg):
 def test_conditions_are_checked():
     with pytest.raises(BadInput, match=r"one of none, wet, dry"):
         Condition("muddy")
-    with pytest.raises(BadInput, match=r"severity must lie in \[0, 1\], but it is 1.5"):
+    with pytest.raises(BadInput, match=r"severity must be from 0 to 1, but it is 1\.5"):
         Condition("wet", 1.5)
     assert not Condition("wet", 0.0).active and not Condition().active and Condition("dry", 0.1).active
 
@@ -99,14 +99,14 @@ def test_two_roughnesses_keep_their_energy_and_reciprocity():
 
     light, view = unit(0.3, 0.2, 1.0), unit(-0.1, 0.5, 0.9)
     shape = {"index": 1e6, "along": along, "roughness_along": 0.1}
-    there = reflected(normal, light, view, 0.3, **shape) / light[2]
-    back = reflected(normal, view, light, 0.3, **shape) / view[2]
+    there = _reflected(normal, light, view, 0.3, **shape) / light[2]
+    back = _reflected(normal, view, light, 0.3, **shape) / view[2]
     np.testing.assert_allclose(there, back, rtol=1e-6)
     # a mirror (index without end) with two roughnesses reflects nearly all of a beam that falls on it
     z = rng.random(400_000)
     turn = 2 * np.pi * rng.random(z.size)
     out = (np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z)
-    radiance = reflected(normal, tuple(np.full(1, v) for v in (0.0, 0.0, 1.0)), out, 0.3, **shape)
+    radiance = _reflected(normal, tuple(np.full(1, v) for v in (0.0, 0.0, 1.0)), out, 0.3, **shape)
     assert 0.93 < 2 * np.pi * float(np.mean(radiance * z)) < 1.01
 
 
@@ -120,7 +120,7 @@ def test_two_roughnesses_follow_the_papers():
     mirrors = fresnel(np.array([np.dot(light, (x, y, z))]), 1.42)[0]
     wanted = spread * seen[0] * seen[1] * mirrors / (4 * view[2])
     parts = [tuple(np.full(1, v) for v in vector) for vector in ((0, 0, 1.0), light, view, (1.0, 0, 0))]
-    found = reflected(parts[0], parts[1], parts[2], ay, index=1.42, along=parts[3], roughness_along=ax)
+    found = _reflected(parts[0], parts[1], parts[2], ay, index=1.42, along=parts[3], roughness_along=ax)
     assert found[0] == pytest.approx(wanted, rel=1e-6)
 
 
@@ -128,16 +128,20 @@ def test_equal_roughnesses_have_no_direction():
     normal = tuple(np.full(1, v) for v in (0.1, 0.0, np.sqrt(0.99)))
     along = tuple(np.full(1, v) for v in (0.0, 1.0, 0.0))
     light, view = (np.full(1, 0.3), np.full(1, 0.1), np.full(1, 0.9487)), tuple(np.full(1, v) for v in (0.0, 0.0, 1.0))
-    plain = reflected(normal, light, view, 0.2, index=1.42)
-    np.testing.assert_allclose(plain, reflected(normal, light, view, 0.2, index=1.42, along=along, roughness_along=0.2))
-    wide = reflected(normal, light, view, 0.2, index=1.42, along=along, roughness_along=0.02)
+    plain = _reflected(normal, light, view, 0.2, index=1.42)
+    np.testing.assert_allclose(
+        plain, _reflected(normal, light, view, 0.2, index=1.42, along=along, roughness_along=0.2)
+    )
+    wide = _reflected(normal, light, view, 0.2, index=1.42, along=along, roughness_along=0.02)
     assert abs(float(wide[0] / plain[0]) - 1) > 0.2
 
 
 def test_water_lies_on_the_skin_and_bridges_valleys_in_arcs():
     u = 0.02 * np.arange(600)
     valleys = np.repeat(-0.03 * (1 - np.cos(2 * np.pi * u / 0.44))[None, :], 8, axis=0)
-    levels = [water_level(valleys, 0.02, replace(water_of(s), share=1.0), np.random.default_rng(0)) for s in (0.4, 0.5)]
+    levels = [
+        _water_level(valleys, 0.02, replace(_water_of(s), share=1.0), np.random.default_rng(0)) for s in (0.4, 0.5)
+    ]
     for level in levels:
         assert (level >= valleys - 1e-12).all()
     thickness = [float((level - valleys).mean()) for level in levels]
@@ -145,16 +149,16 @@ def test_water_lies_on_the_skin_and_bridges_valleys_in_arcs():
     middle = levels[0][4, 22 * 8 : 22 * 12]
     bend = np.diff(middle, 2) / 0.02**2
     inside = (middle - valleys[4, 22 * 8 : 22 * 12])[1:-1] > 2e-3
-    np.testing.assert_allclose(np.median(bend[inside]), 1 / water_of(0.4).meniscus_mm, rtol=0.05)
-    closed = water_level(valleys, 0.02, water_of(1.0), np.random.default_rng(0))
+    np.testing.assert_allclose(np.median(bend[inside]), 1 / _water_of(0.4).meniscus_mm, rtol=0.05)
+    closed = _water_level(valleys, 0.02, _water_of(1.0), np.random.default_rng(0))
     assert float(np.ptp(closed[:, 100:-100])) < 1e-3  # a film over the ridges levels out
     assert float((closed - valleys).min()) > 5e-3
 
 
 def test_half_of_the_skin_is_wet_at_a_quarter():
     valleys = np.repeat(-0.03 * (1 - np.cos(2 * np.pi * np.arange(700) / 11))[None, :], 700, axis=0)
-    level = water_level(valleys, 0.04, water_of(0.25), np.random.default_rng(1))
-    full = water_level(valleys, 0.04, replace(water_of(0.25), share=1.0), np.random.default_rng(1))
+    level = _water_level(valleys, 0.04, _water_of(0.25), np.random.default_rng(1))
+    full = _water_level(valleys, 0.04, replace(_water_of(0.25), share=1.0), np.random.default_rng(1))
     deep = full - valleys > 1e-3
     assert 0.35 < float(((level - valleys)[deep] > 0.5 * (full - valleys)[deep]).mean()) < 0.65
 
@@ -199,7 +203,7 @@ def test_discs_keep_their_areas():
     assert drawn.sum() == pytest.approx(total.sum())
     assert drawn[40, 60] == pytest.approx(0.5, rel=0.03)
     assert stamp((9, 9), np.empty(0), np.empty(0), np.empty(0)).sum() == 0
-    np.testing.assert_allclose(sphere_brightness(np.array([0.0, np.pi])), [2 / 3, 0.0], atol=1e-6)
+    np.testing.assert_allclose(_sphere_brightness(np.array([0.0, np.pi])), [2 / 3, 0.0], atol=1e-6)
 
 
 def test_grains_hide_the_skin_and_shade_it(egg):
@@ -222,12 +226,12 @@ def test_scales_scatter_white_light(egg):
     inside = np.s_[:, :, 60:110, 60:110]
     np.testing.assert_allclose(gain[inside][:, 0], gain[inside][:, 2], rtol=0.02, atol=1e-4)
     assert (gain[inside] > 0).all()
-    assert scale_reflectance(np.array([0.0, 1.0, 4.0])) == pytest.approx([0.0, 0.0889, 0.2807], rel=2e-3)
+    assert _scale_reflectance(np.array([0.0, 1.0, 4.0])) == pytest.approx([0.0, 0.0889, 0.2807], rel=2e-3)
 
 
 def test_dry_skin_is_lower_rougher_and_has_scales(master):
     relief = -0.065 * (1 - master.ridge.astype(np.float64))
-    weak, strong = (dried(relief, master, s, np.random.default_rng(2)) for s in (0.2, 1.0))
+    weak, strong = (_dried(relief, master, s, np.random.default_rng(2)) for s in (0.2, 1.0))
     assert strong.share.mean() > 2 * weak.share.mean() > 0
     assert 0.04 < strong.share.mean() < 0.5
     assert strong.reflectance is not None
@@ -250,7 +254,7 @@ def test_scars_have_no_ridges_and_grow_with_the_severity(master):
 
 
 def test_the_ridges_direction_is_found(master):
-    angle = ridge_angle(master.ridge, 8.0)
+    angle = _ridge_angle(master.ridge, 8.0)
     step = 3
     rows, columns = np.mgrid[60:400:37, 60:240:31]
     along = angle[rows, columns]

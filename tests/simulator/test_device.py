@@ -185,9 +185,8 @@ def test_faults_begin_with_their_photograph(finger):
 
 @pytest.mark.parametrize(
     ("settings", "words"),
-    [({"sensitivity_per_s": 0.0}, "sensitivity"), ({"longest_s": 1e-9}, "range of times"), ({"settle_s": -1}, "settle"),
-     ({"highest_gain": 0.5}, "gain"), ({"preview_columns": 1}, "preview")],
-)  # fmt: skip
+    [({"sensitivity_per_s": 0.0}, "sensitivity"), ({"settle_s": -1}, "settle")],
+)
 def test_settings_are_checked(settings, words):
     with pytest.raises(BadInput, match=words):
         TwinDeviceSettings(**settings)

@@ -30,10 +30,10 @@ from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.skin import SkinSettings, fresnel
-from splitknit.simulator.mirror_scene import light_through
-from splitknit.simulator.mirror_twin import bare_behind, section_points
-from splitknit.simulator.mirror_view import Gate, Reflection, as_built, lights_of, outline_coverage
-from splitknit.simulator.rigs import HolderProfile, MirrorParts, MirrorViews, mirror_rig, nominal_mirrors
+from splitknit.simulator.mirror_scene import _light_through
+from splitknit.simulator.mirror_twin import _bare_behind, _section_points
+from splitknit.simulator.mirror_view import Reflection, _Gate, as_built, lights_of, outline_coverage
+from splitknit.simulator.rigs import HolderProfile, MirrorParts, MirrorViews, _nominal_mirrors, mirror_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import simulate_capture
@@ -133,7 +133,7 @@ def test_a_reflection_is_its_own_inverse_and_keeps_the_plane():
 
 
 def test_light_passes_a_gate_where_the_led_is_seen_through_it():
-    gate = Gate(np.array([[-1.0, -2, 5], [1, -2, 5], [1, 2, 5], [-1, 2, 5]]))
+    gate = _Gate(np.array([[-1.0, -2, 5], [1, -2, 5], [1, 2, 5], [-1, 2, 5]]))
     led = Led("white", position_mm=(0.0, 0.0, 10.0))
     x = np.array([0.0, 1.9, 2.1, 2.0, 0.0, 0.0])
     y = np.array([0.0, 0.0, 0.0, 0.0, 3.9, 4.1])
@@ -271,7 +271,7 @@ def test_sections_lie_on_the_body():
     for seed in (1, 5, 9):
         body = FingerBody(draw_finger(seed).shape)
         y, theta = np.meshgrid(np.linspace(-6, body.shape.length_mm - 1e-3, 60), np.linspace(-np.pi, np.pi, 80))
-        value, *_ = body.value_and_gradient(*section_points(body, y.ravel(), theta.ravel()))
+        value, *_ = body.value_and_gradient(*_section_points(body, y.ravel(), theta.ravel()))
         assert np.abs(value).max() < 1e-10
 
 
@@ -332,7 +332,7 @@ def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way()
     surface = Surface(camera, flat, flat, normals, normals, np.zeros(size, np.float32), mask, np.ones(size, np.float32))
     patch = cut_out(surface)
     direct, both = (
-        light_through(patch, lights, 0.3, 0.0)[0].max() for lights in (lights_of(led, ()), lights_of(led, (mirror,)))
+        _light_through(patch, lights, 0.3, 0.0)[0].max() for lights in (lights_of(led, ()), lights_of(led, (mirror,)))
     )
     image = np.array([190.0, 0.0, -30.0])  # of (20, 0, 140) in x - z = 50
     place = np.array([(j - (size[1] - 1) / 2) / camera.px_per_mm, ((size[0] - 1) / 2 - i) / camera.px_per_mm, -5.0])
@@ -342,7 +342,7 @@ def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way()
     assert both - direct == pytest.approx(float(expected), rel=1e-4)
     # a smaller mirror in the same plane, beside the way of the light
     aside = replace(mirror, corners_mm=tuple((x, y + 80.0, z) for x, y, z in mirror.corners_mm))
-    missed = light_through(patch, lights_of(led, (aside,)), 0.3, 0.0)[0].max()
+    missed = _light_through(patch, lights_of(led, (aside,)), 0.3, 0.0)[0].max()
     assert missed == pytest.approx(direct)
 
 
@@ -361,7 +361,7 @@ def test_a_square_tip_has_no_second_body_beside_it():
 def test_a_capture_has_the_drawn_mirrors_and_its_truth_the_true_ones(taken_once):
     chosen, capture, truth = taken_once
     assert [mirror.name for mirror in capture.rig.mirrors] == list(truth["mirror_names"]) == list(ALL)
-    assert capture.rig.mirrors == nominal_mirrors(chosen.mirrors, capture.rig.camera)
+    assert capture.rig.mirrors == _nominal_mirrors(chosen.mirrors, capture.rig.camera)
     for mirror in capture.rig.mirrors:
         apart = np.abs(np.array(mirror.corners_mm) - truth[f"mirror_{mirror.name}_corners_mm"]).max()
         assert 0.05 < apart < 5.0
@@ -418,7 +418,6 @@ def test_an_outline_covers_as_much_of_each_pixel_as_it_does():
         ({"names": ("tip", "tip")}, "each once"),
         ({"reflectance": 1.5}, "mirrors.reflectance"),
         ({"model": "fisheye"}, "perspective"),
-        ({"insertion_mm": (3.0, 2.0)}, "insertion_mm"),
     ],
 )
 def test_impossible_settings_are_refused(change, says):
@@ -440,14 +439,14 @@ def test_scenes_that_cannot_be_are_refused():
 
 def test_the_back_of_a_finger_has_no_ridges():
     body, map_ = FingerBody(FINGER.shape), skin_map(FINGER.master(), FINGER.skin)
-    bare = bare_behind(map_, body, 112.0)
+    bare = _bare_behind(map_, body, 112.0)
     for degrees, ridged in ((0.0, True), (70.0, True), (150.0, False), (180.0, False), (-70.0, True), (-150.0, False)):
         y = np.linspace(5.0, 15.0, 400)
-        _, u, v = body.distance_and_chart(*section_points(body, y, np.full(400, np.deg2rad(degrees))))
+        _, u, v = body.distance_and_chart(*_section_points(body, y, np.full(400, np.deg2rad(degrees))))
         relief = bare.displacement(u, v)
         if ridged:
             np.testing.assert_allclose(relief, map_.displacement(u, v), atol=1e-9)
             assert np.ptp(relief) > 0.02
         else:
             assert np.abs(relief).max() < 1e-6
-    assert bare_behind(map_, body, 180.0) is map_
+    assert _bare_behind(map_, body, 180.0) is map_

@@ -8,7 +8,7 @@ import scipy.fft
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera
-from splitknit.simulator.finger.palm import PalmLine, PalmSettings, draw_lines, draw_palm, groove_map, palm_surface
+from splitknit.simulator.finger.palm import PalmSettings, _draw_lines, _groove_map, _PalmLine, draw_palm, palm_surface
 
 SMALL = PalmSettings(size_mm=(20.0, 16.0))
 PLAIN = PalmSettings(size_mm=(20.0, 16.0), principal=(0, 0), wrinkles=(0, 0))
@@ -71,7 +71,7 @@ def test_lines_are_wide_deep_and_branch(palms):
             assert line.width_mm.min() > 0.02
     rng = np.random.default_rng(3)
     counts = {"principal": 3, "wrinkles": 0, "principal_depth_mm": 0.2, "wrinkle_depth_mm": 0.03}
-    lines = draw_lines(rng, (22.0, 17.0), **counts)
+    lines = _draw_lines(rng, (22.0, 17.0), **counts)
     stems = sorted(lines, key=lambda line: -line.depth_mm.max())[:3]
     assert len(lines) > 6
     assert all(0.08 < stem.depth_mm.max() < 0.36 and stem.width_mm.max() > 0.2 for stem in stems)
@@ -84,16 +84,16 @@ def test_lines_are_wide_deep_and_branch(palms):
 
 def test_a_groove_has_its_depth_and_width():
     points = np.stack([np.linspace(-3, 3, 25), np.zeros(25)], 1)
-    line = PalmLine(points, np.full(25, 0.2), np.full(25, 0.3))
+    line = _PalmLine(points, np.full(25, 0.2), np.full(25, 0.3))
     axis = np.arange(-60, 61) * 0.05
-    groove = groove_map((line,), axis, -axis)
+    groove = _groove_map((line,), axis, -axis)
     section = groove[:, 60]
     assert section.max() == pytest.approx(0.2, rel=0.02)
     assert np.argmax(section) == 60
     wide = axis[section > 0.2 * np.exp(-0.5)]
     assert np.ptp(wide) == pytest.approx(0.6, abs=0.11)
-    aside = PalmLine(points + np.array([0.0, 1.0]), np.full(25, 0.1), np.full(25, 0.2))
-    assert groove_map((aside,), axis, -axis)[60 - 20, 60] == pytest.approx(0.1, rel=0.03)  # y up, rows down
+    aside = _PalmLine(points + np.array([0.0, 1.0]), np.full(25, 0.1), np.full(25, 0.2))
+    assert _groove_map((aside,), axis, -axis)[60 - 20, 60] == pytest.approx(0.1, rel=0.03)  # y up, rows down
 
 
 def test_heights_and_normals_are_of_one_surface(surface):

@@ -17,11 +17,11 @@ from splitknit.simulator.population.sessions import (
     LARGE,
     PopulationSettings,
     SessionRanges,
+    _skin_of_today,
     draw_impression,
     drifted,
     finger_of_today,
     population_capture,
-    skin_of_today,
 )
 
 COUNT = 500
@@ -161,7 +161,7 @@ def test_the_finger_of_today_is_swollen_flat_and_moist(people, impressions):
     assert finger.shape.width_mm == own.finger.shape.width_mm * (1 + today.swelling + today.flattening)
     assert finger.shape.thickness_mm == own.finger.shape.thickness_mm * (1 + today.swelling - today.flattening)
     assert finger.skin.ridge_depth_um == own.finger.skin.ridge_depth_um * today.ridge_contrast
-    skin = skin_of_today(own, today)
+    skin = _skin_of_today(own, today)
     assert (skin.glare, skin.roughness) == (today.glare, today.roughness)
     assert skin.melanin == own.optics.melanin
 
@@ -217,9 +217,9 @@ def test_what_does_not_exist_is_refused():
         population_capture(SMALL, SMALL.person(1), "left_toe", 1)
     with pytest.raises(BadInput, match="numbered from 1"):
         draw_person(0, 0)
-    with pytest.raises(BadInput, match=r"sessions.roll_sd_deg must lie in \[0, 12\]"):
+    with pytest.raises(BadInput, match=r"sessions\.roll_sd_deg must be from 0 to 12"):
         SessionRanges(roll_sd_deg=30.0)
-    with pytest.raises(BadInput, match=r"people.width_mm must lie in \[11, 23\]"):
+    with pytest.raises(BadInput, match=r"people\.width_mm must be from 11 to 23"):
         PeopleRanges(width_mm=(20.0, 16.0, 16.0, 16.0, 5.0))
     with pytest.raises(BadInput, match=r"population\.truth"):
         PopulationSettings(truth="none")

@@ -104,10 +104,8 @@ def test_noise_and_resolution(finger: Finger, master: MasterPrint, steady: Press
 
 
 def test_settings_are_checked() -> None:
-    with pytest.raises(BadInput, match="force_n must lie in"):
+    with pytest.raises(BadInput, match=r"force_n must be from 0\.1 to 20"):
         PressSettings(force_n=0.0)
     with pytest.raises(BadInput, match="shift_mm"):
         PressSettings(shift_mm=2.0)
-    with pytest.raises(BadInput, match="dark_grey"):
-        PressSettings(dark_grey=230.0)
     assert PressSettings(force_n=4.0).depth_mm == pytest.approx(1.1 * 4**0.4)

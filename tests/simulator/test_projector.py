@@ -9,7 +9,7 @@ from surfaces import plane, ridged_egg
 from splitknit.errors import BadInput
 from splitknit.model import Led
 from splitknit.simulator.light.lighting import cut_out
-from splitknit.simulator.light.separation import Checkerboard, pattern_states, projected
+from splitknit.simulator.light.separation import Checkerboard, _projected, pattern_states
 
 ABOVE = Led("white", direction=(0.0, 0.0, 1.0))
 ASIDE = Led("white", position_mm=(52.5, -10.0, 140.0))
@@ -76,7 +76,7 @@ def test_twenty_five_shifts_cover_one_period_evenly():
 
 def test_the_pattern_lies_on_the_surface_along_the_projectors_rays():
     patch = cut_out(ridged_egg(size=(200, 180), px_per_mm=12.0))
-    x, y = projected(patch, ASIDE)
+    x, y = _projected(patch, ASIDE)
     px, py, pz = ASIDE.position_mm
     top = np.unravel_index(np.argmax(patch.z), patch.z.shape)
     z = float(patch.z[top])
@@ -85,15 +85,15 @@ def test_the_pattern_lies_on_the_surface_along_the_projectors_rays():
     ray = np.array([x[top], y[top], 0.0]) - np.array([px, py, pz])
     assert np.linalg.norm(np.cross(ray, here - np.array([px, py, pz]))) < 1e-3
     assert x[top] - here[0] == pytest.approx(-(px - here[0]) * z / (pz - z), rel=1e-4)
-    far_x, far_y = projected(patch, ABOVE)
+    far_x, far_y = _projected(patch, ABOVE)
     np.testing.assert_allclose(far_x - patch.x, 0, atol=1e-9)
     np.testing.assert_allclose(far_y - patch.y, 0, atol=1e-9)
 
 
 def test_a_distant_projector_is_the_limit_of_a_near_one():
     patch = cut_out(ridged_egg(size=(100, 90), px_per_mm=6.0))
-    near = projected(patch, Led("white", position_mm=(0.3e6, 0.1e6, 1e6)))
-    distant = projected(patch, Led("white", direction=(0.3, 0.1, 1.0)))
+    near = _projected(patch, Led("white", position_mm=(0.3e6, 0.1e6, 1e6)))
+    distant = _projected(patch, Led("white", direction=(0.3, 0.1, 1.0)))
     for a, b in zip(near, distant, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-3)
 
@@ -128,9 +128,9 @@ def test_impossible_patterns_are_refused(wrong, word):
 def test_projectors_that_cannot_be_are_refused():
     patch = cut_out(plane((8, 8), 10.0))
     with pytest.raises(BadInput, match="one projector"):
-        projected(patch, Led("white", position_mm=(0, 0, 100), also=(ASIDE,)))
+        _projected(patch, Led("white", position_mm=(0, 0, 100), also=(ASIDE,)))
     with pytest.raises(BadInput, match="from above"):
-        projected(patch, Led("white", direction=(1.0, 0.0, 0.0)))
+        _projected(patch, Led("white", direction=(1.0, 0.0, 0.0)))
     egg = cut_out(ridged_egg(size=(60, 60), px_per_mm=4.0))
     with pytest.raises(BadInput, match="reaches up"):
-        projected(egg, Led("white", position_mm=(30.0, 0.0, 2.0)))
+        _projected(egg, Led("white", position_mm=(30.0, 0.0, 2.0)))

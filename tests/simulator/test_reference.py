@@ -232,7 +232,7 @@ def test_missing_mitsuba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("boundary", "rough"), ("batches", 1), ("samples", 100), ("binning", 0), ("margin_mm", -1.0),
+        ("boundary", "rough"), ("samples", 100), ("binning", 0), ("margin_mm", -1.0),
         ("spread_rad", 0.0), ("bounces", 0), ("threads", 0),
     ],
 )  # fmt: skip

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from splitknit.model import Camera
-from splitknit.simulator.reference_scene import LEDGE_MM, skin_mesh
+from splitknit.simulator.reference_scene import LEDGE_MM, _skin_mesh
 from splitknit.simulator.surface import Surface
 
 
@@ -29,7 +29,7 @@ WINDOW = (slice(15, 25), slice(15, 25))
 
 
 def test_patch_faces_up_and_covers_crop_margin_and_ledge() -> None:
-    mesh = skin_mesh(bump(), WINDOW, margin_mm=4.0)
+    mesh = _skin_mesh(bump(), WINDOW, margin_mm=4.0)
     normals = mesh.normals()
     assert not mesh.closed
     assert (normals[:, 2] > 0.0).all()
@@ -43,7 +43,7 @@ def test_patch_faces_up_and_covers_crop_margin_and_ledge() -> None:
 
 def test_vertices_lie_where_the_camera_sees_the_pixels() -> None:
     surface = bump()
-    mesh = skin_mesh(surface, WINDOW, margin_mm=0.0)
+    mesh = _skin_mesh(surface, WINDOW, margin_mm=0.0)
     row, column = 17, 22
     x, y = (column - 20.0) * 0.1, (20.0 - row) * 0.1
     found = np.argmin(np.hypot(mesh.vertices[:, 0] - x, mesh.vertices[:, 1] - y))
@@ -53,13 +53,13 @@ def test_vertices_lie_where_the_camera_sees_the_pixels() -> None:
 def test_steepest_slope_of_a_ramp() -> None:
     surface = bump()
     ramp = np.broadcast_to(np.arange(41) * 0.1 * 0.7, (41, 41)).astype(np.float32)
-    mesh = skin_mesh(replace(surface, height_mm=ramp), WINDOW, margin_mm=0.0)
+    mesh = _skin_mesh(replace(surface, height_mm=ramp), WINDOW, margin_mm=0.0)
     np.testing.assert_allclose(mesh.steepest(), 0.7, rtol=1e-5)
 
 
 def test_finger_with_an_outline_is_closed() -> None:
     surface = bump(outline=True)
-    mesh = skin_mesh(surface, WINDOW, margin_mm=4.0)
+    mesh = _skin_mesh(surface, WINDOW, margin_mm=4.0)
     assert mesh.closed
     edges = np.concatenate([mesh.faces[:, [i, (i + 1) % 3]] for i in range(3)]).astype(np.int64)
     there, back = (set(map(tuple, e)) for e in (edges, edges[:, ::-1]))

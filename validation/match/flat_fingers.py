@@ -19,7 +19,12 @@ from splitknit.io.atomic import atomic_file
 from splitknit.matching.ridge_band import RidgeBandSettings, even
 from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.model import BoolArray, FloatArray
-from splitknit.simulator.finger.master_print import MasterPrintSettings
+from splitknit.simulator.finger.master_print import (
+    FAN_WIDENING,
+    PERIOD_VARIATION,
+    PROXIMAL_WIDENING,
+    MasterPrintSettings,
+)
 from splitknit.simulator.finger.ridges import (
     OrientationField,
     fan_log_period,
@@ -63,11 +68,11 @@ def log_periods(  # noqa: PLR0917
     rng: np.random.Generator,
 ) -> NDArray[np.floating[Any]]:
     """(v, u) logarithm of the ridge period over its mean, drawn as the twin's master prints draw it."""
-    logs = prints.period_variation * np.clip(smooth_noise(rng, (v.size, u.size), 4.0 / pitch_mm), -2.5, 2.5)
-    logs += prints.fan_widening * fan_log_period(field.angle_rad, pitch_mm)
+    logs = PERIOD_VARIATION * np.clip(smooth_noise(rng, (v.size, u.size), 4.0 / pitch_mm), -2.5, 2.5)
+    logs += FAN_WIDENING * fan_log_period(field.angle_rad, pitch_mm)
     logs = 0.2 * np.tanh(logs / 0.2)
     centre = field.cores_mm[0][1] * prints.pattern_scale if field.cores_mm else 14.0
-    widening = prints.proximal_widening * rng.uniform(0.4, 1.6)
+    widening = PROXIMAL_WIDENING * rng.uniform(0.4, 1.6)
     logs += (widening * 0.5 * (1.0 - np.tanh((v - 0.45 * centre) / 4.0)))[:, None]
     logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u) / 10.0, 0.0, 1.5) ** 2)[None, :]
     return logs

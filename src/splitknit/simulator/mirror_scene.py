@@ -39,7 +39,7 @@ from splitknit.simulator.surface import Surface
 # Light on a finger between mirrors: the LEDs, and their images through the mirrors' faces.
 
 
-def light_through(
+def _light_through(
     patch: Patch, lights: Sequence[Light], roughness: float, led_radius_mm: float
 ) -> tuple[FloatArray, FloatArray]:
     """(h, w) irradiance that enters the skin and radiance that its surface reflects, of all `lights` together."""
@@ -56,7 +56,7 @@ def light_through(
     return entering, gloss
 
 
-def irradiance(led: Led, point: Array, normal: Array) -> float:
+def _irradiance(led: Led, point: Array, normal: Array) -> float:
     """Light of one LED on a facet at `point` (3,) that faces `normal` (3,)."""
     total = 0.0
     for one in (led, *led.also):
@@ -96,11 +96,11 @@ class MirrorScene:
         self.mirrors = [view.mirror for view in seen]
         self.free = ~surface.mask
         rngs = [np.random.default_rng(child) for child in seed.spawn(len(self.views))]
-        self.frames: list[Frame] = [
-            mirror_frame(view, self.mirrors, rig.camera, settings.mirrors, rng)
+        self.frames: list[_Frame] = [
+            _mirror_frame(view, self.mirrors, rig.camera, settings.mirrors, rng)
             for view, rng in zip(self.views, rngs, strict=True)
         ]
-        self.masks = [visible(view, frame, self.free) for view, frame in zip(self.views, self.frames, strict=True)]
+        self.masks = [_visible(view, frame, self.free) for view, frame in zip(self.views, self.frames, strict=True)]
         for view, mask in zip(self.views, self.masks, strict=True):
             require(
                 bool(mask.any()),
@@ -142,7 +142,7 @@ class MirrorScene:
         optics = [skin.channel(channel) for channel in BAND_CHANNELS[name]]
 
         def shine(k: int) -> tuple[FloatArray, FloatArray, None]:
-            entering, gloss = light_through(patch, lights[k], skin.roughness, LED_RADIUS_MM)
+            entering, gloss = _light_through(patch, lights[k], skin.roughness, LED_RADIUS_MM)
             return entering, gloss * np.float32(skin.glare), None
 
         blur = Diffusion(patch, optics, self.walks, settings, skin.roughness)
@@ -154,19 +154,19 @@ class MirrorScene:
         card = white_card(camera, led, -BACKGROUND_MM)
         frame = self.front.frame(front, k, card)
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
-            inside = background_of(plates, camera, led)
+            inside = _background_of(plates, camera, led)
             _put(inside, view.surface, light.window, light.diffuse[k], light.glare[k])
             for plate in plates.reflected_lip:
-                blend(inside, plate.coverage, np.float32(plate.radiance(led)))
+                _blend(inside, plate.coverage, np.float32(plate.radiance(led)))
             inside *= np.float32(view.mirror.reflectance)
             if plates.dust.any():
                 inside += (plates.dust * card)[..., None]
             inside *= self.front.shade[..., None]
             for plate in plates.holder:
-                blend(frame, plate.coverage, np.float32(plate.radiance(led)), self.free)
-            blend(frame, view.coverage, inside, self.free)
+                _blend(frame, plate.coverage, np.float32(plate.radiance(led)), self.free)
+            _blend(frame, view.coverage, inside, self.free)
             for plate in plates.lip:
-                blend(frame, plate.coverage, np.float32(plate.radiance(led)), self.free)
+                _blend(frame, plate.coverage, np.float32(plate.radiance(led)), self.free)
         return frame
 
     def _glare(self, front: BandLight, sides: Sequence[BandLight], k: int) -> FloatArray:
@@ -176,7 +176,7 @@ class MirrorScene:
         for view, light in zip(self.views, sides, strict=True):
             whole = np.zeros((*glare.shape, 1), dtype=np.float32)
             whole[light.window] = light.glare[k][..., None] * np.float32(view.mirror.reflectance)
-            blend(glare[..., None], view.coverage, whole, self.free)
+            _blend(glare[..., None], view.coverage, whole, self.free)
         return glare * self.front.shade
 
     def _brightest(self, front: BandLight, sides: Sequence[BandLight]) -> float:
@@ -207,13 +207,13 @@ class MirrorScene:
             window = finger_window(view.surface)
             _put(inside, view.surface, window, light, None)
             for plate in plates.reflected_lip:
-                blend(inside, plate.coverage, np.float32(level * plate.albedo))
+                _blend(inside, plate.coverage, np.float32(level * plate.albedo))
             inside *= np.float32(view.mirror.reflectance)
             for plate in plates.holder:
-                blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
-            blend(frame, view.coverage, inside, self.free)
+                _blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
+            _blend(frame, view.coverage, inside, self.free)
             for plate in plates.lip:
-                blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
+                _blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
         return frame
 
 
@@ -248,7 +248,7 @@ _LID_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plate:
+class _Plate:
     """A flat piece of plastic or glass in the picture."""
 
     coverage: Coverage
@@ -259,35 +259,35 @@ class Plate:
 
     def radiance(self, led: Led) -> float:
         """What it sends under one LED: matt."""
-        return self.albedo / np.pi * irradiance(led, self.middle, self.normal)
+        return self.albedo / np.pi * _irradiance(led, self.middle, self.normal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class _Frame:
     """Everything of one mirror but the finger."""
 
     name: str
-    holder: tuple[Plate, ...]
+    holder: tuple[_Plate, ...]
     """Behind and beside the face, in front of the background."""
-    lip: tuple[Plate, ...]
+    lip: tuple[_Plate, ...]
     """In front of the face."""
-    reflected_lip: tuple[Plate, ...]
+    reflected_lip: tuple[_Plate, ...]
     """What the mirror shows of the lip; its `coverage` is in the mirror, the rest as it truly is."""
     opposite: tuple[Coverage, ...]
     """Where it shows the other mirrors."""
-    wall: Plate
+    wall: _Plate
     """The tube on the far side of the finger."""
     dust: FloatArray
     """(H, W) albedo of the specks on the face."""
 
 
-def mirror_frame(
+def _mirror_frame(
     view: View,
     mirrors: Sequence[Mirror],
     camera: Camera,
     views: MirrorViews,
     rng: np.random.Generator,
-) -> Frame:
+) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror.
 
     Parameters
@@ -301,9 +301,9 @@ def mirror_frame(
     name, profile = view.mirror.name, HolderProfile(views.parts)
     inwards = _inwards(name)
 
-    def plate(low: Array, high: Array, albedo: float) -> Plate:
+    def plate(low: Array, high: Array, albedo: float) -> _Plate:
         corners = profile.quad(name, camera, low, high)
-        return Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
+        return _Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
 
     low, high = profile.glass
     glass = plate(low, high, _GLASS_ALBEDO)
@@ -320,9 +320,9 @@ def mirror_frame(
         if other.name != name
     )
     middle = np.append(_TUBE_MM * inwards[:2], -5.0)
-    wall = Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
+    wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
     specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
-    return Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
+    return _Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
 
 
 def _inwards(name: str) -> Array:
@@ -338,14 +338,14 @@ def _face_normal(corners: Array, inwards: Array) -> Array:
     return np.asarray(normal if lean > 0 else -normal)
 
 
-def blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, free: BoolArray | None = None) -> None:
+def _blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, free: BoolArray | None = None) -> None:
     """Replace what `cover` covers of `frame` (H, W, 3) by `over` (H, W, 3), in place; only where `free` (H, W)."""
     share = cover.share if free is None else cover.share * free[cover.window]
     some = frame[cover.window]
     some += share[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
 
 
-def visible(view: View, frame: Frame, free: BoolArray) -> BoolArray:
+def _visible(view: View, frame: _Frame, free: BoolArray) -> BoolArray:
     """(H, W) pixels that show the finger in a mirror: not the lip, not the lip in the mirror, not the finger itself."""
     mask = view.mask & free
     for plate in (*frame.reflected_lip, *frame.lip):
@@ -353,12 +353,12 @@ def visible(view: View, frame: Frame, free: BoolArray) -> BoolArray:
     return mask
 
 
-def background_of(frame: Frame, camera: Camera, led: Led) -> FloatArray:
+def _background_of(frame: _Frame, camera: Camera, led: Led) -> FloatArray:
     """(H, W, 3) radiance of what a mirror shows behind the finger."""
     above = np.array([0.0, 0.0, 1.0])
-    stray = _STRAY_SHARE * frame.wall.albedo / np.pi * irradiance(led, np.zeros(3), above)
+    stray = _STRAY_SHARE * frame.wall.albedo / np.pi * _irradiance(led, np.zeros(3), above)
     wall = frame.wall.radiance(led) + stray
     content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
     for cover in frame.opposite:
-        blend(content, cover, np.float32(_LID_SHARE * wall))
+        _blend(content, cover, np.float32(_LID_SHARE * wall))
     return content

@@ -93,7 +93,7 @@ def photograph_between_mirrors(
     camera, views = rig.camera, settings.mirrors
     mirrors = as_built(rig.mirrors, views, seeds[1] if views.pose_seed is None else views.pose_seed)
     body, master = FingerBody(finger.shape), finger.master()
-    worn = bare_behind(skin_map(master, finger.skin), body, views.ridges_to_deg)
+    worn = _bare_behind(skin_map(master, finger.skin), body, views.ridges_to_deg)
     placement = place(body, pose, camera)
     for mirror in mirrors:
         _check_apart(body, placement, mirror)
@@ -105,13 +105,13 @@ def photograph_between_mirrors(
     truth = surface_truth(surface)
     if surface.chart is not None:
         truth["chart_mm"] = surface.chart
-    truth |= view_truth(seen, scene.masks)
+    truth |= _view_truth(seen, scene.masks)
     capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
-    truth |= body_truth(body, worn, placement, views.truth_pitch_mm)
+    truth |= _body_truth(body, worn, placement, views.truth_pitch_mm)
     return capture, truth
 
 
-def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMap:
+def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMap:
     """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back has no ridges.
 
     The map grows, as it would be continued, so that it reaches all around the finger.
@@ -120,7 +120,7 @@ def bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMa
         return skin
     shape = body.shape
     y = np.array([0.5 * shape.length_mm])
-    edge = section_points(body, y, np.array([np.deg2rad(ridges_to_deg)]))
+    edge = _section_points(body, y, np.array([np.deg2rad(ridges_to_deg)]))
     # where the master print ends, its continuation has ridges that meet at angles: they are to be faint there
     limit = min(float(body.distance_and_chart(*edge)[1][0]), -skin.u0_mm - 0.5)
     reach = shape.length_mm - shape.tip_length_mm
@@ -144,7 +144,7 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
     along, around = np.meshgrid(
         np.linspace(-20.0, body.shape.length_mm - 1e-3, 60), np.linspace(-np.pi, np.pi, 72, endpoint=False)
     )
-    points = np.stack(section_points(body, along.ravel(), around.ravel()), axis=-1)
+    points = np.stack(_section_points(body, along.ravel(), around.ravel()), axis=-1)
     points = points @ placement.rotation.T + placement.shift
     gap = (points - mirror.point_mm) @ mirror.normal
     require(
@@ -160,7 +160,7 @@ Array = NDArray[np.float64]
 _PROXIMAL_MM = 6.0
 
 
-def view_truth(views: Sequence[View], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
+def _view_truth(views: Sequence[View], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
     """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
 
     `masks` (H, W) tell what of each is visible.
@@ -191,7 +191,7 @@ def _within(array: NDArray[Any], mask: NDArray[np.bool_], empty: float) -> NDArr
     return np.where(inside, array, np.float32(empty))
 
 
-def body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float) -> dict[str, NDArray[Any]]:
+def _body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float) -> dict[str, NDArray[Any]]:
     """The whole finger on a grid of places along it and angles around it, in the rig's frame.
 
     Rows are evenly spaced along the finger's axis, from behind the first crease to the tip; columns are evenly spaced
@@ -202,7 +202,7 @@ def body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: 
     around = 2 * max(8, round(0.5 * 2.0 * np.pi * 0.5 * shape.width_mm / pitch_mm))
     angle = (np.arange(around) + 0.5) / around * 2.0 * np.pi - np.pi
     y, theta = (grid.ravel() for grid in np.meshgrid(along, angle, indexing="ij"))
-    points = section_points(body, y, theta)
+    points = _section_points(body, y, theta)
     _, gx, gy, gz = body.value_and_gradient(*points)
     normals = placement.normal_to_camera(gx, gy, gz)
     _, u, v = body.distance_and_chart(*points)
@@ -223,7 +223,7 @@ def body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: 
     }
 
 
-def section_points(body: FingerBody, y: Array, theta: Array) -> tuple[Array, Array, Array]:
+def _section_points(body: FingerBody, y: Array, theta: Array) -> tuple[Array, Array, Array]:
     """x, y, z (N,) in the finger's frame of the smooth skin at places `y` and angles `theta` about the axis."""
     axis, drop = body.axis_line(y)
     sine, cosine = np.sin(theta), np.cos(theta)

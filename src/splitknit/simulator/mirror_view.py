@@ -63,15 +63,15 @@ class Reflection:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gate:
+class _Gate:
     """The outline through which light must pass: the face of a mirror, convex."""
 
     corners: Array
     """(N, 3)."""
 
-    def reflected(self, reflection: Reflection) -> Gate:
+    def reflected(self, reflection: Reflection) -> _Gate:
         """The same outline behind a mirror."""
-        return Gate(reflection.points(self.corners))
+        return _Gate(reflection.points(self.corners))
 
     def share(self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float) -> NDArray[np.float32]:
         """Share of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1, their shape."""
@@ -115,7 +115,7 @@ class Light:
     """An LED, or its image in a mirror, seen through that mirror's face."""
 
     led: Led
-    gate: Gate | None = None
+    gate: _Gate | None = None
 
     def reflected(self, reflection: Reflection) -> Light:
         """The same behind a mirror, at full strength."""
@@ -129,7 +129,7 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     Light that meets two mirrors one after the other is left out.
     """
     images = [
-        Light(Reflection.of(mirror).led(led, mirror.reflectance), Gate(np.asarray(mirror.corners_mm)))
+        Light(Reflection.of(mirror).led(led, mirror.reflectance), _Gate(np.asarray(mirror.corners_mm)))
         for mirror in mirrors
     ]
     return [Light(led), *images]
@@ -272,7 +272,7 @@ def _surface(
     arrays = [
         np.full((rows, columns, *shape), empty, dtype=np.float32) for shape, empty in zip(shapes, EMPTY, strict=False)
     ]
-    bottom, top = reach_in_height(body, placement)
+    bottom, top = _reach_in_height(body, placement)
     near = _near(body, placement, camera, box, top)
     tall = max(4, 24000 // (box[1].stop - box[1].start))
     across = np.arange(box[1].start, box[1].stop)
@@ -313,7 +313,7 @@ def _near(body: FingerBody, placement: Placement, camera: Camera, box: tuple[sli
     return np.asarray(fine[: box[0].stop - box[0].start, : box[1].stop - box[1].start])
 
 
-def reach_in_height(body: FingerBody, placement: Placement) -> tuple[float, float]:
+def _reach_in_height(body: FingerBody, placement: Placement) -> tuple[float, float]:
     """Heights below and above every point of a finger, however it is turned, that is not hidden in the sleeve."""
     shape = body.shape
     half = 0.8 * max(shape.width_mm, shape.thickness_mm)

@@ -376,7 +376,7 @@ def render_glare(
     require(rays >= 1, f"samples must be at least the number of batches, {BATCHES}, but it is {samples}.")
     seeds = np.random.SeedSequence([settings.seed, 0x91A]).generate_state(2, np.uint64)
     seen = see(crop, BATCHES * rays, int(seeds[0]))
-    orders = reflect(
+    orders = _reflect(
         crop, seen, roughness, radius_mm=settings.led_radius_mm, bounces=settings.bounces, seed=int(seeds[1])
     )
     sums = np.array([[np.asarray(one) for one in order] for order in orders], dtype=np.float64)
@@ -415,7 +415,7 @@ def _load(threads: int) -> tuple[Any, Any]:
 # Light that the skin's surface alone reflects, ray by ray: the glare of the reference.
 
 
-def reflect(
+def _reflect(
     crop: ReferenceScene, seen: Seen, roughness: float, *, radius_mm: float, bounces: int, seed: int
 ) -> list[list[Any]]:
     """Radiance of the surface reflection by lane: (bounces, L).

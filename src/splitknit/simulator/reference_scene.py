@@ -24,7 +24,7 @@ LEDGE_MM = 40.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
+class _Mesh:
     """Triangles that face out of the skin."""
 
     vertices: Array
@@ -50,7 +50,7 @@ class Mesh:
         return float(np.max(np.hypot(normals[:, 0], normals[:, 1]) / np.maximum(normals[:, 2], 1e-9)))
 
 
-def skin_mesh(surface: Surface, window: tuple[slice, slice], margin_mm: float) -> Mesh:
+def _skin_mesh(surface: Surface, window: tuple[slice, slice], margin_mm: float) -> _Mesh:
     """Triangles of `surface` around the pixels of `window`; vertices are the centres of the pixels."""
     height, width = surface.mask.shape
     pitch = surface.camera.pitch_mm
@@ -73,7 +73,7 @@ def skin_mesh(surface: Surface, window: tuple[slice, slice], margin_mm: float) -
     grid_x, grid_y = np.meshgrid(x, y)
     vertices = np.stack([grid_x, grid_y, z], axis=-1).reshape(-1, 3)
     index = np.arange(vertices.shape[0]).reshape(z.shape)
-    return Mesh(vertices, _quads(index, np.ones((z.shape[0] - 1, z.shape[1] - 1), dtype=np.bool_)), closed=False)
+    return _Mesh(vertices, _quads(index, np.ones((z.shape[0] - 1, z.shape[1] - 1), dtype=np.bool_)), closed=False)
 
 
 def _quads(index: NDArray[np.intp], chosen: NDArray[np.bool_]) -> NDArray[np.uint32]:
@@ -85,7 +85,7 @@ def _quads(index: NDArray[np.intp], chosen: NDArray[np.bool_]) -> NDArray[np.uin
     return np.concatenate([first, second]).astype(np.uint32)
 
 
-def _closed(surface: Surface, x: Array, y: Array) -> Mesh:
+def _closed(surface: Surface, x: Array, y: Array) -> _Mesh:
     """The finger as the camera sees it, its smooth shape mirrored below, and a wall along the outline."""
     mask = surface.mask
     inside = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
@@ -108,7 +108,7 @@ def _closed(surface: Surface, x: Array, y: Array) -> Mesh:
     )  # both sides on the same grid
     faces = np.concatenate([upper, lower, wall.astype(np.uint32)])
     used, compact = np.unique(faces, return_inverse=True)
-    return Mesh(vertices[used], compact.reshape(-1, 3).astype(np.uint32), closed=True)
+    return _Mesh(vertices[used], compact.reshape(-1, 3).astype(np.uint32), closed=True)
 
 
 Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ def build(
     require(bool(surface.mask[window].all()), "the crop must lie on the skin; move or shrink it.")
     pitch = surface.camera.pitch_mm
     edges = ((left - width / 2) * pitch, (height / 2 - top) * pitch)
-    mesh = skin_mesh(surface, window, margin_mm)
+    mesh = _skin_mesh(surface, window, margin_mm)
     shape = mi.Mesh("skin", len(mesh.vertices), len(mesh.faces), has_vertex_normals=False)
     values = mi.traverse(shape)
     values["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
@@ -234,13 +234,13 @@ def _single_lights(leds: Sequence[Led]) -> tuple[tuple[tuple[Array, float], ...]
     return tuple(lights), tuple(images)
 
 
-def _elevation(mesh: Mesh, position: Array) -> float:
+def _elevation(mesh: _Mesh, position: Array) -> float:
     """Tangent of the angle above the horizon at which the patch sees a light, about."""
     return float((position[2] - mesh.vertices[:, 2].max()) / (np.hypot(position[0], position[1]) + 1e-9))
 
 
 def _on_triangles(
-    engine: tuple[Any, Any], scene: Any, mesh: Mesh, lights: Sequence[tuple[Array, float]]
+    engine: tuple[Any, Any], scene: Any, mesh: _Mesh, lights: Sequence[tuple[Array, float]]
 ) -> tuple[Any, Any]:
     """Irradiance at every triangle; cast shadows need the scene."""
     mi, dr = engine

@@ -197,8 +197,6 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
 SIDES = ("left", "right", "tip")
 
 _Length = Annotated[float, Limits(0.0, 200.0)]
-_REFLECTANCE = 0.9
-"""Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,6 +250,8 @@ class MirrorViews(Checked):
 
     names: tuple[str, ...] = ()
     """Of ``left``, ``right`` and ``tip``. A rig that is given with mirrors has those."""
+    reflectance: Annotated[float, Limits(1e-6, 1.0)] = 0.9
+    """Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
     turn_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 1.0
     """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder, a mirror that
     rocks in its seat."""
@@ -303,17 +303,17 @@ def mirror_rig(views: MirrorViews, scale: float, seed: int | None = None, intens
         matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
         camera = replace(camera, model="perspective", matrix=matrix)
     leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
-    return replace(rig, camera=camera, leds=leds, mirrors=nominal_mirrors(views, camera))
+    return replace(rig, camera=camera, leds=leds, mirrors=_nominal_mirrors(views, camera))
 
 
-def nominal_mirrors(views: MirrorViews, camera: Camera) -> tuple[Mirror, ...]:
+def _nominal_mirrors(views: MirrorViews, camera: Camera) -> tuple[Mirror, ...]:
     """Return the mirrors as drawn: the part of each face that the holder's lip leaves free."""
     profile = HolderProfile(views.parts)
     return tuple(
         Mirror(
             name,
             tuple((float(x), float(y), float(z)) for x, y, z in profile.quad(name, camera, *profile.face)),
-            _REFLECTANCE,
+            views.reflectance,
         )
         for name in views.names
     )

@@ -70,7 +70,7 @@ def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.rand
     return albedo
 
 
-def hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
+def _hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
     """(H, 1) share of the light that reaches each row: the hand's shadow has a soft edge."""
     height = camera.image_size[0]
     below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
@@ -202,7 +202,7 @@ class Scene:
         surface, rig, skin = subject
         self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
         self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
-        self.shade = hand_shadow(rig.camera, settings.background)
+        self.shade = _hand_shadow(rig.camera, settings.background)
         self.scale = settings.sensor_scale or binning_scale(rig.camera)
         self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
         self.blur: FloatArray | None = None

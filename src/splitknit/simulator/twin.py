@@ -205,7 +205,7 @@ def _photograph_moving(
         scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
-        smear = smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
+        smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
         light = scene.render(name, [rig.leds[k] for k in leds])
         lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
 
@@ -268,7 +268,7 @@ def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence
     return band, glare, np.array(float(exposure))
 
 
-def smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
+def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
     """(n, n) kernel of a straight path of `length_px` (columns, rows), its middle in the middle."""
     reach = int(np.ceil(np.abs(length_px).max() / 2)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))

@@ -41,7 +41,7 @@ class Sight:
     slope_y: Array
 
 
-def sight(camera: Camera) -> Sight:
+def _sight(camera: Camera) -> Sight:
     """Return the lines of sight of all pixels' centres."""
     height, width = camera.image_size
     columns = np.arange(width, dtype=np.float64)[None, :]
@@ -216,7 +216,7 @@ class GroundScene(ABC):
         BadInput
             If `lit` names an LED that the rig does not have.
         """
-        grey = self._grey(tuple(switched_on(self.leds, lit)))
+        grey = self._grey(tuple(_switched_on(self.leds, lit)))
         image = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
         if self.bench.aperture_mm > 0.0:
             image = defocus(image, self._blur)
@@ -247,7 +247,7 @@ class GroundScene(ABC):
 
     @cached_property
     def _sight(self) -> Sight:
-        return sight(self.camera)
+        return _sight(self.camera)
 
     @cached_property
     def _hit(self) -> tuple[Array, Array, Array]:
@@ -280,7 +280,7 @@ class GroundScene(ABC):
         return self._hit[2]
 
 
-def switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
+def _switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
     """Every single LED that the indices `lit` switch on."""
     for index in lit:
         require(
@@ -340,7 +340,7 @@ class DarkScene:
 
     def light(self, lit: Sequence[int]) -> FloatArray:
         """(H, W, 3) of zeros."""
-        tuple(switched_on(self.leds, lit))
+        tuple(_switched_on(self.leds, lit))
         return np.zeros((*self.camera.image_size, 3), dtype=np.float32)
 
 

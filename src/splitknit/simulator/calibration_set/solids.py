@@ -272,7 +272,7 @@ class SphereScene(GroundScene):
         normals = np.tile((0.0, 0.0, 1.0), (len(places), 1))
         for _ in range(60):  # the ball is small beside the distances: each turn shrinks the error by their ratio
             points = self.middle_mm + self.radius_mm * normals
-            normals = unit(unit(places - points) + unit(self._towards_camera(points)))
+            normals = _unit(_unit(places - points) + _unit(self._towards_camera(points)))
         return np.asarray(self.middle_mm + self.radius_mm * normals)
 
     def highlights_px(self) -> NDArray[np.float64]:
@@ -306,7 +306,7 @@ class SphereScene(GroundScene):
     def _depth_in_shadow(self, points: Array, place: Array) -> Array:
         """By how much (mm) the lines from points (..., 3) of the base to the point `place` pass inside the ball."""
         away = points - self.middle_mm
-        towards = unit(place - points)
+        towards = _unit(place - points)
         nearest = np.sum(away * towards, axis=-1)
         return np.asarray(self.radius_mm - np.sqrt(np.maximum(np.sum(away * away, axis=-1) - nearest**2, 0.0)))
 
@@ -325,7 +325,7 @@ class SphereScene(GroundScene):
         distance = float(np.linalg.norm(towards))
         view = towards / distance
         nearer = self.radius_mm / distance if near else 0.0
-        across = unit(np.cross(view, (1.0, 0.0, 0.0) if abs(view[0]) < 0.9 else (0.0, 1.0, 0.0)))
+        across = _unit(np.cross(view, (1.0, 0.0, 0.0) if abs(view[0]) < 0.9 else (0.0, 1.0, 0.0)))
         angle = 2.0 * np.pi * np.arange(count) / count
         ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(view, across)
         return np.asarray(self.middle_mm + self.radius_mm * (nearer * view + np.sqrt(1.0 - nearer**2) * ring))
@@ -356,12 +356,12 @@ class SphereScene(GroundScene):
 
         Lines that pass it are taken to touch it.
         """
-        down = directions(sight)
+        down = _directions(sight)
         away = np.stack([sight.x, sight.y, np.zeros_like(sight.x)], axis=-1) - self.middle_mm
         nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down  # of the line to the ball's middle
         beside2 = np.sum(nearest * nearest, axis=-1)
         depth = np.sqrt(np.maximum(self.radius_mm**2 - beside2, 0.0))
-        normals = unit(nearest - depth[..., None] * down)
+        normals = _unit(nearest - depth[..., None] * down)
         return (self.middle_mm + self.radius_mm * normals, normals), self.radius_mm - np.sqrt(beside2)
 
     def _grey(self, leds: tuple[Led, ...]) -> Array:
@@ -384,7 +384,7 @@ class SphereScene(GroundScene):
 
     def _mirrored(self, leds: tuple[Led, ...], lines: Sight, seen: Lines) -> Array:
         """Radiance (h, w) of the chrome ball: the base, the walls and the LEDs in it."""
-        rays = mirrored(lines, seen)
+        rays = _mirrored(lines, seen)
         walls = self.surround * sum(card_radiance(led) for led in leds) + self.room_light
         start, way = self.plane.own(rays[0]), rays[1] @ self.plane.axes
         falls = way[..., 2] < -1e-3
@@ -402,9 +402,9 @@ class SphereScene(GroundScene):
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
 
         def shine(finer: Sight) -> tuple[Array, Array]:
-            return led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
+            return _led_face(led, self.bench.led_radius_mm, _mirrored(finer, self._seen(finer)[0]))
 
-        inwards, radiance = led_face(led, self.bench.led_radius_mm, rays)
+        inwards, radiance = _led_face(led, self.bench.led_radius_mm, rays)
         step = steps(inwards)
         # in the very middle of the face the distance from its rim has no slope: the neighbours' counts
         pixel = cv2.dilate(np.hypot(step.column, step.row), np.ones((3, 3), np.uint8))
@@ -412,7 +412,7 @@ class SphereScene(GroundScene):
         at = np.nonzero(np.abs(inwards) < 2.0 * pixel)
         if at[0].size:
             light[at] = np.mean(
-                [np.where(hit > 0.0, value, 0.0) for hit, value in map(shine, finer_lines(lines, at))], 0
+                [np.where(hit > 0.0, value, 0.0) for hit, value in map(shine, _finer_lines(lines, at))], 0
             )
         return light
 
@@ -438,24 +438,24 @@ Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""
 
 
-def unit(vectors: NDArray[np.float64]) -> Array:
+def _unit(vectors: NDArray[np.float64]) -> Array:
     """Vectors (..., 3) of length one."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def directions(sight: Sight) -> Array:
+def _directions(sight: Sight) -> Array:
     """Unit vectors (..., 3) from the camera."""
-    return unit(np.stack([sight.slope_x, sight.slope_y, np.full_like(sight.x, -1.0)], axis=-1))
+    return _unit(np.stack([sight.slope_x, sight.slope_y, np.full_like(sight.x, -1.0)], axis=-1))
 
 
-def mirrored(sight: Sight, mirror: Lines) -> Lines:
+def _mirrored(sight: Sight, mirror: Lines) -> Lines:
     """Where lines of sight leave a mirror (points and normals) and which way they go then."""
     points, normals = mirror
-    down = directions(sight)
+    down = _directions(sight)
     return points, down - 2.0 * np.sum(down * normals, axis=-1, keepdims=True) * normals
 
 
-def led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
+def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     """By how much (mm) rays pass inside the rim of the LED's face, and the radiance of that face towards them.
 
     A face of radius r that sends the intensity I straight ahead has the radiance I / (pi r^2) there; seen from beside
@@ -472,7 +472,7 @@ def led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
 
 
-def finer_lines(sight: Sight, at: tuple[NDArray[Any], ...]) -> Iterator[Sight]:
+def _finer_lines(sight: Sight, at: tuple[NDArray[Any], ...]) -> Iterator[Sight]:
     """Lines of sight of a square grid of points within the pixels `at`, one point of all pixels after the other."""
     values = (sight.x, sight.y, sight.slope_x, sight.slope_y)
     slopes = [steps(value) for value in values]

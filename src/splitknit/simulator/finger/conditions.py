@@ -31,7 +31,7 @@ MOST_PLATES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weathered:
+class _Weathered:
     """Skin after what happened to it, on the master print's grid."""
 
     displacement: Array
@@ -42,7 +42,7 @@ class Weathered:
     """(H, W) diffuse white reflectance of the scales."""
 
 
-def scale_reflectance(plates: Array, index: float = KERATIN) -> Array:
+def _scale_reflectance(plates: Array, index: float = KERATIN) -> Array:
     """Reflectance of a pile of transparent plates with air between them, light falling straight on.
 
     References
@@ -53,7 +53,7 @@ def scale_reflectance(plates: Array, index: float = KERATIN) -> Array:
     return np.asarray(2.0 * plates * one / (1.0 + (2.0 * plates - 1.0) * one))
 
 
-def ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
+def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
     """(H, W) direction of the ridges from u towards v, rad, from the gradient's structure tensor."""
     smooth = cv2.GaussianBlur(ridge, (0, 0), 1.0)
     du = cv2.Sobel(smooth, cv2.CV_64F, 1, 0, scale=0.125)
@@ -62,7 +62,7 @@ def ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
     return np.asarray(0.5 * np.arctan2(2.0 * uv, uu - vv) + 0.5 * np.pi, dtype=np.float64)
 
 
-def dried(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> Weathered:
+def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
     """Lower the ridges, break them, roughen them and let scales come off.
 
     At severity 1 ridges have shrunk by a quarter (sessions of a population: by 12 % at the dry end), 0.5 fissures a
@@ -77,7 +77,7 @@ def dried(displacement: Array, master: MasterPrint, severity: float, rng: np.ran
     calm = np.exp(-((np.minimum(smooth + 0.12, 0.0) / 0.1) ** 2))  # creases stay as they are
     new = smooth + relief * (1.0 - 0.25 * severity * calm)
     new = new + 1e-3 * 5.0 * severity * smooth_noise(rng, displacement.shape, 0.06 / pitch)
-    angle = ridge_angle(master.ridge, 0.5 / pitch)
+    angle = _ridge_angle(master.ridge, 0.5 / pitch)
     new = new - severity * _fissures(rng, angle, master, pitch, 0.5 * severity)
     lumps = smooth_noise(rng, displacement.shape, 0.22 / pitch)
     coarse = smooth_noise(rng, displacement.shape, 1.5 / pitch)
@@ -88,7 +88,7 @@ def dried(displacement: Array, master: MasterPrint, severity: float, rng: np.ran
     plates = scale * np.clip(1.0 + 1.5 * (field - threshold), 1.0, MOST_PLATES)
     edge = np.abs(scale * (1.0 - scale)) * 4.0
     new = new + 1e-3 * (8.0 * scale + 6.0 * edge) * calm
-    return Weathered(new, scale, scale_reflectance(plates))
+    return _Weathered(new, scale, _scale_reflectance(plates))
 
 
 def _fissures(rng: np.random.Generator, angle: Array, master: MasterPrint, pitch: float, per_mm2: float) -> Array:
@@ -117,7 +117,7 @@ def _fissures(rng: np.random.Generator, angle: Array, master: MasterPrint, pitch
     return canvas
 
 
-def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> Weathered:
+def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
     """Draw up to three scars across the pad: strips without ridges or pores, sunken or raised, with soft edges.
 
     At severity 1 there are three, about 1.1 mm wide (0.1 mm at severity 0: a healed scratch), 6 to 14 mm long; three in
@@ -148,14 +148,14 @@ def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.r
         )
     level = cv2.GaussianBlur(displacement, (0, 0), 0.5 / pitch)
     smooth = cv2.GaussianBlur(lift, (0, 0), 0.1 / pitch)
-    return Weathered((1.0 - share) * displacement + share * level + smooth, share)
+    return _Weathered((1.0 - share) * displacement + share * level + smooth, share)
 
 
 # Water on the skin: it fills the valleys, creeps up the ridges, and at last lies over them.
 
 
 @dataclass(frozen=True, slots=True)
-class Water:
+class _Water:
     """How much water there is; everything follows from the severity."""
 
     meniscus_mm: float
@@ -168,7 +168,7 @@ class Water:
     """Share of the skin that is wet."""
 
 
-def water_of(severity: float) -> Water:
+def _water_of(severity: float) -> _Water:
     """From sweat in the valleys' corners to a hand that comes out of water.
 
     The radius grows from 0.05 mm (a tenth of a ridge period: only sharp corners are rounded) to 2 mm (valleys are full
@@ -177,10 +177,10 @@ def water_of(severity: float) -> Water:
     5 mm in seconds, so a closed one shows no ridges.
     """
     closed = max(0.0, 2.0 * severity - 1.0)
-    return Water(0.05 * 40.0**severity, 15.0 * closed, 0.6 * closed, min(1.0, 2.0 * severity))
+    return _Water(0.05 * 40.0**severity, 15.0 * closed, 0.6 * closed, min(1.0, 2.0 * severity))
 
 
-def water_level(displacement: Array, pitch_mm: float, water: Water, rng: np.random.Generator) -> Array:
+def _water_level(displacement: Array, pitch_mm: float, water: _Water, rng: np.random.Generator) -> Array:
     """(H, W) displacement of the water's surface, mm; equal to `displacement` where there is no water.
 
     Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing of the relief by a
@@ -236,7 +236,7 @@ def _parabolic(values: Array, pitch_mm: float, radius_mm: float, reach: int, sig
 # From the map of the skin to the picture: values at the points that the camera sees, and directions in space.
 
 
-def on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
+def _on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
     """(H, W) values of the skin's map at the points of the picture, zero beside the finger."""
     require(surface.chart is not None, "the surface must have its chart (keep_chart).")
     assert surface.chart is not None
@@ -246,7 +246,7 @@ def on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
     return np.asarray(np.where(surface.mask, found, 0.0), dtype=np.float32)
 
 
-def ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) -> FloatArray:
+def _ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) -> FloatArray:
     """(H, W, 3) unit vectors along the ridges, in the skin's surface.
 
     A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes the ridges' direction
@@ -279,7 +279,7 @@ def ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) -> 
     return np.asarray(np.where(sound[..., None], vectors, [1.0, 0.0, 0.0]), dtype=np.float32)
 
 
-def bend_within_pixels(normals: NDArray[np.floating], mask: BoolArray) -> Array:
+def _bend_within_pixels(normals: NDArray[np.floating], mask: BoolArray) -> Array:
     """(H, W) variance of the slope inside a pixel, one direction's: a bent mirror shows a pixel many normals.
 
     References
@@ -364,13 +364,13 @@ def conditioned_surface(  # noqa: PLR0917
     severity = condition.severity
     weathered, level = None, None
     if condition.kind == "dry":
-        weathered = dried(relief, master, severity, rng)
+        weathered = _dried(relief, master, severity, rng)
     elif condition.kind == "scarred":
         weathered = scarred(
             relief, master, severity, np.random.default_rng(np.random.SeedSequence([finger.seed, 0x5CA]))
         )
     elif condition.kind == "wet":
-        level = water_level(relief, plain.pitch_mm, water_of(severity), rng)
+        level = _water_level(relief, plain.pitch_mm, _water_of(severity), rng)
     skin_relief = relief if weathered is None else weathered.displacement
     top = max(float(skin_relief.max()), float(-np.inf if level is None else level.max()))
     lower = max(0.0, top - _TOP_MM)
@@ -402,7 +402,7 @@ def _grid_values(skin: SkinMap) -> Array:
     return skin.displacement(grid_u, grid_v)
 
 
-def _with_relief(skin: SkinMap, displacement: Array, weathered: Weathered | None) -> SkinMap:
+def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | None) -> SkinMap:
     """The map with another displacement; pores and creases of a scar are no darker than the rest."""
     pigment = skin.pigment
     if weathered is not None and weathered.reflectance is None:
@@ -420,19 +420,21 @@ def _wet(surface: Surface, water: Surface, skin: SkinSettings, severity: float) 
     thickness = np.where(mask, water.relief_um - surface.relief_um, 0.0)
     share = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)  # a micrometre covers skin's own roughness
     normals = np.where(mask[..., None], water.normals, surface.normals)
-    bend = bend_within_pixels(normals, mask)
+    bend = _bend_within_pixels(normals, mask)
     roughness = np.clip(np.sqrt(_WATER_ROUGHNESS**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
     moist = min(skin.roughness, _MOIST_ROUGHNESS)
     bare = np.full(mask.shape, skin.roughness + severity * (moist - skin.roughness), dtype=np.float32)
     return Coat("wet", severity, share, roughness=bare, film=Film(share, normals, roughness))
 
 
-def _weathered(surface: Surface, laid: SkinMap, weathered: Weathered, skin: SkinSettings, condition: Condition) -> Coat:
-    share = on_chart(weathered.share, surface, laid)
+def _weathered(
+    surface: Surface, laid: SkinMap, weathered: _Weathered, skin: SkinSettings, condition: Condition
+) -> Coat:
+    share = _on_chart(weathered.share, surface, laid)
     if condition.kind == "dry":
         rough = max(skin.roughness, skin.roughness + condition.severity * (_DRY_ROUGHNESS - skin.roughness))
         assert weathered.reflectance is not None
-        scales = on_chart(weathered.reflectance, surface, laid)
+        scales = _on_chart(weathered.reflectance, surface, laid)
         return Coat("dry", condition.severity, share, np.full(share.shape, rough, np.float32), scales=scales)
     smooth = skin.roughness + share * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
     tint = _tint(skin, replace(skin, **{name: _bounded(skin, name, factor) for name, factor in _SCAR.items()}))
@@ -461,7 +463,7 @@ def _glossy(surface: Surface, master: MasterPrint, skin: SkinSettings, severity:
     Along the ridges alpha falls to 0.05, across them by two fifths.
     """
     pitch = float(master.u_mm[1] - master.u_mm[0])
-    along = ridges_in_space(ridge_angle(master.ridge, 0.4 / pitch), surface, master)
+    along = _ridges_in_space(_ridge_angle(master.ridge, 0.4 / pitch), surface, master)
     shape = surface.mask.shape
     across = np.full(shape, max(skin.roughness * (1.0 - 0.4 * severity), 0.05), dtype=np.float32)
     lengthwise = np.full(shape, skin.roughness + severity * (0.05 - skin.roughness), dtype=np.float32)

@@ -226,7 +226,7 @@ def finger_surface(
     x_mm, y_mm = places or (None, None)
     return Surface(
         camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
-        find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
+        _find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
         x_mm, y_mm, chart if keep_chart else None,
     )  # fmt: skip
 
@@ -254,7 +254,7 @@ def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
 # What the simulated finger knows about itself, in pixels.
 
 
-def find_landmarks(
+def _find_landmarks(
     finger: Finger,
     pose: Pose,
     *,

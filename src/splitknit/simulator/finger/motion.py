@@ -55,7 +55,7 @@ class HandMotion(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionPath:
+class _MotionPath:
     """Where the finger is in each of N shots, against the reference shot, whose values are zero."""
 
     time_s: Array
@@ -73,7 +73,7 @@ class MotionPath:
     reference: int
 
 
-def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> MotionPath:
+def _draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> _MotionPath:
     """Draw a path.
 
     Parameters
@@ -103,7 +103,7 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
         return np.asarray(values - values[reference])
 
     turned = np.deg2rad(settings.amplitude_mm)
-    return MotionPath(
+    return _MotionPath(
         time_s=time,
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
@@ -136,7 +136,7 @@ class MovingFinger:
     pose: Pose
     camera: Camera
     master: MasterPrint
-    path: MotionPath
+    path: _MotionPath
     slips: tuple[Deformation, Deformation]
     """Fields of slip whose shares `path.slip` tells; their largest shift is 1 mm."""
     workers: int = 2
@@ -222,7 +222,7 @@ def moving_finger(  # noqa: PLR0917
     """
     master = finger.master()
     path_seed, slip_seed = seed.spawn(2)
-    path = draw_path(np.random.default_rng(path_seed), shots, motion, reference)
+    path = _draw_path(np.random.default_rng(path_seed), shots, motion, reference)
     rng = np.random.default_rng(slip_seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
     first, second = (_scaled(draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM), 1 / unit_mm) for _ in "12")

@@ -28,7 +28,7 @@ TOGETHER = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PalmLine:
+class _PalmLine:
     """One groove."""
 
     points_mm: Array
@@ -39,7 +39,7 @@ class PalmLine:
     """(N,) standard deviation of its profile."""
 
 
-def draw_lines(
+def _draw_lines(
     rng: np.random.Generator,
     half_size_mm: tuple[float, float],
     *,
@@ -47,7 +47,7 @@ def draw_lines(
     wrinkles: int,
     principal_depth_mm: float,
     wrinkle_depth_mm: float,
-) -> tuple[PalmLine, ...]:
+) -> tuple[_PalmLine, ...]:
     """Draw the lines of one palm, each through a place inside the map, branches after their stems.
 
     Parameters
@@ -57,7 +57,7 @@ def draw_lines(
     principal, wrinkles : how many stems of each kind
     principal_depth_mm, wrinkle_depth_mm : typical depths; every line varies about them by about a third
     """
-    lines: list[PalmLine] = []
+    lines: list[_PalmLine] = []
     main = rng.uniform(0.0, np.pi)
     for _ in range(principal):
         through = rng.uniform(-0.75, 0.75, 2) * half_size_mm
@@ -95,7 +95,7 @@ def _stem(
     width: float,
     generations: int,
     start: bool = False,
-) -> list[PalmLine]:
+) -> list[_PalmLine]:
     """One line through (or from) a place and its branches."""
     count = max(int(length / STEP_MM), 8)
     # the heading wanders smoothly: noise of a few millimetres on top of a steady bend
@@ -108,7 +108,7 @@ def _stem(
     rise = np.ones(count) if start else np.clip(along / ends[0], 0.0, 1.0)
     fade = np.sqrt(rise * np.clip((1.0 - along) / ends[1], 0.0, 1.0))
     uneven = _wander(rng.uniform(0.7, 1.15, count // 8 + 2), 8, count)
-    line = PalmLine(points, depth * fade * uneven, width * (0.6 + 0.4 * fade))
+    line = _PalmLine(points, depth * fade * uneven, width * (0.6 + 0.4 * fade))
     lines = [line]
     if generations == 0:
         return lines
@@ -134,7 +134,7 @@ def _wander(knots: Array, step: int, count: int) -> Array:
     return np.asarray(np.interp(np.arange(count), step * np.arange(knots.size), knots), dtype=np.float64)
 
 
-def groove_map(lines: tuple[PalmLine, ...], x_mm: Array, y_mm: Array) -> Array:
+def _groove_map(lines: tuple[_PalmLine, ...], x_mm: Array, y_mm: Array) -> Array:
     """(H, W) depth in mm of all lines together on regular axes; y falls with the row.
 
     Every line is a row of Gaussian dips a third of its width apart; the deepest counts.
@@ -166,7 +166,7 @@ def groove_map(lines: tuple[PalmLine, ...], x_mm: Array, y_mm: Array) -> Array:
     return np.asarray(powers ** (1.0 / TOGETHER))
 
 
-def _dense(line: PalmLine) -> tuple[Array, Array, Array, Array]:
+def _dense(line: _PalmLine) -> tuple[Array, Array, Array, Array]:
     """Points at a third of the line's least width: x, y, depth, width."""
     length = STEP_MM * np.arange(len(line.points_mm))
     fine = np.arange(0.0, float(length[-1]), float(line.width_mm.min()) / 3.0)
@@ -179,7 +179,7 @@ def _dense(line: PalmLine) -> tuple[Array, Array, Array, Array]:
 
 
 @dataclass(frozen=True, slots=True)
-class PalmShape:
+class _PalmShape:
     """Height of the sheet: a tilted quadric and round pads."""
 
     tilt: tuple[float, float]
@@ -210,9 +210,9 @@ class PalmShape:
         return height, slope_x, slope_y
 
 
-def draw_shape(
+def _draw_shape(
     rng: np.random.Generator, half_size_mm: tuple[float, float], radius_mm: tuple[float, float]
-) -> PalmShape:
+) -> _PalmShape:
     """Draw one sheet; its highest point within the patch lies on the finger plane, z = 0."""
     low, high = radius_mm
     radii = low * (high / low) ** rng.random(2)
@@ -224,7 +224,7 @@ def draw_shape(
         rise = float(np.clip(0.1 * sigma * rng.standard_normal(), -0.2 * sigma, 0.22 * sigma))
         px, py = rng.uniform(-1.1, 1.1, 2) * half_size_mm
         pads.append((float(px), float(py), rise, sigma))
-    shape = PalmShape(
+    shape = _PalmShape(
         (float(tilt[0]), float(tilt[1])),
         (float(1.0 / radii[0]), float(1.0 / radii[1])),
         float(rng.uniform(0.0, np.pi)),
@@ -232,7 +232,7 @@ def draw_shape(
     )
     grid = [np.linspace(-half, half, 201) for half in half_size_mm]
     top = float(shape.on_grid(grid[0], grid[1])[0].max())
-    return PalmShape(shape.tilt, shape.curvature_per_mm, shape.axis_rad, shape.pads, top)
+    return _PalmShape(shape.tilt, shape.curvature_per_mm, shape.axis_rad, shape.pads, top)
 
 
 Array32 = NDArray[np.float32]
@@ -260,8 +260,8 @@ class Palm:
     """Mean ridge period."""
     ridge_depth_um: float
     """Mean height of ridges over valleys."""
-    shape: PalmShape
-    lines: tuple[PalmLine, ...]
+    shape: _PalmShape
+    lines: tuple[_PalmLine, ...]
     x_mm: Array
     """(W,) of the columns."""
     y_mm: Array
@@ -301,7 +301,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
         draws[3], wave, pitch_mm=settings.pitch_mm, period_mm=period, spacing_mm=0.8, diameter_mm=0.13
     )
     half = (0.5 * settings.size_mm[0], 0.5 * settings.size_mm[1])
-    lines = draw_lines(
+    lines = _draw_lines(
         draws[4],
         half,
         principal=int(draws[4].integers(*settings.principal, endpoint=True)),
@@ -309,7 +309,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
         principal_depth_mm=1e-3 * float(draws[4].uniform(*_PRINCIPAL_UM)),
         wrinkle_depth_mm=1e-3 * float(draws[4].uniform(*_WRINKLE_UM)),
     )
-    groove = groove_map(lines, fine_x, fine_y)
+    groove = _groove_map(lines, fine_x, fine_y)
     uneven = np.clip(1.0 + 0.15 * smooth_noise(draws[5], wave.shape, 4.0 / settings.pitch_mm), 0.5, 1.5)
     flatten = np.exp(-((groove / FLATTENED_MM) ** 2))
     relief = -groove - 1e-3 * depth_um * uneven * (1.0 - ridge) * (0.2 + 0.8 * flatten)
@@ -321,7 +321,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
         seed,
         period,
         depth_um,
-        draw_shape(draws[6], half, settings.radius_mm),
+        _draw_shape(draws[6], half, settings.radius_mm),
         lines,
         fine_x,
         fine_y,

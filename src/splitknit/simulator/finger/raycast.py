@@ -92,7 +92,7 @@ Gap = Callable[[NDArray[np.intp], Array], Array]
 """Gap of the rays with the given indices at the given depths; positive outside."""
 
 
-def first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[Array, NDArray[np.bool_]]:
+def _first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[Array, NDArray[np.bool_]]:
     """Find where `gap` (positive at `start`) first falls to zero with growing depth.
 
     `careful` steps of gap / bound come first, then secants, never shorter than a growing micrometre, so that a ridge
@@ -140,7 +140,7 @@ def first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[A
     return result, met
 
 
-def polish(gap: Gap, depth: Array, facing: Array, met: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+def _polish(gap: Gap, depth: Array, facing: Array, met: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     """Refine roots by up to three secants on `gap`; returns (N,) depths and where they settled.
 
     Parameters
@@ -374,11 +374,13 @@ def _meet_skin(  # noqa: PLR0917
         return d - skin.displacement(u, v)
 
     clearance = -0.008 / np.maximum(facing, 0.02)
-    depth, met = first_root(along_model, clearance, bound, careful=5)
-    refined, close = polish(exact, depth, facing, met)
+    depth, met = _first_root(along_model, clearance, bound, careful=5)
+    refined, close = _polish(exact, depth, facing, met)
     lost = np.nonzero(~close)[0]
     if lost.size:  # deep grooves and grazing rays, where the model is too coarse
-        again, met_again = first_root(lambda which, at: exact(lost[which], at), clearance[lost], bound[lost], careful=8)
+        again, met_again = _first_root(
+            lambda which, at: exact(lost[which], at), clearance[lost], bound[lost], careful=8
+        )
         refined[lost], close[lost] = again, met_again
     return z0 - refined, close
 

@@ -93,7 +93,7 @@ def stamp(
     return canvas[pad : pad + shape[0], pad : pad + shape[1]]
 
 
-def sphere_brightness(phase_rad: FloatArray) -> FloatArray:
+def _sphere_brightness(phase_rad: FloatArray) -> FloatArray:
     """Mean radiance of a matt sphere of albedo one, over that of a white card that faces the light.
 
     References
@@ -144,7 +144,7 @@ class CoatedPatch:
         if self.scales is not None:
             share = share * (1.0 - self.scales)
         if self.film is not None:
-            through = (1.0 - fresnel(np.clip(dot(_apart(self.film.normals), self.view), 0.05, 1.0), WATER)) / (
+            through = (1.0 - fresnel(np.clip(_dot(_apart(self.film.normals), self.view), 0.05, 1.0), WATER)) / (
                 diffuse_transmittance(WATER)
             )
             bare = (1.0 - fresnel(np.clip(self.patch.nv, 0.05, 1.0))) / diffuse_transmittance()
@@ -170,9 +170,9 @@ class CoatedPatch:
 
     def _lit(self, light: Vectors, strength: Values, size: float, glare: float) -> tuple[Values, Values, Values]:
         patch = self.patch
-        cosine = np.maximum(dot(light, self.normal), 0.0)
+        cosine = np.maximum(_dot(light, self.normal), 0.0)
         entering = strength * cosine * (1.0 - fresnel(cosine))
-        gloss = glare * reflected(
+        gloss = glare * _reflected(
             self.normal, light, self.view, np.minimum(np.asarray(self.across) + size, 1.0), index=REFRACTIVE_INDEX,
             along=self.along,
             roughness_along=None if self.lengthwise is None else np.minimum(self.lengthwise + size, 1.0),
@@ -181,7 +181,7 @@ class CoatedPatch:
         if self.film is not None:
             film, normal = self.film, _apart(self.film.normals)
             entering = entering + film.share * (self._under_water(light, strength, normal) - entering)
-            water = reflected(normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER)
+            water = _reflected(normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER)
             gloss = gloss + film.share * (water - gloss)
         if self.scales is not None:
             extra = extra + self.scales * strength * cosine / np.pi
@@ -190,9 +190,9 @@ class CoatedPatch:
         if self.grains is not None:
             free = 1.0 - self._shadow(light)
             seen = 1.0 - self.hidden
-            phase = np.arccos(np.clip(dot(light, self.view), -1.0, 1.0)).astype(np.float32)
-            dust = self.grain_albedo * sphere_brightness(phase) * strength / np.pi
-            dust = dust * np.clip(0.5 + 2.0 * dot(light, self.body), 0.0, 1.0)  # a ball rises above the skin's shadow
+            phase = np.arccos(np.clip(_dot(light, self.view), -1.0, 1.0)).astype(np.float32)
+            dust = self.grain_albedo * _sphere_brightness(phase) * strength / np.pi
+            dust = dust * np.clip(0.5 + 2.0 * _dot(light, self.body), 0.0, 1.0)  # a ball rises above the skin's shadow
             entering, gloss, extra = entering * free, gloss * free * seen, extra * seen + dust
         inside = patch.mask
         return tuple(np.where(inside, part, 0.0) for part in (entering, gloss, extra))  # type: ignore[return-value]
@@ -202,7 +202,7 @@ class CoatedPatch:
 
         The flux through the surface goes on in the refracted direction; the skin's facet takes its cosine of it.
         """
-        above = np.maximum(dot(light, normal), 0.0)
+        above = np.maximum(_dot(light, normal), 0.0)
         below = np.sqrt(np.maximum(1.0 - (1.0 - above * above) / WATER**2, 0.0))
         stretch = below - above / WATER
         bent = (
@@ -210,7 +210,7 @@ class CoatedPatch:
             light[1] / WATER + stretch * normal[1],
             light[2] / WATER + stretch * normal[2],
         )
-        on_skin = np.maximum(dot(bent, self.normal), 0.0)
+        on_skin = np.maximum(_dot(bent, self.normal), 0.0)
         within = strength * above * (1.0 - fresnel(above, WATER)) / below
         return np.asarray(within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER)))
 
@@ -252,12 +252,12 @@ Values = NDArray[np.floating]
 Vectors = tuple[Values, Values, Values]
 
 
-def dot(a: Vectors, b: Vectors) -> Values:
+def _dot(a: Vectors, b: Vectors) -> Values:
     """Inner products of vectors given as three arrays each."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
-def reflected(
+def _reflected(
     normal: Vectors,
     light: Vectors,
     view: Vectors,
@@ -286,15 +286,15 @@ def reflected(
     Walter et al. 2007, equations (20), (33), (34); Burley 2012 and Heitz 2014, equations (85) and (86), for two
     roughnesses.
     """
-    nl, nv = dot(normal, light), np.clip(dot(normal, view), 1e-3, 1.0)
-    lv = dot(light, view)
+    nl, nv = _dot(normal, light), np.clip(_dot(normal, view), 1e-3, 1.0)
+    lv = _dot(light, view)
     inverse = 1.0 / np.sqrt(np.maximum(2.0 + 2.0 * lv, 1e-6))
     half = (
         (light[0] + view[0]) * inverse,
         (light[1] + view[1]) * inverse,
         (light[2] + view[2]) * inverse,
     )
-    nh = np.clip(dot(normal, half), 0.0, 1.0)
+    nh = np.clip(_dot(normal, half), 0.0, 1.0)
     lit = nl > 0.0
     nl = np.maximum(nl, 1e-4)
     first = across if roughness_along is None else roughness_along
@@ -306,7 +306,7 @@ def reflected(
     def squashed(direction: Vectors, cosine: Values, power: int) -> Values:
         """Sum of the squared tangential parts of a direction, times (or over) the squared roughnesses."""
         sine = np.maximum(1.0 - cosine * cosine, 0.0)
-        part = np.zeros_like(sine) if towards is None else np.minimum(dot(towards, direction) ** 2, sine)
+        part = np.zeros_like(sine) if towards is None else np.minimum(_dot(towards, direction) ** 2, sine)
         one, other = np.square(first), np.square(across)
         if power < 0:
             return np.asarray(part / one + (sine - part) / other)

@@ -76,7 +76,7 @@ class Checkerboard(Checked):
         shift_mm : displacement of the pattern along its own axes
         pitch_mm : size of a pixel, over which an edge is averaged
         """
-        u, v = turn(x, y, self.angle_rad)
+        u, v = _turn(x, y, self.angle_rad)
         u, v = u - shift_mm[0], v - shift_mm[1]
         width = float(np.hypot(pitch_mm, self.edge_mm))
         if self.alpha == 0.5:
@@ -90,7 +90,7 @@ class Checkerboard(Checked):
         return np.asarray(self.dark + (1.0 - self.dark) * lit, dtype=np.float32)
 
 
-def turn(x: Array, y: Array, angle_rad: float) -> tuple[Array, Array]:
+def _turn(x: Array, y: Array, angle_rad: float) -> tuple[Array, Array]:
     """Coordinates along axes that are turned counter-clockwise by `angle_rad`."""
     if angle_rad == 0.0:
         return x, y
@@ -98,7 +98,7 @@ def turn(x: Array, y: Array, angle_rad: float) -> tuple[Array, Array]:
     return cosine * x + sine * y, cosine * y - sine * x
 
 
-def square_wave(u: Array, check_mm: float, width_mm: float) -> Array:
+def _square_wave(u: Array, check_mm: float, width_mm: float) -> Array:
     """+1 on one check, -1 on the next, an edge at u = 0, linear over `width_mm` at the edges."""
     return _wave(u, 2.0 * check_mm, check_mm, width_mm)
 
@@ -109,7 +109,7 @@ def _wave(u: Array, period: float, lit: float, width: float) -> Array:
     return np.asarray(np.clip((0.5 * lit - middle) * (2.0 / width), -1.0, 1.0))
 
 
-def check_camera(surface: Surface) -> None:
+def _check_camera(surface: Surface) -> None:
     """Refuse a camera under which patterns are not modelled."""
     require(
         surface.camera.model == "orthographic",
@@ -118,7 +118,7 @@ def check_camera(surface: Surface) -> None:
     )
 
 
-def projected(patch: Patch, led: Led) -> tuple[Array, Array]:
+def _projected(patch: Patch, led: Led) -> tuple[Array, Array]:
     """(h, w) x and y in mm where the projector's ray to each surface point meets the finger plane.
 
     Raises
@@ -150,9 +150,9 @@ def pattern_states(surface: Surface, led: Led, pattern: Checkerboard) -> FloatAr
     BadInput
         If the camera is not orthographic.
     """
-    check_camera(surface)
+    _check_camera(surface)
     patch = cut_out(surface)
-    x, y = projected(patch, led)
+    x, y = _projected(patch, led)
     shifts = pattern.shifts_mm()
     states = np.zeros((len(shifts), *surface.mask.shape), dtype=np.float32)
     for state, shift in zip(states, shifts, strict=True):
@@ -264,7 +264,7 @@ def checkerboard_stack(
 
 
 def _check_size(check_mm: float, surface: Surface) -> None:
-    check_camera(surface)
+    _check_camera(surface)
     least = 2.0 * surface.camera.pitch_mm
     require(
         bool(np.isfinite(check_mm)) and check_mm >= least,
@@ -295,7 +295,7 @@ class _Scene:
         entering, gloss = light_on(self.patch, led, skin.roughness, LED_RADIUS_MM)
         self.glare = np.asarray(gloss * np.float32(skin.glare), dtype=np.float32)
         self.entering = self.diffusion.pad(entering)
-        self.x, self.y = (self._beyond(c, k) for k, c in enumerate(projected(self.patch, led)))
+        self.x, self.y = (self._beyond(c, k) for k, c in enumerate(_projected(self.patch, led)))
         rows, columns = (slice(b, b + n) for b, n in zip(self.diffusion.before, entering.shape, strict=True))
         self.inner = (rows, columns)
 
@@ -329,10 +329,10 @@ class _Scene:
         """
         steps = max(int(np.ceil(check_mm / self.pitch_mm - 1e-6)), 1)
         shifts = check_mm / steps * np.arange(steps)
-        rows = [square_wave(self.y - shift, check_mm, self.pitch_mm).astype(np.float32) for shift in shifts]
+        rows = [_square_wave(self.y - shift, check_mm, self.pitch_mm).astype(np.float32) for shift in shifts]
         largest = np.zeros((len(self.out), *self.glare.shape), dtype=np.float32)
         for shift in shifts:
-            across = square_wave(self.x - shift, check_mm, self.pitch_mm).astype(np.float32)
+            across = _square_wave(self.x - shift, check_mm, self.pitch_mm).astype(np.float32)
             for along in rows:
                 chi = across * along
                 gloss = self.glare * chi[self.inner]
@@ -352,6 +352,6 @@ class _Scene:
         waves = []
         for count in self.diffusion.fft_shape:
             offset = scipy.fft.fftfreq(count, 1.0 / count) * self.pitch_mm
-            waves.append(square_wave(offset + 0.5 * check_mm, check_mm, self.pitch_mm).astype(np.float32))
+            waves.append(_square_wave(offset + 0.5 * check_mm, check_mm, self.pitch_mm).astype(np.float32))
         kernel *= waves[0][:, None] * waves[1][None, :]
         return np.asarray(scipy.fft.rfft2(kernel))

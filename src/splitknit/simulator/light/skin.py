@@ -35,7 +35,7 @@ BAND_CHANNELS: Mapping[str, tuple[Channel, ...]] = {"white": ("red", "green", "b
 
 
 @dataclass(frozen=True, slots=True)
-class EffectiveBand:
+class _EffectiveBand:
     """What one channel sees: wavelengths in nm and absorption in 1/mm of the pure substances there."""
 
     scattering_nm: float
@@ -59,11 +59,11 @@ class EffectiveBand:
         return float(0.853 * np.exp(-(self.absorption_nm - 154.0) / 66.2))
 
 
-EFFECTIVE: Mapping[Channel, EffectiveBand] = {
-    "red": EffectiveBand(620.0, 620.0, 0.50, 3.5, 0.00026),
-    "green": EffectiveBand(540.0, 540.0, 28.5, 25.0, 0.00004),
-    "blue": EffectiveBand(460.0, 450.0, 33.7, 55.3, 0.00003),
-    "nir": EffectiveBand(850.0, 850.0, 0.57, 0.37, 0.0043),
+EFFECTIVE: Mapping[Channel, _EffectiveBand] = {
+    "red": _EffectiveBand(620.0, 620.0, 0.50, 3.5, 0.00026),
+    "green": _EffectiveBand(540.0, 540.0, 28.5, 25.0, 0.00004),
+    "blue": _EffectiveBand(460.0, 450.0, 33.7, 55.3, 0.00003),
+    "nir": _EffectiveBand(850.0, 850.0, 0.57, 0.37, 0.0043),
 }
 """Absorption of blood from Prahl's compilation (2.303 x molar extinction x 150 g/l / 64,500 g/mol), rounded."""
 

@@ -273,7 +273,7 @@ def population_capture(
     )
     lit = drifted(rig, np.random.default_rng(drift_seed), settings.sessions.led_drift_sd)
     capture, truth = photograph(
-        surface, lit, skin_of_today(own, impression), photo_seed, settings=_twin_settings(settings, impression)
+        surface, lit, _skin_of_today(own, impression), photo_seed, settings=_twin_settings(settings, impression)
     )
     subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}
     facts = {"subject": subject["id"], "finger": finger, "session": session}
@@ -305,7 +305,7 @@ def finger_of_today(finger: Finger, impression: Impression) -> Finger:
     )
 
 
-def skin_of_today(own: OwnFinger, impression: Impression) -> SkinSettings:
+def _skin_of_today(own: OwnFinger, impression: Impression) -> SkinSettings:
     """The optics of the finger's skin, as moist and as full of blood as in this impression."""
     return replace(
         own.optics,
