@@ -46,8 +46,13 @@ from splitknit.presets import (
 )
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
+from splitknit.skin.diffusion import SkinSettings
+from splitknit.skin.facets import Facets, measure_facets
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import HOW, working_images
-from splitknit.skin.surface import reconstruct_skin
+from splitknit.skin.learned import Networks, can_learn, relief_by_network
+from splitknit.skin.relief import detail_of
+from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
 from splitknit.steps import Memory, shared, step
 
 __all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings", "reconstruct", "split_and_knit"]
@@ -140,7 +145,7 @@ def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstructi
     if settings.smooth.sigma_mm > 0:
         height_mm, ridge_mm, shape_mm = smooth(height_mm, ridge_mm, finger, capture, settings)
 
-    facts = {"shape_source": "white" if nir is white else "nir", "separation": separation_of(capture, settings)}
+    facts = {"shape_source": source_of(white, nir), "separation": separation_of(capture, settings)}
     surface = Surface(height_mm, ridge_mm, shape_mm, albedo, None, facts, warnings)
     return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
 
@@ -148,36 +153,86 @@ def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstructi
 def metric(capture: Capture, settings: PipelineSettings) -> Reconstruction:
     """The `metric` method: near lights; on skin, scattering and specular light undone by analysis and synthesis.
 
-    A current surface predicts what photometric stereo would find on it behind the skin's blur; the difference from what
-    it did find corrects the surface (:func:`splitknit.skin.surface.reconstruct_skin`). Opaque things need no such
-    model: near lights with robust weights, masked integration, and a crossover of the bands.
+    Opaque things need no model of skin: near lights with robust weights, masked integration, and a crossover of the
+    bands.
     """
     capture, finger = locate_finger(capture, settings.finding())
     mirrors = views_in_mirrors(capture, settings)
     white, nir, warnings = bands_of(capture, settings)
-    shape_source = "white" if nir is white else "nir"
-
-    if undoes_blur(capture, settings):
+    if not undoes_blur(capture, settings):
+        surface = opaque_surface(capture, finger, white, nir, settings)
+    else:
         refuse_coloured_leds(white)
         bands = (white,) if nir is white else (white, nir)
         images = linear_images(capture, bands, finger.window, finger.inside, settings.metric)
         skin = skin_surface(images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks)
-        shape_mm, ridge_mm = images.on_pixels(skin.shape_mm), images.on_pixels(skin.relief_mm)
+        shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (skin.shape_mm, skin.relief_mm, skin.albedo))
         deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
-        facts = {"shape_source": shape_source, "separation": HOW[skin.facts["relief_by"]], "optics": skin.facts}
-        albedo, warnings = images.on_pixels(skin.albedo), (*warnings, *images.warnings)
-        surface = Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, warnings)
-    else:
-        slopes, albedo = near_slopes(capture, white, finger, settings)
-        height_mm = integrate(slopes, finger, capture, settings)
-        ridge_mm = ridge_relief(slopes, finger, capture, settings)
-        if nir is not white:
-            below, _ = near_slopes(capture, nir, finger, settings)
-            shape_mm = integrate(below, finger, capture, settings)
-            height_mm = crossover(height_mm, shape_mm, ridge_response(capture, settings), finger.inside)
-        facts = {"shape_source": shape_source, "separation": "none (opaque material)"}
-        surface = Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, warnings)
+        facts = {
+            "shape_source": source_of(white, nir),
+            "separation": HOW[skin.facts["relief_by"]],
+            "optics": skin.facts,
+        }
+        surface = Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, images.warnings)
+    surface = replace(surface, warnings=(*warnings, *surface.warnings))
     return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
+
+
+def reconstruct_skin(  # noqa: PLR0917
+    bands: tuple[BandImages, ...],
+    grid: Grid,
+    skin: SkinSettings,
+    settings: MetricSettings,
+    progress: Callable[[float], None] | None = None,
+    networks: Networks | None = None,
+) -> SkinSurface:
+    """Shape and relief of skin in turns, by analysis and synthesis.
+
+    A current surface predicts what photometric stereo would find on it behind the skin's blur; the difference from what
+    it did find corrects the surface: first the shape on a coarse grid, from all bands, then the ridges on a fine grid,
+    from the colours of the white band; and again, because ridges bias the shape (the mean normal of a ridged slope is
+    flatter than the slope).
+
+    Parameters
+    ----------
+    bands : the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is one
+    grid : fine grid of the images
+    skin : assumed optics
+    settings : MetricSettings
+    progress : called with the fraction done
+    networks : that estimate the relief and correct the shape, see :mod:`splitknit.skin.learned`; without them, relief
+        and specular reflection are separated by their colours
+    """
+    white = bands[0]
+    learned = networks if settings.relief == "network" and can_learn(white, grid.pitch_mm) else None
+    shape = CoarseShape.of(bands, grid, skin, settings)  # near-light photometric stereo of the last band, integrated
+    relief = np.zeros(grid.shape, dtype=np.float32)
+    facets: Facets | None = None
+    for turn in range(settings.rounds):
+        last = turn == settings.rounds - 1
+        # Shape: normals are predicted behind scattering, compared with those of all bands, the difference integrated.
+        for _ in range(settings.coarse_steps[min(turn, len(settings.coarse_steps) - 1)]):
+            shape.correct(relief, facets, settings.coarse)
+        if last and facets is not None and learned is not None and learned.shape is not None:
+            shape.mend(learned.shape, facets)
+        shape.see_colour()
+        smooth, light = shape.placed(), shape.light()
+        # Relief: what the slopes of the white band's colours lack on that shape, without blur and specular reflection.
+        if learned is not None:
+            found = relief_by_network(white, grid, smooth, light, learned.relief)
+        else:
+            other = shape.optics_of(1 + skin.scattering_uncertainty)
+            found = relief_by_colour(
+                white, grid, smooth, light, shape.optics, other, shape.found.brightness, relief, settings.by_colour
+            )
+        relief = found.relief_mm
+        if not last:
+            facets = measure_facets(relief, smooth, grid, shape.low, shape.factor, found.spread)
+        if progress is not None:
+            progress((turn + 1) / (settings.rounds + 1))
+    detail = detail_of(smooth, found.trust, grid)
+    facts = {**shape.facts(), **found.facts}
+    return SkinSurface(smooth - detail, relief + detail, found.deviation_mm, found.albedo, facts)
 
 
 # The steps. Arrays (h, w) lie on the finger's window; heights are in mm and finite inside the mask.
@@ -297,6 +352,24 @@ def slopes_of(normals: FloatArray, finger: Finger, capture: Capture, photometric
     view = view_of(capture.rig.camera, *finger.window, along_rays=True)
     own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
     return gradients_from_normals(own, finger.inside, photometric.max_slope)
+
+
+def opaque_surface(capture: Capture, finger: Finger, white: Band, nir: Band, settings: PipelineSettings) -> Surface:
+    """The surface of a thing that does not scatter light inside."""
+    slopes, albedo = near_slopes(capture, white, finger, settings)
+    height_mm = integrate(slopes, finger, capture, settings)
+    ridge_mm = ridge_relief(slopes, finger, capture, settings)
+    if nir is not white:
+        below, _ = near_slopes(capture, nir, finger, settings)
+        shape_mm = integrate(below, finger, capture, settings)
+        height_mm = crossover(height_mm, shape_mm, ridge_response(capture, settings), finger.inside)
+    facts = {"shape_source": source_of(white, nir), "separation": "none (opaque material)"}
+    return Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, ())
+
+
+def source_of(white: Band, nir: Band) -> str:
+    """The band that the shape comes from."""
+    return "white" if nir is white else "nir"
 
 
 def near_slopes(capture: Capture, band: Band, finger: Finger, settings: PipelineSettings) -> tuple[Slopes, FloatArray]:

@@ -7,9 +7,10 @@ import pytest
 from skin_scene import make_scene, relief_gain, shape_rms
 
 from splitknit.networks.unet import load_network, run_network
+from splitknit.pipeline import reconstruct_skin
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.learned import Networks
-from splitknit.skin.surface import MetricSettings, reconstruct_skin
+from splitknit.skin.surface import MetricSettings
 
 SETTINGS = MetricSettings()
 

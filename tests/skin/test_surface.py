@@ -7,13 +7,14 @@ import pytest
 from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, shape_rms
 
 from splitknit.errors import BadInput
+from splitknit.pipeline import reconstruct_skin
 from splitknit.skin import surface as shape_module
 from splitknit.skin.coarse import compare
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import fine_lighting
 from splitknit.skin.relief import Measured
-from splitknit.skin.surface import ColourSettings, MetricSettings, reconstruct_skin, with_relief
+from splitknit.skin.surface import ColourSettings, MetricSettings, with_relief
 
 SETTINGS = MetricSettings(rounds=2)
 

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
 
-import splitknit.skin.surface as metric_surface
 from splitknit import pipeline
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.accuracy import compare
@@ -195,7 +194,7 @@ class Bench:
     def _by_network(self) -> tuple[Reconstruction, FloatArray]:
         """`metric` as shipped, and the glare (L, H, W) that its network drew in the last round."""
         drawn: list[FloatArray] = []
-        original = metric_surface.relief_by_network
+        original = pipeline.relief_by_network
 
         def listening(*arguments: Any) -> Any:
             found = original(*arguments)
@@ -203,7 +202,7 @@ class Bench:
             return found
 
         capture = self.twin.capture
-        with mock.patch.object(metric_surface, "relief_by_network", listening):
+        with mock.patch.object(pipeline, "relief_by_network", listening):
             result = reconstruct(capture, self.finger, self._settings(ROWS["metric"]))
         require(
             len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."

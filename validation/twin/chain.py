@@ -22,10 +22,11 @@ from measure import drift_mm, lights
 from scipy import ndimage
 
 from splitknit.model import default_rig
+from splitknit.pipeline import reconstruct_skin
 from splitknit.simulator.light.skin import SkinSettings
 from splitknit.skin.diffusion import SkinSettings as AssumedSkin
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.surface import MetricSettings, reconstruct_skin
+from splitknit.skin.surface import MetricSettings
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

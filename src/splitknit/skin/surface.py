@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -17,11 +17,11 @@ from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin import relief as fine
 from splitknit.skin.coarse import CoarsePrior, CoarseStep, compare, integrate, start_shape, unit
 from splitknit.skin.diffusion import Diffusion, SkinSettings, diffusion
-from splitknit.skin.facets import Facets, measure_facets, ridged_normals, spread_of
+from splitknit.skin.facets import Facets, ridged_normals, spread_of
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine
-from splitknit.skin.learned import Network, Networks, can_learn, relief_by_network, slopes_by_network
+from splitknit.skin.learned import Network, slopes_by_network
 from splitknit.skin.light import FineLight, fine_lighting
-from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate, detail_of, mean_normals
+from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate, mean_normals
 
 # The shape on the coarse grid, as it is refined from all bands.
 
@@ -63,6 +63,11 @@ class CoarseShape:
         """What the last comparison found."""
         self._weights = np.ones(self.low.shape, dtype=np.float32)
 
+    @classmethod
+    def of(cls, bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> CoarseShape:
+        """Start at the pitch and height that the settings say."""
+        return cls(bands, grid, skin, pitch_mm=settings.coarse_pitch_mm, plane_mm=settings.plane_mm)
+
     def correct(self, relief_mm: FloatArray, facets: Facets | None, prior: CoarsePrior) -> None:
         """Predict the images of shape, relief and facets, compare, and correct the shape."""
         low, shape = self.low, self.shape_mm
@@ -82,9 +87,8 @@ class CoarseShape:
 
     def see_colour(self) -> None:
         """Let the absorption follow the colour that the last comparison found."""
-        assert self.step is not None
-        first = self.step.brightness[self.white[0]]
-        self.colour = {name: self.step.brightness[name] / first for name in self.white}
+        first = self.found.brightness[self.white[0]]
+        self.colour = {name: self.found.brightness[name] / first for name in self.white}
         self.optics = self.optics_of()
 
     def optics_of(self, scattering: float = 1.0) -> dict[str, Diffusion]:
@@ -93,6 +97,24 @@ class CoarseShape:
         return {
             name: diffusion(self.skin.scattering(name) * scattering, self.skin.absorption(name, colour.get(name)))
             for name in self.names
+        }
+
+    @property
+    def found(self) -> CoarseStep:
+        """What the last comparison found."""
+        assert self.step is not None
+        return self.step
+
+    def facts(self) -> dict[str, Any]:
+        """Optics and specular reflection, for the report."""
+        optics = self.optics
+        return {
+            "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+            "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+            "scattering_assumed": True,
+            "colour": dict(self.colour),
+            "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in self.found.glare.items()},
+            "working_pitch_mm": self.fine.pitch_mm,
         }
 
     def height(self) -> FloatArray:
@@ -247,84 +269,13 @@ class SkinSurface:
     facts: Mapping[str, Any]
 
 
-def reconstruct_skin(  # noqa: PLR0917
-    bands: tuple[BandImages, ...],
-    grid: Grid,
-    skin: SkinSettings,
-    settings: MetricSettings,
-    progress: Callable[[float], None] | None = None,
-    networks: Networks | None = None,
-) -> SkinSurface:
-    """Shape and relief from images of skin.
-
-    Parameters
-    ----------
-    bands : the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is one
-    grid : fine grid of the images
-    skin : assumed optics
-    settings : MetricSettings
-    progress : called with the share done
-    networks : that draw the relief and mend the shape, see :mod:`splitknit.skin.learned`; without them, relief and
-        glare are told apart by their colours
-    """
-    white = bands[0]
-    shape = _start(bands, grid, skin, settings)
-    relief = np.zeros(grid.shape, dtype=np.float32)
-    facets: Facets | None = None
-    learned = networks if settings.relief == "network" and can_learn(white, grid.pitch_mm) else None
-    for turn in range(settings.rounds):
-        for _ in range(settings.coarse_steps[min(turn, len(settings.coarse_steps) - 1)]):
-            shape.correct(relief, facets, settings.coarse)
-        if turn == settings.rounds - 1 and facets is not None and learned is not None and learned.shape is not None:
-            shape.mend(learned.shape, facets)
-        shape.see_colour()
-        smooth, light = shape.placed(), shape.light()
-        if learned is not None:
-            found = relief_by_network(white, grid, smooth, light, learned.relief)
-        else:
-            other = shape.optics_of(1 + skin.scattering_uncertainty)
-            found = relief_by_colour(
-                white, grid, smooth, light, shape.optics, other, _brightness(shape), relief, settings.by_colour
-            )
-        relief = found.relief_mm
-        if turn < settings.rounds - 1:
-            facets = measure_facets(relief, smooth, grid, shape.low, shape.factor, found.spread)
-        if progress is not None:
-            progress((turn + 1) / (settings.rounds + 1))
-    detail = detail_of(smooth, found.trust, grid)
-    facts = {**_facts(shape, grid), **found.facts}
-    return SkinSurface(smooth - detail, relief + detail, found.deviation_mm, found.albedo, facts)
-
-
 def first_shape(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> FloatArray:
     """(h, w) shape on the fine grid after the first turn's corrections, before there is any relief.
 
     What the network of the relief is given in the first turn; its training starts here. Parameters as for
-    :func:`reconstruct_skin`.
+    :func:`splitknit.pipeline.reconstruct_skin`.
     """
-    shape = _start(bands, grid, skin, settings)
+    shape = CoarseShape.of(bands, grid, skin, settings)
     for _ in range(settings.coarse_steps[0]):
         shape.correct(np.zeros(grid.shape, dtype=np.float32), None, settings.coarse)
     return shape.placed()
-
-
-def _start(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> CoarseShape:
-    return CoarseShape(bands, grid, skin, pitch_mm=settings.coarse_pitch_mm, plane_mm=settings.plane_mm)
-
-
-def _brightness(shape: CoarseShape) -> Mapping[str, float]:
-    assert shape.step is not None
-    return shape.step.brightness
-
-
-def _facts(shape: CoarseShape, grid: Grid) -> dict[str, Any]:
-    assert shape.step is not None
-    optics = shape.optics
-    return {
-        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
-        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
-        "scattering_assumed": True,
-        "colour": dict(shape.colour),
-        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.step.glare.items()},
-        "working_pitch_mm": grid.pitch_mm,
-    }

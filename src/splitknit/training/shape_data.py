@@ -19,7 +19,7 @@ from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
 from splitknit.model import BoolArray, Capture, FloatArray, default_rig
-from splitknit.pipeline import bands_of
+from splitknit.pipeline import bands_of, reconstruct_skin
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import Limits
 from splitknit.simulator.light.renderer import RenderSettings
@@ -28,7 +28,6 @@ from splitknit.skin.grid import Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, SHAPE_SLOPE, Networks, can_learn
 from splitknit.skin.light import slant_of, trust_of
-from splitknit.skin.surface import reconstruct_skin
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import (
     TRUTH_FRACTION,
