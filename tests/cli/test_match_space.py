@@ -54,7 +54,7 @@ def test_one_finger_is_told_from_another(results: Path, method: str, capsys) -> 
         assert same["agreeing"] <= min(same["a"]["minutiae"], same["b"]["minutiae"])
     assert main(["match", str(results / "a"), str(results / "again"), "--method", method]) == 0
     words = capsys.readouterr().out
-    assert words.startswith(f"similarity {same['similarity']:.4f} (share of")
+    assert words.startswith(f"similarity {same['similarity']:.4f} (fraction of")
     assert "\n" in words.strip()
 
 
