@@ -14,7 +14,7 @@ from splitknit.apps.compare import compare
 from splitknit.apps.outputs import upright_mesh
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
-from splitknit.imaging.view import pixel_axes_mm
+from splitknit.imaging.view import _pixel_axes_mm
 from splitknit.io import read_capture, read_npz
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import PRESETS, PipelineSettings, preset_settings, reconstruct, undoes_blur
@@ -277,7 +277,7 @@ def test_what_is_refused(capture: Capture) -> None:
 def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
     """A matt dome 11 mm right of the picture's middle under four near lights; and its height in mm."""
     camera = Camera(px_per_mm, (240, 440))
-    x, y = (axis.astype(np.float64) for axis in pixel_axes_mm(camera))
+    x, y = (axis.astype(np.float64) for axis in _pixel_axes_mm(camera))
     x, y = np.meshgrid(x - 11.0, y)
     inside = x**2 + y**2 < 8.0**2
     height = np.where(inside, np.sqrt(np.maximum(12.0**2 - x**2 - y**2, 0.0)) - 11.0, 0.0)

@@ -18,7 +18,7 @@ from splitknit.pipeline import preset_settings
 from splitknit.skin import SkinSettings, diffusion, learned
 from splitknit.skin.facets import Facets
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, shape_features
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, _shape_features
 from splitknit.training.shape import CHANNELS, FIELDS, OF_NIR, SLOPES, TURNS, WEIGHT, without_nir
 
 PITCH_MM = 0.106
@@ -40,7 +40,7 @@ class Scene:
 
     def sample(self) -> np.ndarray:
         facets = Facets(np.linspace(-0.5, 0.5, 7), *self.across)
-        fields = shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
+        fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
         return assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
 
     def moved(

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
 from splitknit.evaluation import Scores, comparisons, d_prime, ids_of, scores_of_comparisons
-from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fit_linear, fit_logistic, fuse
+from splitknit.evaluation.fusion import FusionSettings, _cross_fit, _deal, fit_linear, fit_logistic, fuse
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:
@@ -55,7 +55,7 @@ def test_nobody_is_trained_on_who_is_tested_on() -> None:
     table = np.stack([one.score for one in systems(2)], axis=1)
     one = systems(2)[0]
     assert one.subject is not None
-    fold = deal(one.subject, 5, 0)[one.subject.codes]
+    fold = _deal(one.subject, 5, 0)[one.subject.codes]
     codes = one.subject.codes
     row = {tuple(values): k for k, values in enumerate(table)}
     seen: list[set[int]] = []
@@ -64,7 +64,7 @@ def test_nobody_is_trained_on_who_is_tested_on() -> None:
         seen.append({int(who) for values in part for who in codes[row[tuple(values)]]})
         return fit_linear(part)
 
-    models, fused = cross_fit(table, one.label, fold, watched)
+    models, fused = _cross_fit(table, one.label, fold, watched)
     assert not np.isnan(fused).any()
     assert len(models) == 15
     for (i, j), trained_on in zip(models, seen, strict=True):

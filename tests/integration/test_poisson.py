@@ -11,7 +11,7 @@ import scipy.sparse.linalg
 from splitknit.errors import BadInput
 from splitknit.integration import PoissonSettings, poisson
 from splitknit.integration.gradient_field import zero_mean_by_component
-from splitknit.integration.poisson import Grid, build_grids, edge_weights, padded_size, predicted_differences
+from splitknit.integration.poisson import Grid, _build_grids, _edge_weights, _padded_size, _predicted_differences
 
 
 def paraboloid(rows, columns):
@@ -24,8 +24,8 @@ def paraboloid(rows, columns):
 
 def reference(slope_x, slope_y, mask, weights=None, quadrature="trapezoidal"):
     """The same least squares by a sparse direct solver in double precision."""
-    target_right, target_down = predicted_differences(slope_x, slope_y, mask, weights, quadrature)
-    weight_right, weight_down = edge_weights(mask, weights)
+    target_right, target_down = _predicted_differences(slope_x, slope_y, mask, weights, quadrature)
+    weight_right, weight_down = _edge_weights(mask, weights)
     index = np.full(mask.shape, -1)
     index[mask] = np.arange(mask.sum())
     right, down = weight_right > 0, weight_down > 0
@@ -175,10 +175,10 @@ def grids(unit):
     mask = np.pad(masks()["holes"], ((0, 2), (0, 6)))
     rng = np.random.default_rng(4)
     weights = None if unit else rng.random(mask.shape).astype(np.float32)
-    assert padded_size(*mask.shape) == (96, 96)
+    assert _padded_size(*mask.shape) == (96, 96)
     mask = np.pad(mask, ((0, 24), (0, 0)))
     weights = None if weights is None else np.pad(weights, ((0, 24), (0, 0)))
-    return build_grids(*edge_weights(mask, weights), unit=unit)
+    return _build_grids(*_edge_weights(mask, weights), unit=unit)
 
 
 def inner(a, b):

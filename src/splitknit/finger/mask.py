@@ -37,7 +37,7 @@ SAMPLES = 8000
 """The backdrop is fitted to about so many pixels."""
 
 
-def chromaticity(image: FloatArray) -> FloatArray:
+def _chromaticity(image: FloatArray) -> FloatArray:
     """Chromaticity of the modified specular-free image, (H, W, 3) in [0, 1].
 
     I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
@@ -54,7 +54,7 @@ def chromaticity(image: FloatArray) -> FloatArray:
     return np.asarray(msf / msf.sum(axis=2, keepdims=True), dtype=np.float32)
 
 
-def signals(image: FloatArray) -> list[FloatArray]:
+def _signals(image: FloatArray) -> list[FloatArray]:
     """The two quantities that tell skin from a dark neutral backdrop: brightness, and the coloured part of the light.
 
     The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
@@ -66,7 +66,7 @@ def signals(image: FloatArray) -> list[FloatArray]:
     return [np.asarray(brightness, dtype=np.float32), np.asarray(coloured, dtype=np.float32)]
 
 
-def skin_evidence(
+def _skin_evidence(
     image: FloatArray,
     seed: BoolArray,
     margin: float,
@@ -103,7 +103,7 @@ def skin_evidence(
     usable = False
     if outside.sum() < 50:
         return seed.astype(np.float32) * np.float32(2.0), True
-    for signal in signals(image):
+    for signal in _signals(image):
         backdrop, noise = _fit_backdrop(signal, outside, samples)
         rise = signal - backdrop
         if local:
@@ -133,7 +133,7 @@ def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: flo
     return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
 
 
-def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
+def _rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     """Relative step of brightness or colour across the outline of `mask`: (inside - outside) / inside, the larger."""
     inside = mask & ~erode(mask, reach)
     near = dilate(mask, 0.3 * reach)
@@ -141,7 +141,7 @@ def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     if not outside.any() or not inside.any():
         return 0.0
     steps = []
-    for signal in signals(image):
+    for signal in _signals(image):
         within, without = float(np.median(signal[inside])), float(np.median(signal[outside]))
         steps.append((within - without) / within if within > 0.0 else 0.0)
     return max(steps)
@@ -254,7 +254,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     image gives the same mask.
     """
     settings = settings or MaskSettings()
-    image = check_image(mean_image)
+    image = _check_image(mean_image)
     height, width = image.shape[:2]
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
@@ -265,32 +265,32 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse = blur(coarse, 0.5 * BLUR_MM * coarse_px)
 
     try:
-        mask = coarse_mask(coarse, coarse_px)
+        mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
         check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
         raise
-    result = fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
+    result = _fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
     check_borders(result)
     return result
 
 
-def coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) -> BoolArray:
+def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) -> BoolArray:
     """The finger on the coarse copy."""
     margin = _EDGE_MARGIN_MM * px_per_mm
     mask = _seed(image, BLUR_MM * px_per_mm)
     for _ in range(2):
-        evidence, usable = skin_evidence(image, mask, margin, _EDGE_FRACTION, _NOISE_FACTOR, samples=samples)
+        evidence, usable = _skin_evidence(image, mask, margin, _EDGE_FRACTION, _NOISE_FACTOR, samples=samples)
         require(usable, NO_FINGER)
         mask = _clean(evidence > 1.0, mask)
     require(2.0 * float(depth_inside(mask).max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
-    require(rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
+    require(_rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
     return mask
 
 
 def _bright_side(image: FloatArray) -> BoolArray:
     """Whatever is far brighter than the rest of the image (nothing, where no such split shows)."""
     brightness = image if image.ndim == 2 else image.sum(axis=2)
-    second, _ = two_means(brightness.reshape(-1, 1))
+    second, _ = _two_means(brightness.reshape(-1, 1))
     split = second.reshape(brightness.shape)
     levels = [float(brightness[part].mean()) if part.any() else 0.0 for part in (split, ~split)]
     bright = split if levels[0] > levels[1] else ~split
@@ -328,7 +328,7 @@ NO_FINGER = (
 )
 
 
-def check_image(mean_image: FloatArray) -> FloatArray:
+def _check_image(mean_image: FloatArray) -> FloatArray:
     """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
     image = np.asarray(mean_image)
     require(
@@ -353,11 +353,11 @@ def _seed(image: FloatArray, sigma: float) -> BoolArray:
     root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
     candidates = [blur(root, sigma)[..., None]]
     if image.ndim == 3:
-        candidates.append(blur(chromaticity(image), sigma))
+        candidates.append(blur(_chromaticity(image), sigma))
     best: BoolArray | None = None
     clearest = 0.0
     for features in candidates:
-        second, separation = two_means(features.reshape(-1, features.shape[2]))
+        second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
         region = remove_spurs(fill_holes(cluster), _SPUR_FRACTION)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
@@ -387,7 +387,7 @@ def _clean(candidate: BoolArray, seed: BoolArray) -> BoolArray:
     return fill_holes(cleaned)
 
 
-def fine_outline(
+def _fine_outline(
     fine: FloatArray,
     mask: BoolArray,
     size: tuple[int, int],
@@ -399,7 +399,7 @@ def fine_outline(
     guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
     smooth = blur(fine, _FINE_BLUR_MM * px_per_mm)
     margin = _EDGE_MARGIN_MM * px_per_mm
-    evidence, _ = skin_evidence(smooth, guess, margin, _EDGE_FRACTION, _NOISE_FACTOR, local=True, samples=samples)
+    evidence, _ = _skin_evidence(smooth, guess, margin, _EDGE_FRACTION, _NOISE_FACTOR, local=True, samples=samples)
     near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
     found = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
@@ -415,7 +415,7 @@ def fine_outline(
 # Two-class k-means that gives the same answer every time.
 
 
-def two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[BoolArray, float]:
+def _two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[BoolArray, float]:
     """Split feature vectors into two clusters (Lloyd's algorithm, deterministic start).
 
     The start is the split at the middle of the direction of greatest variance, so no random number is involved.
@@ -480,12 +480,12 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
     coarse copy (``coarse_px_per_mm``). :func:`finger_outline` makes it exact.
     """
     settings = settings or MaskSettings()
-    image = check_image(mean_image)
+    image = _check_image(mean_image)
     height, width = image.shape[:2]
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
-    mask = coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
+    mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
     check_borders(mask)
     full = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return np.asarray(full, dtype=np.bool_)
@@ -517,9 +517,9 @@ def finger_outline(
         If nothing stands out from the backdrop there.
     """
     settings = settings or MaskSettings()
-    image = check_image(mean_image)
+    image = _check_image(mean_image)
     height, width = image.shape[:2]
     require(bool(rough.any()), NO_FINGER)
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, scale)
-    return fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)
+    return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)

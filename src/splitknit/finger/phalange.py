@@ -95,7 +95,7 @@ def find_crease(mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(grey, mask, upright, scale)
-    found = transverse_valleys(small, inside, px_per_mm * scale)
+    found = _transverse_valleys(small, inside, px_per_mm * scale)
     width_mm = upright.width_px / px_per_mm
     tip_row = upright.tip_row
     placed = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in found)
@@ -210,7 +210,7 @@ class Valley:
         )
 
 
-def transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[Valley, ...]:
+def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[Valley, ...]:
     """All dark lines across an upright finger, from the tip down.
 
     A place of the blurred `image` (H, W) responds by how much darker it is than the skin `_SIDE_MM` above and below,

@@ -70,7 +70,7 @@ class SpeckSettings(Checked):
     """Share of the finger that bright specks may cover."""
 
 
-def speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
+def _speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
     """Measure how much of the finger dark and bright specks cover.
 
     Parameters
@@ -113,14 +113,14 @@ def speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[
     half = max(1, len(images) // 2)
     lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
     core = np.repeat(np.repeat(core, _FINER, axis=0), _FINER, axis=1)
-    filled = short_marks_filled(lit, _DARK_MM * px * _FINER)
-    levelled = -short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
+    filled = _short_marks_filled(lit, _DARK_MM * px * _FINER)
+    levelled = -_short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
     dark = lit[core] < (1.0 - _DARKER) * filled[core]
     bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
     return float(dark.mean()), float(bright.mean())
 
 
-def short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
+def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
     """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
     closings = (cv2.morphologyEx(image, cv2.MORPH_CLOSE, line) for line in _lines(length_px))
     return np.asarray(np.minimum.reduce(list(closings)), dtype=np.float32)
@@ -228,7 +228,7 @@ def capture_quality(
     ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
     saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
-    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm)
+    dark_specks, bright_specks = _speck_shares(stack, mask, px_per_mm)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")

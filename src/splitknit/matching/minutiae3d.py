@@ -120,12 +120,12 @@ def minutiae3d_match(
     if sides is None:
         return Minutiae3DMatch(0.0, 0, compared=False)
     left, right = sides
-    found = best_agreement(left, right, alike_pairs(left, right), left.settings.agreement)
+    found = best_agreement(left, right, _alike_pairs(left, right), left.settings.agreement)
     count = len(found.a)
     return Minutiae3DMatch(share_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
 
 
-def alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
+def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
     """Correspondences (K, 2) of pairs that look alike."""
     i, j = close_points(a.tree, b.tree)
     return a.pairs[i], b.pairs[j]
@@ -253,7 +253,7 @@ def tetrahedra_match(
     if sides is None:
         return TetrahedraMatch(0.0, 0, 0, compared=False)
     left, right = sides
-    corners = alike_tetrahedra(left, right)
+    corners = _alike_tetrahedra(left, right)
     total = len(corners[0])
     found = best_agreement(left, right, corners, left.settings.agreement)
     count = len(found.a)
@@ -261,7 +261,7 @@ def tetrahedra_match(
     return TetrahedraMatch(score, count, total, compared=True)
 
 
-def alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
+def _alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
     """Corners (K, 4) of both sides' tetrahedra that are alike, each corner beside the one that it corresponds to.
 
     Where several orders of the corners are alike the one with the least difference of angles is taken.

@@ -119,7 +119,7 @@ def make_surface_code(
     return SurfaceCode(code, known, CODE_PITCH_MM)
 
 
-def packed_planes(code: NDArray[np.uint8], mask: BoolArray) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+def _packed_planes(code: NDArray[np.uint8], mask: BoolArray) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """Bits of codes (..., H, W) as words: planes (4, ..., H, words), and the mask (..., H, words)."""
     width = -(-code.shape[-1] // 64) * 64
     gap = [(0, 0)] * (code.ndim - 1) + [(0, width - code.shape[-1])]
@@ -280,7 +280,7 @@ class PreparedSurface:
     def packed(self, turn_deg: float) -> tuple[Words, Words]:
         """Packed planes and mask at the full grid."""
         if turn_deg not in self._kept:
-            self._kept[turn_deg] = packed_planes(*self.turned(turn_deg, self.surface_code.pitch_mm))
+            self._kept[turn_deg] = _packed_planes(*self.turned(turn_deg, self.surface_code.pitch_mm))
         planes, mask = self._kept[turn_deg]
         return planes, mask
 
@@ -380,7 +380,7 @@ def _counted(
     for d in range(-near, near + 1):
         # b, moved so that its places lie on those of a; with spare rows, among which a window slides
         at = (margin[0] - rows + near, margin[1] - columns - d)
-        other, other_mask = packed_planes(*_placed(code, mask, at, (grid[0] + 2 * near, grid[1])))
+        other, other_mask = _packed_planes(*_placed(code, mask, at, (grid[0] + 2 * near, grid[1])))
         for e in range(2 * near + 1):
             window = slice(e, e + grid[0])
             common = masks & other_mask[window]

@@ -22,7 +22,7 @@ _REACH_MM = 3.0
 # Areas of a picture: outlines filled, grown and shrunk, the boxes around them, and what is left out of them.
 
 
-def bin_image(image: FloatArray, factor: int) -> FloatArray:
+def _bin_image(image: FloatArray, factor: int) -> FloatArray:
     """Means over blocks of `factor` pixels a side of an image (h, w) or (h, w, C); what fills no block is dropped."""
     if factor == 1:
         return image
@@ -31,7 +31,7 @@ def bin_image(image: FloatArray, factor: int) -> FloatArray:
     return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def enlarged_box(
+def _enlarged_box(
     cells: tuple[slice, slice], factor: int, small: tuple[int, ...], large: tuple[int, ...]
 ) -> tuple[slice, slice]:
     """Rows and columns of an image that blocks of `factor` pixels cover; the last ones take what fills no block."""
@@ -39,7 +39,7 @@ def enlarged_box(
     return slice(cells[0].start * factor, ends[0]), slice(cells[1].start * factor, ends[1])
 
 
-def around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
+def _around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
     """Rows and columns that hold a mask and `margin` pixels around it."""
     found = []
     for axis in (1, 0):
@@ -49,32 +49,32 @@ def around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def blanked(image: FloatArray, inside: BoolArray, px_per_mm: float) -> FloatArray:
+def _blanked(image: FloatArray, inside: BoolArray, px_per_mm: float) -> FloatArray:
     """The image whose pixels outside `inside` look like the backdrop beside them."""
     if inside.all():
         return image
     done = image.copy()
-    ring = inside & ~shrunk(inside, max(2.0, 0.4 * px_per_mm))
+    ring = inside & ~_shrunk(inside, max(2.0, 0.4 * px_per_mm))
     done[~inside] = np.median(done[ring], axis=0) if ring.any() else np.float32(0.0)
     return done
 
 
-def filled(outline: Array, shape: tuple[int, int]) -> BoolArray:
+def _filled(outline: Array, shape: tuple[int, int]) -> BoolArray:
     """(h, w) pixels inside an outline (n, 2) of columns and rows."""
     canvas = np.zeros(shape, dtype=np.uint8)
     cv2.fillPoly(canvas, [np.round(outline * 16).astype(np.int32)], 1, shift=4)
     return np.asarray(canvas, dtype=np.bool_)
 
 
-def grown(mask: BoolArray, radius: float) -> BoolArray:
+def _grown(mask: BoolArray, radius: float) -> BoolArray:
     """A mask and what lies within `radius` pixels of it along rows and columns."""
     size = 2 * max(1, round(radius)) + 1
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)), dtype=np.bool_)
 
 
-def shrunk(mask: BoolArray, radius: float) -> BoolArray:
+def _shrunk(mask: BoolArray, radius: float) -> BoolArray:
     """What of a mask lies further than that from its outline."""
-    return ~grown(~mask, radius)
+    return ~_grown(~mask, radius)
 
 
 Array = NDArray[np.float64]
@@ -142,7 +142,7 @@ def find_views(  # noqa: PLR0917
     factor = 1
     if find_outline is not None:
         factor = max(1, int(camera.px_per_mm / binning / SEARCH_PX_PER_MM))
-    rough = _rough_views(bin_image(image, factor), camera, mirrors, find_finger, binning * factor)
+    rough = _rough_views(_bin_image(image, factor), camera, mirrors, find_finger, binning * factor)
     views = rough
     if find_outline is not None:
         views = _outlined(image, camera, mirrors, rough, find_outline, factor)
@@ -189,14 +189,14 @@ def _outlined(  # noqa: PLR0917
     outlines = {name: mirror_outline(mirror, camera, binning) for name, mirror in mirrors.items()}
 
     def found(mask: BoolArray, name: str, front: BoolArray | None) -> BoolArray | None:
-        cells = around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
-        box = enlarged_box(cells, factor, mask.shape, image.shape)
+        cells = _around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
+        box = _enlarged_box(cells, factor, mask.shape, image.shape)
         corner = np.array([box[1].start, box[0].start])
         inside = {other: outline - corner for other, outline in outlines.items()}
         shape = (box[0].stop - box[0].start, box[1].stop - box[1].start)
         allowed = ~_in_any(inside, shape) if front is None else _allowed(name, inside, front[box], px_per_mm)
         try:
-            part = find_outline(blanked(image[box], allowed, px_per_mm), mask[cells], px_per_mm) & allowed
+            part = find_outline(_blanked(image[box], allowed, px_per_mm), mask[cells], px_per_mm) & allowed
         except BadInput:
             return None
         whole = np.zeros(image.shape[:2], dtype=np.bool_)
@@ -223,24 +223,24 @@ def _with_views(front: BoolArray, seen: Mapping[str, BoolArray | None], binning:
 
 def _in_any(outlines: Mapping[str, Array], shape: tuple[int, int]) -> BoolArray:
     """Which pixels lie in one of the mirrors' nominal outlines."""
-    return np.asarray(np.logical_or.reduce([filled(outline, shape) for outline in outlines.values()]))
+    return np.asarray(np.logical_or.reduce([_filled(outline, shape) for outline in outlines.values()]))
 
 
 def _allowed(name: str, outlines: Mapping[str, Array], front: BoolArray, px_per_mm: float) -> BoolArray:
     """Where a mirror's picture may be: around its nominal outline, beside the front view and the other mirrors."""
     shape = (front.shape[0], front.shape[1])
-    allowed = grown(filled(outlines[name], shape), _REACH_MM * px_per_mm) & ~grown(front, 0.4 * px_per_mm)
+    allowed = _grown(_filled(outlines[name], shape), _REACH_MM * px_per_mm) & ~_grown(front, 0.4 * px_per_mm)
     for other, outline in outlines.items():
         if other != name:
-            allowed &= ~filled(outline, shape)
+            allowed &= ~_filled(outline, shape)
     return allowed
 
 
 def without_mirrors(image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int) -> FloatArray:
     """The image (h, w) or (h, w, C) with the mirrors' nominal outlines filled with the backdrop beside them."""
     shape = (image.shape[0], image.shape[1])
-    outlines = [filled(mirror_outline(mirror, camera, binning), shape) for mirror in mirrors.values()]
-    return blanked(image, ~np.logical_or.reduce(outlines), camera.px_per_mm / binning)
+    outlines = [_filled(mirror_outline(mirror, camera, binning), shape) for mirror in mirrors.values()]
+    return _blanked(image, ~np.logical_or.reduce(outlines), camera.px_per_mm / binning)
 
 
 def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float, find_finger: FindFinger) -> BoolArray | None:
@@ -250,7 +250,7 @@ def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float, find_fi
         return None
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     inside = allowed[window]
-    part = blanked(image[window], inside, px_per_mm)
+    part = _blanked(image[window], inside, px_per_mm)
     try:
         mask = find_finger(part, px_per_mm) & inside
     except BadInput:
@@ -263,7 +263,7 @@ def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float, find_fi
 def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_per_mm: float) -> None:
     """Refuse another finger beside the first: about as bright, and nearly as large."""
     light = image if image.ndim == 2 else image.sum(axis=2)
-    other = (light > 0.5 * float(np.median(light[front]))) & ~in_any & ~grown(front, 1.5 * px_per_mm)
+    other = (light > 0.5 * float(np.median(light[front]))) & ~in_any & ~_grown(front, 1.5 * px_per_mm)
     _, _, stats, _ = cv2.connectedComponentsWithStats(other.astype(np.uint8))
     largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
     require(
@@ -275,7 +275,7 @@ def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_pe
 
 def _refuse_contact(name: str, view: BoolArray, front: BoolArray, px_per_mm: float) -> None:
     """Refuse a finger that lies on its own mirror image."""
-    near = grown(front, 0.6 * px_per_mm) & view
+    near = _grown(front, 0.6 * px_per_mm) & view
     require(
         int(near.sum()) < (1.0 * px_per_mm) ** 2,
         f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.",

@@ -26,7 +26,7 @@ from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate, detail_of
 # The shape on the coarse grid, as it is refined from all bands.
 
 
-class CoarseShape:
+class _CoarseShape:
     """A shape between corrections: images, optics and prediction on the coarse grid belong to it."""
 
     def __init__(
@@ -140,7 +140,7 @@ class ColourSettings(Checked):
     """Removal of the noise from the relief."""
 
 
-def relief_by_colour(  # noqa: PLR0917
+def _relief_by_colour(  # noqa: PLR0917
     white: BandImages,
     grid: Grid,
     smooth_mm: FloatArray,
@@ -169,7 +169,7 @@ def relief_by_colour(  # noqa: PLR0917
     measured = fine.measure(white, grid, smooth_mm, light, optics, brightness)
     for _ in range(settings.steps):
         lacking = fine.lacking_slopes(measured, grid, smooth_mm + relief)
-        mix = fine.unmixing(measured, grid, with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
+        mix = fine.unmixing(measured, grid, _with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
         raw = fine.update(measured, grid, lacking.slopes, mix, relief)
         relief, noise = fine.denoise(raw, grid, mix, settings.denoise, _SEED)
     sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
@@ -185,7 +185,7 @@ def relief_by_colour(  # noqa: PLR0917
     )
 
 
-def with_relief(
+def _with_relief(
     slopes: list[tuple[FloatArray, FloatArray]], measured: fine.Measured, grid: Grid, relief: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """The slopes that the channels would lack without the current relief."""
@@ -283,7 +283,7 @@ def reconstruct_skin(  # noqa: PLR0917
             found = relief_by_network(white, grid, smooth, light, learned.relief)
         else:
             other = shape.optics_of(1 + skin.scattering_uncertainty)
-            found = relief_by_colour(
+            found = _relief_by_colour(
                 white, grid, smooth, light, shape.optics, other, _brightness(shape), relief, settings.by_colour
             )
         relief = found.relief_mm
@@ -308,16 +308,16 @@ def first_shape(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, s
     return shape.placed()
 
 
-def _start(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> CoarseShape:
-    return CoarseShape(bands, grid, skin, pitch_mm=settings.coarse_pitch_mm, plane_mm=settings.plane_mm)
+def _start(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, settings: MetricSettings) -> _CoarseShape:
+    return _CoarseShape(bands, grid, skin, pitch_mm=settings.coarse_pitch_mm, plane_mm=settings.plane_mm)
 
 
-def _brightness(shape: CoarseShape) -> Mapping[str, float]:
+def _brightness(shape: _CoarseShape) -> Mapping[str, float]:
     assert shape.step is not None
     return shape.step.brightness
 
 
-def _facts(shape: CoarseShape, grid: Grid) -> dict[str, Any]:
+def _facts(shape: _CoarseShape, grid: Grid) -> dict[str, Any]:
     assert shape.step is not None
     optics = shape.optics
     return {
