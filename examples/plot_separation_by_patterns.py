@@ -18,7 +18,9 @@ import numpy as np
 
 from splitknit.io import write_image
 from splitknit.model import Camera
-from splitknit.separation import Separation, StackSettings, checkerboard, single_image
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.single_image import single_image
+from splitknit.separation.stacks import Separation, StackSettings
 from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.rig import default_rig

@@ -12,7 +12,7 @@ import pytest
 from splitknit.apps.cli import main
 from splitknit.io import read_image, write_image
 from splitknit.io.float_tiff import read_light_tiff, write_light_tiff
-from splitknit.separation import checkerboard_patterns
+from splitknit.separation.states import checkerboard_patterns
 
 SIZE = (40, 50)
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]

@@ -12,7 +12,7 @@ import pytest
 
 from splitknit.imaging import linear_image
 from splitknit.io import read_image
-from splitknit.separation import checkerboard
+from splitknit.separation.checkerboard import checkerboard
 
 pytestmark = pytest.mark.external
 PAIRS = ("stripes_14", "stripes_16", "rows_34")

@@ -6,7 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.separation import checkerboard, checkerboard_patterns, occluder, sinusoid
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.occluder import occluder
+from splitknit.separation.sinusoid import sinusoid
+from splitknit.separation.states import checkerboard_patterns
 
 quick = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.mirrors import MirrorShapeSettings, Views
-from splitknit.mirrors.rolled import plane_of
+from splitknit.mirrors.rolled.reflection import plane_of
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
 from splitknit.recipe.rolled_body import body_between_mirrors
 from splitknit.recipe.rolled_light import Glass

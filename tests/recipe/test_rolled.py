@@ -10,7 +10,9 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled import SearchSettings, coverage_deg, ridge_band
+from splitknit.mirrors.rolled.blend import coverage_deg
+from splitknit.mirrors.rolled.register import ridge_band
+from splitknit.mirrors.rolled.search import SearchSettings
 from splitknit.model import Capture
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled import Rolled, _apart, _base, rolled_finger

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.mirrors.rolled import ridge_band
+from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.pipeline import preset_settings
 from splitknit.recipe.rolled_capture import find_mirror_views
 from splitknit.recipe.rolled_settings import RolledSettings

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.separation import StackSettings, check_shifts, checkerboard, checkerboard_patterns, estimate_patterns
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.stacks import StackSettings
+from splitknit.separation.states import check_shifts, checkerboard_patterns, estimate_patterns
 
 SIZE = (60, 72)
 SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]

@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.separation import (
-    PhaseSeparation,
-    checkerboard_patterns,
-    estimate_patterns,
-    occluder,
-    single_image,
-    sinusoid,
-)
+from splitknit.separation.occluder import occluder
+from splitknit.separation.single_image import single_image
+from splitknit.separation.sinusoid import PhaseSeparation, sinusoid
+from splitknit.separation.states import checkerboard_patterns, estimate_patterns
 
 SIZE = (48, 60)
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]

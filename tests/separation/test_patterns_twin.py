@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from splitknit.model import Camera
-from splitknit.separation.patterns import StackSettings, by_symmetry, checkerboard
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.stacks import StackSettings
+from splitknit.separation.symmetry import by_symmetry
 from splitknit.simulator.diffusion import load_walks
 from splitknit.simulator.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard, pattern_states

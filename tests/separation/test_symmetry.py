@@ -7,7 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
-from splitknit.separation.patterns import StackSettings, by_symmetry, checkerboard, checkerboard_patterns
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.stacks import StackSettings
+from splitknit.separation.states import checkerboard_patterns
+from splitknit.separation.symmetry import by_symmetry
 
 SIZE = (60, 72)
 SIDE = 8.0

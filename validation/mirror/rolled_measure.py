@@ -12,8 +12,9 @@ from scipy.spatial import cKDTree
 
 from splitknit.apps.printing_rolled import laid_flat, rolled_facts
 from splitknit.io import read_capture
-from splitknit.mirrors.rolled import Blended, read, ridge_band, seam_lines, seam_steps
-from splitknit.mirrors.rolled.blend import STEEPEST_DEG
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, seam_lines, seam_steps
+from splitknit.mirrors.rolled.chart import read
+from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.pipeline import preset_settings
 from splitknit.prints import UnrollSettings, ink, resample
 from splitknit.recipe.rolled import Rolled, rolled_finger

@@ -44,7 +44,10 @@ from patches import (
 from summary import summary
 
 from splitknit.model import Camera, Led
-from splitknit.separation.patterns import Separation, StackSettings, by_symmetry, checkerboard, estimate_patterns
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.stacks import Separation, StackSettings
+from splitknit.separation.states import estimate_patterns
+from splitknit.separation.symmetry import by_symmetry
 from splitknit.simulator.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.palm import draw_palm, palm_surface
 from splitknit.simulator.projector import Checkerboard

@@ -33,7 +33,7 @@ from splitknit.apps.training.train import HELD_OUT_FROM, enhance
 from splitknit.model import Led
 from splitknit.networks.unet import Network, load_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced
-from splitknit.separation.patterns import single_image
+from splitknit.separation.single_image import single_image
 from splitknit.separation.stacks import StackSettings
 from splitknit.simulator.projector import Checkerboard, pattern_states
 from splitknit.simulator.sensor import SensorSettings, record

@@ -37,7 +37,7 @@ import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.io.fields import Fields, as_number, inside, read_json
-from splitknit.separation import check_shifts
+from splitknit.separation.states import check_shifts
 
 METHODS = ("checkerboard", "symmetry", "sinusoid", "occluder", "single")
 DOCUMENT = "separation.json"

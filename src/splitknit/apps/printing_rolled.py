@@ -16,7 +16,7 @@ from splitknit.errors import require
 from splitknit.io import read_capture
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.ply import write_ply
-from splitknit.mirrors.rolled import coverage_deg, seam_lines, seam_steps
+from splitknit.mirrors.rolled.blend import coverage_deg, seam_lines, seam_steps
 from splitknit.model import FloatArray
 from splitknit.prints import PrintMap, SurfaceGrid, Unrolled, UnrollSettings, unroll, unrolled_map
 from splitknit.prints.unroll_grid import RINGS, extrapolated

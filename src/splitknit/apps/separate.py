@@ -29,17 +29,13 @@ from splitknit.io.content import mask_from_image
 from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import StackReader
 from splitknit.model import BoolArray, FloatArray
-from splitknit.separation import (
-    PhaseSeparation,
-    Separation,
-    StackSettings,
-    checkerboard,
-    estimate_patterns,
-    occluder,
-    single_image,
-    sinusoid,
-)
-from splitknit.separation.patterns import by_symmetry
+from splitknit.separation.checkerboard import checkerboard
+from splitknit.separation.occluder import occluder
+from splitknit.separation.single_image import single_image
+from splitknit.separation.sinusoid import PhaseSeparation, sinusoid
+from splitknit.separation.stacks import Separation, StackSettings
+from splitknit.separation.states import estimate_patterns
+from splitknit.separation.symmetry import by_symmetry
 
 MARKER = "direct.tiff"
 LINEAR = "linear light, 1 = full scale of the images"

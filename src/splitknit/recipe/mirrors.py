@@ -26,7 +26,7 @@ from splitknit.mirrors import (
     mirror_shape,
     view_binning,
 )
-from splitknit.mirrors.rolled import facing_share, led_image, mirrored_share
+from splitknit.mirrors.rolled.reflection import facing_share, led_image, mirrored_share
 from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
 from splitknit.photometric import pseudo_normals
 from splitknit.recipe.finger import Finger

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled import Blended, Chart, blend, surface_normals, view_weight
+from splitknit.mirrors.rolled.blend import Blended, blend, view_weight
+from splitknit.mirrors.rolled.chart import Chart, surface_normals
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_light import Glass

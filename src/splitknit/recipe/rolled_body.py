@@ -21,7 +21,7 @@ from splitknit.mirrors.fit import fit_body, refuse_misfit
 from splitknit.mirrors.mirror import TURN_DEG, cap, first_body, turn_of_tips
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
-from splitknit.mirrors.rolled import Chart
+from splitknit.mirrors.rolled.chart import Chart
 from splitknit.mirrors.settings import ROW_MM
 from splitknit.model import BoolArray, Camera, Mirror
 

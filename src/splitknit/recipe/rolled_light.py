@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.mirrors.rolled import Plane, Sight, facing_share, led_image, mirrored_share, reflect_points
+from splitknit.mirrors.rolled.chart import Sight
+from splitknit.mirrors.rolled.reflection import Plane, facing_share, led_image, mirrored_share, reflect_points
 from splitknit.model import FloatArray, Led, Mirror, Rig, Shade
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from splitknit.imaging import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration import shapelets
-from splitknit.mirrors.rolled import Chart, Sight, heights, read
+from splitknit.mirrors.rolled.chart import Chart, Sight, heights, read
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric import pseudo_normals
 from splitknit.recipe.finer import FACTOR, coarser, finer_grid, finer_images

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled import BlendSettings, SearchSettings
+from splitknit.mirrors.rolled.blend import BlendSettings
+from splitknit.mirrors.rolled.search import SearchSettings
 
 
 def _wider() -> SearchSettings:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.mirrors.body import Body
-from splitknit.mirrors.rolled import Chart, Seen, Sight, align, chart_over, ridge_band, sampled, search, surface_normals
-from splitknit.mirrors.rolled.search import MIN_CORRELATION
+from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, sampled, surface_normals
+from splitknit.mirrors.rolled.register import Seen, align, ridge_band
+from splitknit.mirrors.rolled.search import MIN_CORRELATION, search
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.recipe.presets import PipelineSettings
 from splitknit.recipe.rolled_body import radius_of, rolled_pad

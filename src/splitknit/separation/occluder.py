@@ -42,7 +42,7 @@ def occluder(
     Minimum and maximum over noisy images are biased outwards. Two remedies: `shadow_percent`, the share of the images
     in which every pixel is surely in full shadow; the median of that many darkest images is its shadow, and the median
     of the upper half its light (robust against a passing fly, less biased, not unbiased). Or `patterns`, known or from
-    :func:`splitknit.separation.patterns.estimate_patterns`: the means over a pixel's lit and shadowed images, unbiased.
+    :func:`splitknit.separation.states.estimate_patterns`: the means over a pixel's lit and shadowed images, unbiased.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def sinusoid(
     ------
     BadInput
         If there are fewer than three images, two phases agree, they do not determine a sinusoid, the images do not
-        follow them, or the stack is unusable as for :func:`splitknit.separation.patterns.checkerboard`.
+        follow them, or the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
 
     References
     ----------

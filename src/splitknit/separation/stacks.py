@@ -1,6 +1,6 @@
 """Stacks of one scene under changing patterns: what comes in is checked here, what comes out is named here.
 
-All methods of :mod:`splitknit.separation.patterns` share one model. A pixel whose surface point the pattern lights with
+All methods of :mod:`splitknit.separation` share one model. A pixel whose surface point the pattern lights with
 brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light follows the pattern, global
 light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
 checks. With a share `alpha` of the source lit, k = alpha + dark (1 - alpha).

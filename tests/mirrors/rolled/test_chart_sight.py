@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.mirrors.rolled import (
-    Chart,
-    Plane,
-    Sight,
-    chart_over,
-    heights,
-    read,
-    sampled,
-    surface_normals,
-)
+from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, heights, read, sampled, surface_normals
+from splitknit.mirrors.rolled.reflection import Plane
 from splitknit.model import Camera
 
 CAMERA = Camera(12.0, (420, 900))

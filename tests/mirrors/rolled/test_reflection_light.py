@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled import (
+from splitknit.mirrors.rolled.reflection import (
     Plane,
     facing_share,
     led_image,

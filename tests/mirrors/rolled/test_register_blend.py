@@ -7,26 +7,19 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled import (
+from splitknit.mirrors.rolled.blend import (
+    STEEPEST_DEG,
     BlendSettings,
-    Chart,
-    Plane,
-    SearchSettings,
-    Seen,
-    Sight,
-    align,
     blend,
-    chart_over,
     coverage_deg,
-    ridge_band,
     seam_lines,
     seam_steps,
-    search,
-    shifts_by,
-    surface_normals,
     view_weight,
 )
-from splitknit.mirrors.rolled.blend import STEEPEST_DEG
+from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, surface_normals
+from splitknit.mirrors.rolled.reflection import Plane
+from splitknit.mirrors.rolled.register import Seen, align, ridge_band, shifts_by
+from splitknit.mirrors.rolled.search import SearchSettings, search
 from splitknit.model import Camera
 
 CAMERA = Camera(12.0, (420, 900))
