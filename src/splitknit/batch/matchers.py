@@ -39,7 +39,7 @@ class Matcher(ABC):
     blocks: ClassVar[Blocks]
 
     def blocks_for(self, impostors: float) -> Blocks:
-        """Blocks of about as many comparisons where only a share of the impostors is compared."""
+        """Blocks of about as many comparisons where only a fraction of the impostors is compared."""
         return Blocks(self.blocks.database, round(self.blocks.query / max(impostors, 0.02)))
 
     @abstractmethod

@@ -146,7 +146,7 @@ Progress = Callable[[float], None]
 
 
 CONFIDENCE = 0.95
-"""Share of the resampled figures that an interval spans, between 0 and 1."""
+"""Fraction of the resampled figures that an interval spans, between 0 and 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -476,7 +476,7 @@ class _Units:
 
 
 def _plain_units(cells: _Cells) -> _Units:
-    """Comparisons are drawn; those of one cell are alike and need not be told apart."""
+    """Comparisons are drawn; those of one cell are alike and need not be separated."""
     sizes = (
         np.bincount(cells.genuine, minlength=cells.count + 1),
         np.bincount(cells.impostor, minlength=cells.count + 1),

@@ -321,7 +321,7 @@ def _finite(t: float) -> float | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histograms:
-    """Share of the comparisons made in each bin."""
+    """Fraction of the comparisons made in each bin."""
 
     edges: NDArray[np.float64]
     """(B + 1,)"""

@@ -30,18 +30,18 @@ from splitknit.finger.regions import (
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
-# How much every pixel looks like skin rather than like the backdrop.
+# How much every pixel looks like skin rather than like the background.
 
 
 SAMPLES = 8000
-"""The backdrop is fitted to about so many pixels."""
+"""The background is fitted to about so many pixels."""
 
 
 def _chromaticity(image: FloatArray) -> FloatArray:
     """Chromaticity of the modified specular-free image, (H, W, 3) in [0, 1].
 
     I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
-    the dichromatic model do, also settles the colour of the unlit backdrop: where there is next to no light the three
+    the dichromatic model do, also settles the colour of the unlit background: where there is next to no light the three
     channels of I_MSF are alike and noise does not turn into colour.
 
     References
@@ -55,7 +55,7 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
-    """The two quantities that tell skin from a dark neutral backdrop: brightness, and the coloured part of the light.
+    """The two quantities that tell skin from a dark neutral background: brightness, and the coloured part of the light.
 
     The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
     """
@@ -76,10 +76,10 @@ def _skin_evidence(
     local: bool = False,
     samples: int = SAMPLES,
 ) -> tuple[FloatArray, bool]:
-    """Evidence map: above one where a pixel rises from the backdrop by enough to be skin.
+    """Evidence map: above one where a pixel rises from the background by enough to be skin.
 
-    For each signal the backdrop is a quadratic surface fitted robustly outside `seed`, and the threshold is `share` of
-    the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
+    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is `share`
+    of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
     shadow on the finger stays finger.
 
     Parameters
@@ -88,13 +88,13 @@ def _skin_evidence(
     seed : (H, W) surely finger
     margin : pixels around `seed` that belong to neither side
     share, noise_factor : see above
-    local : let the backdrop follow a shadow's edge beside the finger; only for a `seed` that is already complete
-    samples : pixels to which the backdrop is fitted
+    local : let the background follow a shadow's edge beside the finger; only for a `seed` that is already complete
+    samples : pixels to which the background is fitted
 
     Returns
     -------
     evidence : (H, W) float32
-    usable : whether any signal tells `seed` from the backdrop
+    usable : whether any signal tells `seed` from the background
     """
     outside = ~dilate(seed, margin)
     inside = erode(seed, 0.5 * margin)
@@ -126,7 +126,7 @@ def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float
 
 
 def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: float) -> FloatArray:
-    """Mean of what the backdrop's fit leaves near every pixel; dust, which is bright, hardly counts."""
+    """Mean of what the background's fit leaves near every pixel; dust, which is bright, hardly counts."""
     weight = outside.astype(np.float32)
     cover = wide_blur(weight, sigma)
     offset = wide_blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
@@ -150,7 +150,7 @@ def _rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
 def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
     """Robust quadratic surface through `signal` outside the finger, and the noise about it.
 
-    What does not belong to the backdrop (a shadowed part of the finger that the seed missed, dust) is brighter, so
+    What does not belong to the background (a shadowed part of the finger that the seed missed, dust) is brighter, so
     the fit starts from the darker pixels, and the noise is measured on residuals below the surface.
     """
     height, width = signal.shape
@@ -177,7 +177,7 @@ def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple
 
 
 def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
-    """Residuals that belong to the backdrop, and the scatter of those below it.
+    """Residuals that belong to the background, and the scatter of those below it.
 
     The larger of a robust and a plain standard deviation: the latter counts a shadow's edge that the fit cannot follow.
     """
@@ -197,24 +197,24 @@ BLUR_MM = 0.25
 _FINE_BLUR_MM = 0.06
 """Gaussian blur (sigma) of the images on which the outline is found."""
 _EDGE_FRACTION = 0.12
-"""A pixel is finger if it rises from the backdrop by this fraction of the finger's median rise."""
+"""A pixel is finger if it rises from the background by this fraction of the finger's median rise."""
 _NOISE_FACTOR = 5.0
-"""A pixel is finger if it also rises by this many standard deviations of the backdrop's noise."""
+"""A pixel is finger if it also rises by this many standard deviations of the background's noise."""
 _SPUR_FRACTION = 0.4
-"""Parts narrower than this share of the finger's own width are cut off."""
+"""Parts narrower than this fraction of the finger's own width are cut off."""
 _SPECK_MM = 1.0
-"""Bumps of the outline narrower than twice this (dust on the backdrop beside the finger) are cut off."""
+"""Bumps of the outline narrower than twice this (dust on the background beside the finger) are cut off."""
 _EDGE_MARGIN_MM = 1.0
-"""Width of the zone along the outline that counts neither as finger nor as backdrop while either is measured."""
+"""Width of the zone along the outline that counts neither as finger nor as background while either is measured."""
 _MIN_WIDTH_MM = 4.0
 """A region nowhere as wide as this is no finger."""
 _MIN_STEP = 0.15
-"""A region across whose outline neither brightness nor colour changes by this share is no finger."""
+"""A region across whose outline neither brightness nor colour changes by this fraction is no finger."""
 
 
 @dataclass(frozen=True, slots=True)
 class MaskSettings(Checked):
-    """How the finger is told from the backdrop."""
+    """How the finger is separated from the background."""
 
     coarse_px_per_mm: Annotated[float, Limits(0, above=True)] = 10.0
     """Scale of the copy that is clustered."""
@@ -223,13 +223,13 @@ class MaskSettings(Checked):
 
 
 def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
-    """Find the finger on a dark backdrop.
+    """Find the finger on a dark background.
 
     Seed: k-means (k = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that
     separates better (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's
-    border: a finger enters through a part of one side, the backdrop surrounds it. Then the backdrop is fitted outside
-    the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut, the
-    largest component kept and its holes (glare) filled.
+    border: a finger enters through a part of one side, the background surrounds it. Then the background is fitted
+    outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut,
+    the largest component kept and its holes (glare) filled.
 
     Parameters
     ----------
@@ -470,7 +470,7 @@ def _separation(values: NDArray[np.float64], second: NDArray[np.bool_]) -> float
 
 
 FEW_SAMPLES = 2000
-"""Pixels to which the backdrop is fitted where time counts."""
+"""Pixels to which the background is fitted where time counts."""
 
 
 def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
@@ -499,7 +499,7 @@ def finger_outline(
     Parameters
     ----------
     mean_image : (H, W, 3) or (H, W) float32
-        The finger and at least three times ``edge_margin_mm`` of backdrop around it, save where it leaves the image.
+        The finger and at least three times ``edge_margin_mm`` of background around it, save where it leaves the image.
     rough : (h, w) bool
         The finger on the same piece of the scene, at any scale.
     px_per_mm : float
@@ -514,7 +514,7 @@ def finger_outline(
     Raises
     ------
     BadInput
-        If nothing stands out from the backdrop there.
+        If nothing stands out from the background there.
     """
     settings = settings or MaskSettings()
     image = _check_image(mean_image)

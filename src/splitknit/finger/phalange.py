@@ -26,11 +26,11 @@ _SMOOTHING_MM = 0.3
 _SIDE_MM = 1.6
 """A valley must be darker than the skin this far above and below it."""
 _MIN_DEPTH = 0.025
-"""Least relative darkening, averaged over the finger's width."""
+"""Minimum relative darkening, averaged over the finger's width."""
 _MIN_COVERAGE = 0.6
-"""Share of the finger's width along which the valley must be seen."""
+"""Fraction of the finger's width along which the valley must be seen."""
 _MIN_PROMINENCE = 2.5
-"""Least depth in units of what lines across this finger usually show (80th percentile of the profile)."""
+"""Minimum depth in units of what lines across this finger usually show (80th percentile of the profile)."""
 _MAX_TILT_DEG = 15.0
 """Creases may lean by this much against the finger's axis."""
 _RATIO_RANGE = (0.95, 2.4)
@@ -194,7 +194,7 @@ class Valley:
     depth: float
     """Relative darkening, averaged over the width."""
     coverage: float
-    """Share of the width along which it is seen."""
+    """Fraction of the width along which it is seen."""
     distance_mm: float = float("nan")
     """From the tip."""
 
@@ -299,7 +299,7 @@ def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatA
 def _along_lines(
     response: FloatArray, core: BoolArray, inside: BoolArray, tilt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean response and share of responding columns for every line of one lean; zero where too little is known."""
+    """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
     height, width = response.shape
     centre = _middle(inside)
     x = np.arange(width, dtype=np.float32)

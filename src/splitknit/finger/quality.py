@@ -65,9 +65,9 @@ class SpeckSettings(Checked):
 
     _group = "quality.specks"
     most_dark: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.002
-    """Share of the finger that dark specks may cover."""
+    """Fraction of the finger that dark specks may cover."""
     most_bright: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.005
-    """Share of the finger that bright specks may cover."""
+    """Fraction of the finger that bright specks may cover."""
 
 
 def _speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
@@ -154,11 +154,11 @@ def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray
 _SATURATION = 0.98
 """Values from here on are saturated, unless the caller says otherwise."""
 _MAX_SATURATED = 0.02
-"""Share of the finger that may be saturated in any image."""
+"""Fraction of the finger that may be saturated in any image."""
 _MIN_RIDGE_CONTRAST = 0.006
-"""Least relative contrast (standard deviation over mean) of the ridge band."""
+"""Minimum relative contrast (standard deviation over mean) of the ridge band."""
 _MAX_AMBIENT = 0.3
-"""Ambient light as a share of the median lit brightness."""
+"""Ambient light as a fraction of the median lit brightness."""
 _MIN_BRIGHTNESS = 0.02
 """Median brightness of the mean image (full scale is one)."""
 _LED_RANGE = (0.5, 2.0)
@@ -207,7 +207,7 @@ def capture_quality(
     dict
         Plain numbers, strings and lists (JSON): ``ridge_contrast`` (relative, mean of the images),
         ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and
-        ``bright_specks`` (shares of the finger; None where the stack is too coarse),
+        ``bright_specks`` (fractions of the finger; None where the stack is too coarse),
         ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
         ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
         median one; or None).
@@ -355,7 +355,7 @@ def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> 
 
 
 _DARK_FRACTION = 0.03
-"""A light reaches a pixel if it is brighter than this share of the finger's median brightness."""
+"""A light reaches a pixel if it is brighter than this fraction of the finger's median brightness."""
 _MIN_LIGHTS = 3
 """Lights that must reach a pixel unsaturated; three determine a normal."""
 _PINHOLE_MM2 = 1.0

@@ -119,7 +119,7 @@ _COARSEST_SWEEPS = 48
 _LONG = 16
 """A coarsest grid with a longer side is solved directly, not by sweeps."""
 _WELDED = 0.02
-"""Share of coarse pixels that may join what is not joined inside them."""
+"""Fraction of coarse pixels that may join what is not joined inside them."""
 _DIRECT = 100_000
 """Unknowns that a direct solver is trusted with."""
 _GROUND = 1e-9
@@ -280,7 +280,7 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
 
 
 def _welded_share(grid: Grid) -> float:
-    """Share of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
+    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
     rows, columns = (side // 2 * 2 for side in grid.inside.shape)
     inside = grid.inside[:rows, :columns]
     members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]

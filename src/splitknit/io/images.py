@@ -249,12 +249,9 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 
 # JPEG files: the structure is checked before the decoder sees them.
 #
-# JPEG has no checksums, so that a changed byte inside the image data cannot be told from a picture; what can be found
-# is
-# a
-# file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to the same
-# pixels as
-# OpenCV, whose decoder prints on stderr where a file is damaged.
+# JPEG has no checksums, so that a changed byte inside the image data cannot be distinguished from a picture; what can
+# be found is a file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to
+# the same pixels as OpenCV, whose decoder prints on stderr where a file is damaged.
 #
 # References
 # ----------

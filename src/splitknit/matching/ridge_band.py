@@ -37,7 +37,7 @@ class RidgeBandSettings(Checked):
     window_mm: Annotated[float, Limits(0, above=True)] = 0.6
     """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
     floor: Annotated[float, Limits(0, 1)] = 0.3
-    """Contrast below this share of the finger's median is not raised further; half of it is no ridge at all."""
+    """Contrast below this fraction of the finger's median is not raised further; half of it is no ridge at all."""
     coherence: Annotated[float, Limits(0, 1, below=True)] = 0.2
     """Skin whose ridges agree less on a direction (0 none, 1 parallel) is left out."""
     slant_deg: Annotated[float, Limits(0, 85, above=True, below=True)] = 60.0

@@ -184,7 +184,7 @@ Words = NDArray[np.uint64]
 _CANDIDATES = 2
 """Turns and shifts of the first level that are counted exactly."""
 _MIN_OVERLAP = 0.4
-"""Share of the smaller finger that must overlap."""
+"""Fraction of the smaller finger that must overlap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +215,7 @@ class SurfaceMatch:
     similarity: float
     """1 - the distance; 0 where nothing was compared."""
     distance: float
-    """Share of unequal bits where both fingers have codes, at the best shift and turn."""
+    """Fraction of unequal bits where both fingers have codes, at the best shift and turn."""
     overlap_mm2: float
     """Skin compared."""
     rotation_deg: float
@@ -366,7 +366,7 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
 def _counted(
     a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], least_mm2: float
 ) -> SurfaceMatch:
-    """Least distance around a candidate: turns within a step, shifts within a coarse place."""
+    """Minimum distance around a candidate: turns within a step, shifts within a coarse place."""
     settings, pitch = a.settings, a.surface_code.pitch_mm
     step = settings.turn_step_deg
     turns = [start[0] + step * k / 4 for k in (-2, -1, 0, 1, 2)]

@@ -170,7 +170,7 @@ class HanrahanKruegerSettings(Checked):
     layers: SkinLayers = field(default_factory=SkinLayers)
     """What all pixels have in common."""
     base_reflectance: Annotated[float, Limits(0.01, 1)] = 0.45
-    """Share of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
+    """Fraction of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
     against the layers' single scattering, which the exposure leaves unknown."""
     noise: Annotated[float, Limits(1e-4, 100)] = 0.02
     """Standard deviation of an image, relative to the albedo: how much a residual counts against the two spreads."""

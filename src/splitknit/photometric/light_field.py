@@ -107,7 +107,7 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
 
 
 def _share(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Share of the light that reaches the places (x, y), of any shape."""
+    """Fraction of the light that reaches the places (x, y), of any shape."""
     rows, columns = shade.share.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):

@@ -42,7 +42,7 @@ class SkinLayers:
     epidermis_thickness_mm: float = 0.08
     """See scattering; theirs is 0.001 to 0.15 mm."""
     dermis_scattering_per_mm: float = 21.7
-    """Only its share of scattering and absorption counts: the dermis has no end."""
+    """Only its fraction of scattering and absorption counts: the dermis has no end."""
     dermis_absorption_per_mm: float = 0.3
     """See scattering."""
 
@@ -93,7 +93,7 @@ def _refracted(cosine: Array, index: float) -> tuple[Array, Array]:
 
 
 def _transmitted(cosine: Array, inside: Array, index: float) -> tuple[Array, Array]:
-    """Share of unpolarised light that passes the surface, T, and dT / d cosine (Fresnel)."""
+    """Fraction of unpolarised light that passes the surface, T, and dT / d cosine (Fresnel)."""
     across, along = cosine + index * inside, index * cosine + inside
     across2, along2 = 1.0 / (across * across), 1.0 / (along * along)
     share = (2.0 * index) * cosine * inside * (across2 + along2)

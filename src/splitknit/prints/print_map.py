@@ -332,7 +332,7 @@ def resample(
     -------
     values : (h, w) float32
     weight : (h, w) float32
-        Share of the pixel that lies on the finger, 0 to 1.
+        Fraction of the pixel that lies on the finger, 0 to 1.
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm

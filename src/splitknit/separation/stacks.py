@@ -212,7 +212,7 @@ def check_contrast(
     Parameters
     ----------
     low, high : (H, W, C)
-        Least and greatest light.
+        Minimum and greatest light.
     words : what they have never been, and the remedy
 
     Raises

@@ -59,7 +59,7 @@ def features(
     surface_mm : (h, w) the smooth shape, finite
     light : of `band.rig` on that surface
     found : (C, h, w, 3) brightness times normal of ``band.stack / light.entering``, optional
-        Least squares over the lights where it is not given.
+        Minimum squares over the lights where it is not given.
     """
     weights = light.trust * light.entering * light.entering
     stack = band.stack / light.entering

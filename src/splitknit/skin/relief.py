@@ -221,7 +221,7 @@ def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> La
     """Slopes that the measurement has beyond the current surface's.
 
     The expectation is the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with
-    it the darkening of valleys (1 + k h), drops out; the share of the glare in the brightness is found by colour.
+    it the darkening of valleys (1 + k h), drops out; the fraction of the glare in the brightness is found by colour.
     """
     normals = grid.forward(np.moveaxis(mean_normals(surface_mm, grid), -1, 0), extend=True)
     expected = [
@@ -302,7 +302,7 @@ def _plausible(fit: SpectralFit) -> SpectralFit:
 
 
 def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
-    """Share of the fine grid at each frequency; the coarse grid has the rest."""
+    """Fraction of the fine grid at each frequency; the coarse grid has the rest."""
     return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * np.float32(sigma_mm)) ** 2), dtype=np.float32)
 
 

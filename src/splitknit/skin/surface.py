@@ -128,7 +128,7 @@ _SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class ColourSettings(Checked):
-    """Relief and glare told apart by their colours."""
+    """Relief and glare separated by their colours."""
 
     _group = "metric.by_colour"
     steps: Annotated[int, Limits(1)] = 2
@@ -216,7 +216,7 @@ class MetricSettings(Checked):
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
-    """``network``, or ``colour``: relief and glare told apart by their colours alone. Grey images, and rigs with too
+    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
     few lights for the network, take the second way whatever is said here."""
     network: str = "relief"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
@@ -265,7 +265,7 @@ def reconstruct_skin(  # noqa: PLR0917
     settings : MetricSettings
     progress : called with the share done
     networks : that draw the relief and mend the shape, see :mod:`splitknit.skin.learned`; without them, relief and
-        glare are told apart by their colours
+        glare are separated by their colours
     """
     white = bands[0]
     shape = _start(bands, grid, skin, settings)
