@@ -14,7 +14,7 @@ from splitknit import pipeline
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
-from splitknit.imaging.view import pixel_axes_mm
+from splitknit.imaging.view import _pixel_axes_mm
 from splitknit.io.capture import read_capture
 from splitknit.io.npz import read_npz
 from splitknit.io.results import _upright_mesh
@@ -279,7 +279,7 @@ def test_what_is_refused(capture: Capture) -> None:
 def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
     """A matt dome 11 mm right of the picture's middle under four near lights; and its height in mm."""
     camera = Camera(px_per_mm, (240, 440))
-    x, y = (axis.astype(np.float64) for axis in pixel_axes_mm(camera))
+    x, y = (axis.astype(np.float64) for axis in _pixel_axes_mm(camera))
     x, y = np.meshgrid(x - 11.0, y)
     inside = x**2 + y**2 < 8.0**2
     height = np.where(inside, np.sqrt(np.maximum(12.0**2 - x**2 - y**2, 0.0)) - 11.0, 0.0)

@@ -10,7 +10,7 @@ from batch_stores import EA, waves
 
 from splitknit.batch.chunks import SUFFIX, write_chunk
 from splitknit.batch.engine import run_batch
-from splitknit.batch.features import BANDS, QUALITY, feature_schema
+from splitknit.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.simulate import simulate_population
@@ -58,7 +58,7 @@ def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     there = read_population(population)
     settings = BatchSettings(cases=preset_cases(("ea",)), matchers=())
     open_store(out, there, settings)
-    columns: dict[str, list[object]] = {name: [] for name in feature_schema().names}
+    columns: dict[str, list[object]] = {name: [] for name in _feature_schema().names}
     for number, capture in enumerate(there.captures):
         failed = capture.name == "S02/session_3/right_index"
         row = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
@@ -68,7 +68,7 @@ def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         row |= {"template": b"" if failed else waves(capture.finger, number), "print": None, "images": None}
         for name, value in row.items():
             columns[name].append(value)
-    write_chunk(out / "features" / "ea" / f"00000-invented{SUFFIX}", columns, feature_schema(), {"kind": "features"})
+    write_chunk(out / "features" / "ea" / f"00000-invented{SUFFIX}", columns, _feature_schema(), {"kind": "features"})
     return population, out
 
 

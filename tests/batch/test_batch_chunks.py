@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from splitknit.batch.chunks import column_type, read_chunk, read_origin, write_chunk
-from splitknit.batch.export import names_of
+from splitknit.batch.export import _names_of
 from splitknit.batch.scores import score_schema
 from splitknit.batch.store import Store
 from splitknit.errors import BadInput
@@ -103,4 +103,4 @@ def test_damaged_timings_are_refused(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize("name", ["", "S01", "S01/right_index", "a/b/c/d"])
 def test_names_that_are_no_captures_are_refused(name: str) -> None:
     with pytest.raises(BadInput, match="names no capture"):
-        names_of(name)
+        _names_of(name)

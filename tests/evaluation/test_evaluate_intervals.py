@@ -14,21 +14,21 @@ from scipy.special import betainc, ndtr
 from splitknit.errors import BadInput
 from splitknit.evaluation.intervals import (
     BootstrapSettings,
-    Layout,
+    _cell_weights,
+    _cluster_units,
+    _figures_of,
+    _Layout,
+    _make_cells,
+    _pair_units,
+    _plain_units,
     bootstrap,
-    cell_weights,
-    cluster_units,
     differences,
-    figures_of,
-    make_cells,
-    pair_units,
-    plain_units,
 )
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.rates import auc, d_prime, equal_error, error_bound, gar_at_far
 from splitknit.evaluation.scores import Ids, Scores, ids_of
 
-LAYOUT = Layout((0.5, 0.1, 0.01), (0.03, 0.3))
+LAYOUT = _Layout((0.5, 0.1, 0.01), (0.03, 0.3))
 FEW = BootstrapSettings(replicates=100, curve_points=5)
 scores_1d = st.lists(
     st.one_of(st.integers(-5, 5).map(float), st.floats(-3, 3).map(lambda s: round(s, 6)), st.just(float("nan"))),
@@ -71,7 +71,7 @@ def population(seed: int, fingers: int = 30, sessions: int = 3, spread: float = 
 @given(sides, st.integers(0, 1000))
 def test_a_replicate_has_the_figures_of_its_scores(both: tuple[list[float], list[float]], seed: int) -> None:
     genuine, impostor = map(np.array, both)
-    cells = make_cells(genuine, impostor)
+    cells = _make_cells(genuine, impostor)
     generator = np.random.default_rng(seed)
     times = [np.ones(side.size, dtype=np.int64) for side in (genuine, impostor)]
     if seed:
@@ -80,7 +80,7 @@ def test_a_replicate_has_the_figures_of_its_scores(both: tuple[list[float], list
         np.bincount(cell, weights=number, minlength=cells.count + 1)
         for cell, number in zip((cells.genuine, cells.impostor), times, strict=True)
     ]
-    row = figures_of(cells, weights[0], weights[1], LAYOUT)
+    row = _figures_of(cells, weights[0], weights[1], LAYOUT)
     drawn = [np.repeat(side, number) for side, number in zip((genuine, impostor), times, strict=True)]
     if any(np.isnan(side).all() for side in drawn):  # an empty side too
         assert np.isnan(row).all()
@@ -92,10 +92,10 @@ def test_a_replicate_has_the_figures_of_its_scores(both: tuple[list[float], list
 def test_few_cells_are_good_enough(limit: int) -> None:
     generator = np.random.default_rng(1)
     genuine, impostor = generator.normal(2, 1, 15), generator.normal(0, 1, 5000)
-    cells = make_cells(genuine, impostor, limit)
+    cells = _make_cells(genuine, impostor, limit)
     assert cells.count <= limit
     weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
-    row = dict(zip(LAYOUT.names, figures_of(cells, *weights, LAYOUT), strict=True))
+    row = dict(zip(LAYOUT.names, _figures_of(cells, *weights, LAYOUT), strict=True))
     truth = dict(zip(LAYOUT.names, expected(genuine, impostor), strict=True))
     for name in LAYOUT.names:  # all genuine scores are cells of their own: only the crossing's place is rough
         assert row[name] == pytest.approx(truth[name], abs=2e-4 if name.startswith("eer") else 1e-3), name
@@ -104,22 +104,22 @@ def test_few_cells_are_good_enough(limit: int) -> None:
 
 def test_a_crossing_among_many_impostors_is_not_biased() -> None:
     genuine, impostor = np.array([-5.0, -4.0, 0.0, 9.0]), np.linspace(-1, 1, 4001)  # FRR is 1/2 from -4 to 0
-    cells = make_cells(genuine, impostor + 0.01, 12)
+    cells = _make_cells(genuine, impostor + 0.01, 12)
     weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
-    assert figures_of(cells, *weights, LAYOUT)[0] == pytest.approx(
+    assert _figures_of(cells, *weights, LAYOUT)[0] == pytest.approx(
         equal_error(genuine, impostor + 0.01).value, abs=1e-3
     )
 
 
 def test_the_highest_impostors_are_cells_of_their_own() -> None:
     impostor = np.arange(100_000.0)
-    cells = make_cells(np.array([5.0, 99_990.0]), impostor, 1200)
+    cells = _make_cells(np.array([5.0, 99_990.0]), impostor, 1200)
     top = cells.impostor[-100:]
     assert np.unique(top).size == 100 and not cells.crowded[top].any()
 
 
 def test_cells_fall_and_failures_come_last() -> None:
-    cells = make_cells(np.array([3.0, np.nan, 1.0]), np.array([1.0, 2.0, np.nan]))
+    cells = _make_cells(np.array([3.0, np.nan, 1.0]), np.array([1.0, 2.0, np.nan]))
     assert cells.genuine.tolist() == [0, 3, 2] and cells.impostor.tolist() == [2, 1, 3]
     assert not cells.crowded.any()
 
@@ -128,10 +128,10 @@ def test_clusters_weigh_as_often_as_they_are_drawn() -> None:
     ids = ids_of(["a", "b", "c", "a", "a", "b"], ["a", "b", "c", "b", "c", "c"])
     label = np.array([True, True, True, False, False, False])
     score = np.array([9.0, 8.0, 7.0, 3.0, 2.0, 1.0])
-    units = cluster_units(label, ids)
+    units = _cluster_units(label, ids)
     assert units.clusters == 3
-    cells = make_cells(score[label], score[~label])
-    batches = list(cell_weights(units, [cells], 200, 0))
+    cells = _make_cells(score[label], score[~label])
+    batches = list(_cell_weights(units, [cells], 200, 0))
     genuine = np.concatenate([one[0][0] for one in batches], axis=1)
     impostor = np.concatenate([one[0][1] for one in batches], axis=1)
     a, b, c = genuine[:3]
@@ -143,7 +143,7 @@ def test_clusters_weigh_as_often_as_they_are_drawn() -> None:
 def test_fingers_of_one_subject_come_along_together() -> None:
     label = np.array([True, True, False, False])
     subject = Ids(np.array([[0, 0], [1, 1], [0, 0], [0, 1]]), ("s", "t"))
-    units = cluster_units(label, subject)
+    units = _cluster_units(label, subject)
     drawn = units.draw(np.random.default_rng(0), 50)
     by_unit = drawn[1][units.impostor]
     np.testing.assert_array_equal(by_unit[0], drawn[0][0])
@@ -152,9 +152,9 @@ def test_fingers_of_one_subject_come_along_together() -> None:
 
 def test_plain_draws_are_as_many_as_there_are() -> None:
     genuine, impostor = np.repeat([1.0, 2.0], 50), np.arange(30.0)
-    cells = make_cells(genuine, impostor)
-    for units in (plain_units(cells), pair_units(100, 30)):
-        for batch in cell_weights(units, [cells], 70, 3):
+    cells = _make_cells(genuine, impostor)
+    for units in (_plain_units(cells), _pair_units(100, 30)):
+        for batch in _cell_weights(units, [cells], 70, 3):
             assert (batch[0][0].sum(axis=0) == 100).all() and (batch[0][1].sum(axis=0) == 30).all()
 
 

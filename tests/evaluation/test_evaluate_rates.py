@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
 from splitknit.errors import BadInput
-from splitknit.evaluation.rates import auc, d_prime, equal_error, gar_at_far, roc, rule_of_three, sort_scores
+from splitknit.evaluation.rates import _sort_scores, auc, d_prime, equal_error, gar_at_far, roc, rule_of_three
 
 GENUINE = [3.0, 5.0, 5.0, 6.0]
 IMPOSTOR = [0.0, 1.0, 2.0, 5.0]
@@ -227,5 +227,5 @@ def test_input_is_left_as_it_was() -> None:
     genuine, impostor = np.array([3.0, np.nan, 1.0]), np.array([2.0, 0.0])
     roc(genuine, impostor), equal_error(genuine, impostor)
     np.testing.assert_array_equal(genuine, [3.0, np.nan, 1.0])
-    assert sort_scores(genuine).failures == 1 and sort_scores(np.array([1.0, 2.0])).failures == 0
-    assert sort_scores(np.array([1.0, 2.0, np.nan])).scores.tolist() == [1.0, 2.0]
+    assert _sort_scores(genuine).failures == 1 and _sort_scores(np.array([1.0, 2.0])).failures == 0
+    assert _sort_scores(np.array([1.0, 2.0, np.nan])).scores.tolist() == [1.0, 2.0]

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
-from splitknit.evaluation.fusion import FusionSettings, cross_fit, deal, fit_linear, fit_logistic, fuse
+from splitknit.evaluation.fusion import FusionSettings, _cross_fit, _deal, fit_linear, fit_logistic, fuse
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.rates import d_prime
 from splitknit.evaluation.scores import Scores, ids_of
@@ -57,7 +57,7 @@ def test_nobody_is_trained_on_who_is_tested_on() -> None:
     table = np.stack([one.score for one in systems(2)], axis=1)
     one = systems(2)[0]
     assert one.subject is not None
-    fold = deal(one.subject, 5, 0)[one.subject.codes]
+    fold = _deal(one.subject, 5, 0)[one.subject.codes]
     codes = one.subject.codes
     row = {tuple(values): k for k, values in enumerate(table)}
     seen: list[set[int]] = []
@@ -66,7 +66,7 @@ def test_nobody_is_trained_on_who_is_tested_on() -> None:
         seen.append({int(who) for values in part for who in codes[row[tuple(values)]]})
         return fit_linear(part)
 
-    models, fused = cross_fit(table, one.label, fold, watched)
+    models, fused = _cross_fit(table, one.label, fold, watched)
     assert not np.isnan(fused).any()
     assert len(models) == 15
     for (i, j), trained_on in zip(models, seen, strict=True):

@@ -12,10 +12,10 @@ from splitknit.errors import BadInput
 from splitknit.finger.quality import (
     QualitySettings,
     SpeckSettings,
+    _short_marks_filled,
+    _speck_shares,
     capture_quality,
     quality_warnings,
-    short_marks_filled,
-    speck_shares,
 )
 
 SIZE_MM = (14.0, 12.0)
@@ -57,7 +57,7 @@ def marked(px_per_mm: float, number: int, diameter_mm: float, factor: float) -> 
 
 
 def shares(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
-    dark, bright = speck_shares(stack, np.ones(stack.shape[1:], bool), px_per_mm)
+    dark, bright = _speck_shares(stack, np.ones(stack.shape[1:], bool), px_per_mm)
     assert dark is not None and bright is not None
     return dark, bright
 
@@ -109,7 +109,7 @@ def test_finer_images_are_seen_at_one_scale():
 
 
 def test_coarse_images_are_not_measured():
-    assert speck_shares(skin(11.0), np.ones((154, 132), bool), 11.0) == (None, None)
+    assert _speck_shares(skin(11.0), np.ones((154, 132), bool), 11.0) == (None, None)
     quality = capture_quality(skin(11.0), np.ones((154, 132), bool), 11.0)
     assert quality["dark_specks"] is None
     assert not any("specks" in text for text in quality_warnings(quality))
@@ -136,7 +136,7 @@ def test_lines_survive_and_dots_do_not():
     image = np.ones((40, 40), np.float32)
     image[20, 5:30] = 0.5
     image[8:10, 8:10] = 0.5
-    filled = short_marks_filled(image, 6.0)
+    filled = _short_marks_filled(image, 6.0)
     assert filled[20, 8:27].max() == 0.5
     assert filled[8:10, 8:10].min() == 1.0
 

@@ -35,7 +35,7 @@ from tests.handmade import finger
 from tests.png_files import png_of
 
 from splitknit.batch.chunks import read_origin, write_chunk, write_timings
-from splitknit.batch.features import BANDS, QUALITY, feature_schema
+from splitknit.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.store import Store, open_store
@@ -619,7 +619,7 @@ def _store() -> Files:
         store = out / "store"
         store.mkdir()
         open_store(store, there, EA)
-        columns: dict[str, list[object]] = {name: [] for name in feature_schema().names}
+        columns: dict[str, list[object]] = {name: [] for name in _feature_schema().names}
         for number, capture in enumerate(there.captures):
             row: dict[str, object] = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
             row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
@@ -628,7 +628,7 @@ def _store() -> Files:
             row |= {"images": _surface()}
             for name, value in row.items():
                 columns[name].append(value)
-        write_chunk(store / "features" / "ea" / "00000-x.parquet", columns, feature_schema(), {"kind": "features"})
+        write_chunk(store / "features" / "ea" / "00000-x.parquet", columns, _feature_schema(), {"kind": "features"})
         write_timings(store / "timings" / "ea", "00000-x", {capture.name: 1.5 for capture in there.captures})
 
     return _folder(make)

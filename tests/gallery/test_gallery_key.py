@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.gallery.key import Damaged, Key, PlainBox, ScryptSettings, SealedBox, key_from_bytes
+from splitknit.gallery.key import Damaged, Key, ScryptSettings, _PlainBox, _SealedBox, key_from_bytes
 
 CHEAP = ScryptSettings(log2_n=10)
 SALT = b"s" * 16
@@ -41,14 +41,14 @@ def test_keys_are_not_shown() -> None:
 
 @pytest.mark.parametrize("key", [Key(b"k" * 32, raw=True), Key(b"a passphrase", raw=False)])
 def test_contents_open_with_their_key_in_their_place(key: Key) -> None:
-    box = SealedBox(key, SALT, CHEAP)
+    box = _SealedBox(key, SALT, CHEAP)
     sealed = box.seal(b"ridges", b"row 1")
     assert len(sealed) == 6 + box.overhead
     assert b"ridges" not in sealed
-    assert SealedBox(key, SALT, CHEAP).open(sealed, b"row 1") == b"ridges"
+    assert _SealedBox(key, SALT, CHEAP).open(sealed, b"row 1") == b"ridges"
     others = [
-        SealedBox(Key(b"K" * 32, raw=True), SALT, CHEAP), SealedBox(key, b"t" * 16, CHEAP),
-        SealedBox(Key(key.secret, raw=True), SALT, CHEAP) if not key.raw else PlainBox(),
+        _SealedBox(Key(b"K" * 32, raw=True), SALT, CHEAP), _SealedBox(key, b"t" * 16, CHEAP),
+        _SealedBox(Key(key.secret, raw=True), SALT, CHEAP) if not key.raw else _PlainBox(),
     ]  # fmt: skip
     for other in others:
         with pytest.raises(Damaged):
@@ -69,7 +69,7 @@ def test_a_passphrase_is_stretched_by_scrypt() -> None:
     first = hmac.new(middle, b"splitknit gallery 2\x01", hashlib.sha256).digest()
     second = hmac.new(middle, first + b"splitknit gallery 2\x02", hashlib.sha256).digest()
     third = hmac.new(middle, second + b"splitknit gallery 2\x03", hashlib.sha256).digest()
-    box = SealedBox(Key(b"a passphrase", raw=False), SALT, CHEAP)
+    box = _SealedBox(Key(b"a passphrase", raw=False), SALT, CHEAP)
     assert box.tag(b"Ann") == hmac.new(second, b"Ann", hashlib.sha256).digest()[:16]
     leaf = hashlib.blake2b(b"row", digest_size=32, key=third).digest()
     assert box.leaf(b"row") == int.from_bytes(leaf, "little")
@@ -80,7 +80,7 @@ def test_a_passphrase_is_stretched_by_scrypt() -> None:
 
 
 def test_plain_boxes_notice_damage() -> None:
-    box = PlainBox()
+    box = _PlainBox()
     sealed = box.seal(b"ridges", b"row 1")
     assert sealed.endswith(b"ridges")
     assert len(sealed) == 6 + box.overhead

@@ -13,11 +13,11 @@ from splitknit.integration.gradient_field import zero_mean_by_component
 from splitknit.integration.poisson import (
     Grid,
     PoissonSettings,
-    build_grids,
-    edge_weights,
-    padded_size,
+    _build_grids,
+    _edge_weights,
+    _padded_size,
+    _predicted_differences,
     poisson,
-    predicted_differences,
 )
 
 
@@ -31,8 +31,8 @@ def paraboloid(rows, columns):
 
 def reference(slope_x, slope_y, mask, weights=None, quadrature="trapezoidal"):
     """The same least squares by a sparse direct solver in double precision."""
-    target_right, target_down = predicted_differences(slope_x, slope_y, mask, weights, quadrature)
-    weight_right, weight_down = edge_weights(mask, weights)
+    target_right, target_down = _predicted_differences(slope_x, slope_y, mask, weights, quadrature)
+    weight_right, weight_down = _edge_weights(mask, weights)
     index = np.full(mask.shape, -1)
     index[mask] = np.arange(mask.sum())
     right, down = weight_right > 0, weight_down > 0
@@ -182,10 +182,10 @@ def grids(unit):
     mask = np.pad(masks()["holes"], ((0, 2), (0, 6)))
     rng = np.random.default_rng(4)
     weights = None if unit else rng.random(mask.shape).astype(np.float32)
-    assert padded_size(*mask.shape) == (96, 96)
+    assert _padded_size(*mask.shape) == (96, 96)
     mask = np.pad(mask, ((0, 24), (0, 0)))
     weights = None if weights is None else np.pad(weights, ((0, 24), (0, 0)))
-    return build_grids(*edge_weights(mask, weights), unit=unit)
+    return _build_grids(*_edge_weights(mask, weights), unit=unit)
 
 
 def inner(a, b):

@@ -233,7 +233,7 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
     assert run.returncode == -signal.SIGKILL
     left = [path for path in tmp_path.iterdir() if path not in {*mine, tmp_path / "kept"}]
     assert len(left) == (2 if where == "swap" else 1)
-    again = "from splitknit.io import atomic_file; import sys; atomic_file(sys.argv[1]).__enter__()"
+    again = "from splitknit.io.atomic import atomic_file; import sys; atomic_file(sys.argv[1]).__enter__()"
     with atomic_folder(tmp_path / "at_work"):  # another program at work is left alone
         before = {path for path in tmp_path.iterdir() if path.name.startswith(".at_work")}
         subprocess.run([sys.executable, "-c", again, str(tmp_path / "other")], check=True)

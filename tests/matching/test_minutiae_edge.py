@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.matching.minutiae import EDGE_MM, edge_distance, extract, inside_by
+from splitknit.matching.minutiae import EDGE_MM, _edge_distance, _inside_by, extract
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.prints.ridges import relief_print
 
@@ -19,13 +19,13 @@ def test_distance_on_a_print_of_straight_ridges() -> None:
     printed = np.full((300, 240), 255, np.uint8)
     printed[:, 60:180] = ridges[:, 60:180]
     printed[100:103, :40] = 0
-    distance = edge_distance(printed)
+    distance = _edge_distance(printed)
     assert distance[150, 120] == pytest.approx(60 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[150, 70] == pytest.approx(10.5 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[10, 120] == pytest.approx(11 * STEP_MM, abs=2.5 * STEP_MM)  # the finger goes on above
     assert distance[101, 20] == 0
-    assert not edge_distance(np.full((100, 90), 255, np.uint8)).any()
-    assert edge_distance(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
+    assert not _edge_distance(np.full((100, 90), 255, np.uint8)).any()
+    assert _edge_distance(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
 
 
 def test_only_what_lies_inside_is_kept() -> None:
@@ -36,7 +36,7 @@ def test_only_what_lies_inside_is_kept() -> None:
     )  # fmt: skip
     distance = np.zeros((4, 4), np.float32)
     distance[2, 1], distance[0, 3] = 0.8, 0.79
-    kept = inside_by(minutiae, distance, 0.8)
+    kept = _inside_by(minutiae, distance, 0.8)
     assert kept.x_px.tolist() == [1] and kept.y_px.tolist() == [2] and kept.quality.tolist() == [10]
     assert kept.size == minutiae.size
 
@@ -53,4 +53,4 @@ def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
     every, kept = extract(printed, edge_mm=0.0), extract(printed)
     assert every.count > 15
     assert kept.count == 0
-    assert np.all(edge_distance(printed)[every.y_px, every.x_px] < EDGE_MM)
+    assert np.all(_edge_distance(printed)[every.y_px, every.x_px] < EDGE_MM)

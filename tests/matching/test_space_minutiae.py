@@ -17,8 +17,8 @@ from splitknit.matching.minutiae3d import (
     PreparedMinutiae3D,
     PreparedTetrahedra,
     TetrahedraSettings,
-    alike_pairs,
-    alike_tetrahedra,
+    _alike_pairs,
+    _alike_tetrahedra,
     minutiae3d_match,
     tetrahedra_match,
 )
@@ -34,9 +34,9 @@ from splitknit.matching.space_alignment import (
     _THETA_DEG,
     AgreementSettings,
     Framed,
-    agreeing,
-    one_to_one,
-    rigid_motion,
+    _agreeing,
+    _one_to_one,
+    _rigid_motion,
     share_of_both,
 )
 
@@ -119,7 +119,7 @@ def test_sides_must_be_prepared_alike() -> None:
 
 def test_pairs_as_slow_loops_find_them() -> None:
     a, b = PreparedMinutiae3D(finger(6, 14)), PreparedMinutiae3D(again(finger(6, 14), 1))
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in alike_pairs(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _alike_pairs(a, b)), strict=True)}
     settings, slow = Minutiae3DSettings(), set()
     for pair in _near(a, settings.neighbours):
         for other in _near(b, settings.neighbours):
@@ -152,7 +152,7 @@ def test_tetrahedra_as_slow_loops_find_them() -> None:
     settings = TetrahedraSettings(neighbours=4, edge_mm=0.6, angle_deg=30.0)
     a = PreparedTetrahedra(finger(7, 12), settings)
     b = PreparedTetrahedra(again(finger(7, 12), 1, kept=1.0), settings)
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in alike_tetrahedra(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _alike_tetrahedra(a, b)), strict=True)}
     slow = set()
     for left in _tetrahedra(a, 4):
         for right in _tetrahedra(b, 4):
@@ -194,7 +194,7 @@ def test_agreement_as_a_slow_loop_finds_it() -> None:
     a, b = Framed(finger(8)), Framed(again(finger(8), 2))
     settings = AgreementSettings()
     rotation, shift = np.eye(3), np.array([0.2, -0.1, 0.1])
-    found = agreeing(a, b, rotation, shift, settings)
+    found = _agreeing(a, b, rotation, shift, settings)
     pairs = []
     for i, (place, ahead) in enumerate(zip(*a.places, strict=True)):
         for j, (other, there) in enumerate(zip(*b.places, strict=True)):
@@ -224,16 +224,16 @@ def test_motions_are_found_back() -> None:
     angle, axis = 0.7, np.array([1.0, 2.0, -1.0]) / np.sqrt(6)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    found, shift = rigid_motion(points, points @ rotation.T + [3.0, -2.0, 1.0])
+    found, shift = _rigid_motion(points, points @ rotation.T + [3.0, -2.0, 1.0])
     np.testing.assert_allclose(found, rotation, atol=1e-12)
     np.testing.assert_allclose(shift, [3.0, -2.0, 1.0], atol=1e-12)
-    mirrored, _ = rigid_motion(points, points * [-1.0, 1.0, 1.0])
+    mirrored, _ = _rigid_motion(points, points * [-1.0, 1.0, 1.0])
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
 
 
 def test_pairing_and_score() -> None:
     i, j = np.array([0, 0, 1, 2]), np.array([0, 1, 0, 2])
-    assert one_to_one(i, j, np.array([2.0, 1.0, 0.5, 9.0])).tolist() == [2, 1, 3]
+    assert _one_to_one(i, j, np.array([2.0, 1.0, 0.5, 9.0])).tolist() == [2, 1, 3]
     assert share_of_both(30, 60, 50) == 0.3
     assert share_of_both(0, 0, 5) == 0.0
 

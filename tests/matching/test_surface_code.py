@@ -15,9 +15,9 @@ from splitknit.matching.surface_code import (
     SurfaceCode,
     SurfaceCodeSettings,
     SurfaceMatchSettings,
+    _packed_planes,
     make_surface_code,
     pack_surface_code,
-    packed_planes,
     surface_code_match,
     unpack_surface_code,
 )
@@ -145,7 +145,7 @@ def test_failures_to_acquire_and_too_little_overlap() -> None:
 
 def test_bits_are_packed_by_words() -> None:
     one = skin(8, (20, 70))
-    planes, mask = packed_planes(one.code, one.mask)
+    planes, mask = _packed_planes(one.code, one.mask)
     assert planes.shape == (4, 20, 2)
     assert int(np.bitwise_count(mask).sum()) == int(one.mask.sum())
     for plane in range(4):

@@ -11,11 +11,11 @@ from splitknit.matching.thesis import (
     ATTRIBUTES,
     FingerImages,
     ThesisSettings,
+    _features_of,
+    _quick_lbp_features,
     database_finger,
-    features_of,
     finger_features,
     match_database,
-    quick_lbp_features,
     thesis_match,
 )
 
@@ -52,7 +52,7 @@ def test_features_are_those_of_the_plain_extractor() -> None:
     image = finger(4, 300, 190).channels["relief"]
     for radius, uniform in ((1.0, True), (5.0, False)):
         lbp = LbpSettings(radius_px=radius, uniform=uniform)
-        np.testing.assert_array_equal(quick_lbp_features(image, 75.7, lbp), lbp_features(image, 75.7, lbp))
+        np.testing.assert_array_equal(_quick_lbp_features(image, 75.7, lbp), lbp_features(image, 75.7, lbp))
 
 
 def test_a_missing_channel_is_named() -> None:
@@ -61,7 +61,7 @@ def test_a_missing_channel_is_named() -> None:
     whole = finger(1, 200, 150)
     part = FingerImages({"relief": whole.channels["relief"]}, whole.mask, whole.px_per_mm)
     with pytest.raises(BadInput, match="normal_x"):
-        features_of(part, ThesisSettings())
+        _features_of(part, ThesisSettings())
     with pytest.raises(BadInput, match="px/mm"):
         match_database(
             database_finger(whole, ThesisSettings()), FingerImages(part.channels, part.mask, 60.0), ThesisSettings()

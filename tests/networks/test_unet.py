@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.networks.unet import NO_TELEMETRY, Network, load_network, padded_index, plan_tiles, run_network
+from splitknit.networks.unet import NO_TELEMETRY, Network, _padded_index, _plan_tiles, load_network, run_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"
@@ -27,7 +27,7 @@ def images() -> np.ndarray:
 
 def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None:
     covered = np.zeros((208, 152), dtype=int)
-    for tile in plan_tiles((208, 152), 50, reach=46, stride=8):
+    for tile in _plan_tiles((208, 152), 50, reach=46, stride=8):
         covered[tile.target] += 1
         for axis in range(2):
             source, inner, target = tile.source[axis], tile.inner[axis], tile.target[axis]
@@ -40,8 +40,8 @@ def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None
 
 
 def test_reflection_lengthens_to_the_stride() -> None:
-    assert padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
-    assert padded_index(16, 8).tolist() == list(range(16))
+    assert _padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
+    assert _padded_index(16, 8).tolist() == list(range(16))
 
 
 @pytest.mark.parametrize("value", ["0", "", None])

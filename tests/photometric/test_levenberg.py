@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric.hanrahan_krueger_fit import LevenbergSettings, NormalEquations, levenberg_marquardt, solved
+from splitknit.photometric.hanrahan_krueger_fit import LevenbergSettings, NormalEquations, _solved, levenberg_marquardt
 
 
 @dataclass
@@ -71,7 +71,7 @@ def test_solved_agrees_with_numpy(size):
     damped = matrix + damping[:, None, None] * matrix * np.eye(size)
     upper = np.stack([matrix[:, i, j] for i in range(size) for j in range(i, size)])
     wanted = np.linalg.solve(damped, vector[..., None])[..., 0]
-    assert np.allclose(solved(upper, vector.T, damping).T, wanted, rtol=1e-9)
+    assert np.allclose(_solved(upper, vector.T, damping).T, wanted, rtol=1e-9)
 
 
 @pytest.mark.parametrize("change", [{"iterations": 0}, {"step": 0.0}, {"gain": float("nan")}, {"gain": 1.0}])

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.light_field import light_field
-from splitknit.imaging.view import pixel_axes_mm
+from splitknit.imaging.view import _pixel_axes_mm
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light, near_light_weights, pseudo_normals
@@ -49,7 +49,7 @@ def point_light(led, points):
 
 def scene(rig, x=None, y=None, albedo=0.7):
     if x is None:
-        x, y = pixel_axes_mm(rig.camera)
+        x, y = _pixel_axes_mm(rig.camera)
     gx, gy = np.meshgrid(x, y)
     z, normals = dome(gx, gy)
     points = np.stack([gx, gy, z], axis=-1)
@@ -113,7 +113,7 @@ def test_distant_leds_give_the_distant_result():
     lights = np.array([[0.5, 0, 1], [-0.5, 0.1, 1], [0, 0.6, 1], [0, -0.5, 1.2]])
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     rig = Rig(Camera(2.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
-    _, normals = dome(*np.meshgrid(*pixel_axes_mm(rig.camera)))
+    _, normals = dome(*np.meshgrid(*_pixel_axes_mm(rig.camera)))
     stack = np.einsum("hwi,li->lhw", normals, lights).astype(np.float32)
     got, _ = near_light(stack, rig, 0.0)
     expected, _ = lambertian(stack, lights)
@@ -123,7 +123,7 @@ def test_distant_leds_give_the_distant_result():
 def test_window_with_its_own_axes_gives_the_same_pixels():
     rig = make_rig()
     stack, z, _ = scene(rig)
-    x, y = pixel_axes_mm(rig.camera)
+    x, y = _pixel_axes_mm(rig.camera)
     whole, _ = near_light(stack, rig, z)
     window = (slice(10, 31), slice(20, 66))
     part, _ = near_light(stack[:, *window], rig, z[window], x_mm=x[window[1]], y_mm=y[window[0]])
@@ -140,7 +140,7 @@ def test_perspective_rays_pass_through_the_apex(distortion):
     rig = make_rig(Camera(2.0, SHAPE, model="perspective", matrix=matrix, distortion=distortion))
     parts = list(light_field(rig, 10.0))
     field = np.concatenate([part for _, part in parts], axis=2)
-    x, y = pixel_axes_mm(Camera(2.0, SHAPE))
+    x, y = _pixel_axes_mm(Camera(2.0, SHAPE))
     gx, gy = np.meshgrid(x, y)
     if distortion is not None:  # find where the distorted ray comes from, by iterating its model
         k1, k2, p1, p2, _ = distortion

@@ -10,12 +10,12 @@ from splitknit.skin.colour import SpectralFit, cross_spectra, fit_spectra
 from splitknit.skin.facets import (
     MOST_SPREAD,
     Facets,
+    _each_facet,
+    _ridge_power,
     at,
-    each_facet,
     facet_normals,
     mean_glare,
     measure_facets,
-    ridge_power,
     ridged_normals,
     spread_of,
 )
@@ -109,12 +109,12 @@ def test_symmetrical_ridges_flatten_a_slope_across_them_and_shorten_the_normal()
 
 def test_facets_that_turn_away_are_not_seen():
     normals = normals_from_gradients(*slope_field(2.0, 0.0))
-    seen = [float(weight[0, 0]) for _, weight in each_facet(normals, facets_of([-2.0, -0.2, 0.2, 2.0]))]
+    seen = [float(weight[0, 0]) for _, weight in _each_facet(normals, facets_of([-2.0, -0.2, 0.2, 2.0]))]
     assert sorted(seen)[0] == 0.0
     assert sorted(seen)[1] > 0
-    for normal, _ in each_facet(normals, facets_of([-2.0, 0.2])):
+    for normal, _ in _each_facet(normals, facets_of([-2.0, 0.2])):
         np.testing.assert_allclose((normal**2).sum(axis=-1), 1.0, atol=1e-5)
-    assert len(list(each_facet(normals, facets_of(range(12)), step=2))) == 6
+    assert len(list(_each_facet(normals, facets_of(range(12)), step=2))) == 6
 
 
 def test_direction_of_the_ridges_has_no_sign():
@@ -186,7 +186,7 @@ def test_slopes_and_direction_are_those_of_the_relief(across_deg):
     assert not zero.slopes.any()  # a spectrum without ridges has no facets
     true_mean_square = (0.03 * 2 * np.pi / 0.48) ** 2 / 2
     powers = SpectralFit(np.geomspace(5, 70, 30), np.zeros(30), np.zeros(30), np.ones(1))
-    powers.signal[:] = true_mean_square / ridge_power(
+    powers.signal[:] = true_mean_square / _ridge_power(
         SpectralFit(powers.omega_per_mm, np.ones(30), np.zeros(30), np.ones(1)), PITCH
     )
     facets = measure_facets(relief, np.zeros_like(relief), grid, low, 3, spread_of(relief, grid, powers, inner))
@@ -227,7 +227,7 @@ def test_power_of_the_ridges_is_their_mean_square_slope():
     x, y = (g / np.float32(PITCH) for g in (np.gradient(relief, axis=1), -np.gradient(relief, axis=0)))
     centres, along, across = cross_spectra([(x, y)], window, PITCH)
     fit = fit_spectra(centres, along, 0 * across, np.ones((1, len(centres))), np.ones(1))
-    assert ridge_power(fit, PITCH) == pytest.approx(float((x * x + y * y).mean()), rel=0.1)
+    assert _ridge_power(fit, PITCH) == pytest.approx(float((x * x + y * y).mean()), rel=0.1)
 
 
 def test_resolved_normals_count_in_the_middle_and_facets_at_the_side():

@@ -18,11 +18,11 @@ from splitknit.skin.learned import (
     RELIEF_MM,
     SHAPE_COUNT,
     SHAPE_SLOPE,
+    _shape_features,
     azimuth_waves,
     can_learn,
     features,
     relief_by_network,
-    shape_features,
     slopes_by_network,
 )
 from splitknit.skin.light import fine_lighting
@@ -183,23 +183,23 @@ def smooth():
 def test_a_true_shape_leaves_nothing_to_mend_and_a_tilted_one_its_tilt(smooth):
     low, bands, height, optics, facets = coarse_of(smooth)
     inner = low.mask & (low.depth_mm > 1.2) & (low.y_mm[:, None] > CUT_MM + 1.2)
-    right = shape_features(bands, low, height, optics, facets)
+    right = _shape_features(bands, low, height, optics, facets)
     assert right.shape == (SHAPE_COUNT, *low.shape)
     assert not right[:, ~low.mask].any()
     assert np.abs(right[:8][:, inner] / 4).max() < 0.05
     assert np.abs(right[8:12][:, inner]).max() < 0.05
     _, _, tilted, _, _ = coarse_of(smooth, tilt=0.1)
-    wrong = shape_features(bands, low, tilted, optics, facets) - right
+    wrong = _shape_features(bands, low, tilted, optics, facets) - right
     assert wrong[0:8:2][:, inner].mean(axis=1) / 4 == pytest.approx(np.full(4, -0.1), rel=0.35)
     assert np.abs(wrong[1:8:2][:, inner].mean(axis=1) / 4).max() < 0.01
 
 
 def test_a_missing_band_is_zero_and_said_to_be_missing(smooth):
     low, bands, height, optics, facets = coarse_of(smooth)
-    alone = shape_features(bands[:1], low, height, optics, facets)
+    alone = _shape_features(bands[:1], low, height, optics, facets)
     nir = [6, 7, 11, 16, 17, 18, 19, 29, 30]
     assert not alone[nir].any()
-    both = shape_features(bands, low, height, optics, facets)
+    both = _shape_features(bands, low, height, optics, facets)
     assert (both[30][low.mask] == 1).all()
     kept = np.setdiff1d(np.arange(SHAPE_COUNT), [*nir, 23])  # 23: trust of the last band's lights
     np.testing.assert_array_equal(alone[kept], both[kept])

@@ -15,13 +15,13 @@ from splitknit.skin.relief import (
     LocalWienerSettings,
     Measured,
     Unmixing,
+    _plausible,
     denoise,
     detail_of,
     high_pass,
     lacking_slopes,
     mean_normals,
     measure,
-    plausible,
     scattering_sensitivity,
     unmixing,
     update,
@@ -392,10 +392,10 @@ def test_sensitivity_is_the_ratio_of_the_transfer_functions():
 def test_the_reliefs_spectrum_falls_no_slower_than_harmonics() -> None:
     omega = np.geomspace(5.0, 100.0, 28)
     signal = np.full(28, 4.0)
-    fit = plausible(SpectralFit(omega, signal, np.zeros(28), np.full(3, 1e-3)))
+    fit = _plausible(SpectralFit(omega, signal, np.zeros(28), np.full(3, 1e-3)))
     peak = omega[np.flatnonzero((omega >= 9.0) & (omega <= 24.0))[0]]
     above = omega > peak
     np.testing.assert_allclose(fit.signal[above], 4.0 * (peak / omega[above]) ** 2)
     np.testing.assert_array_equal(fit.signal[~above], signal[~above])
     steep = SpectralFit(omega, (9.0 / omega) ** 6, np.zeros(28), np.full(3, 1e-3))
-    np.testing.assert_array_equal(plausible(steep).signal, steep.signal)
+    np.testing.assert_array_equal(_plausible(steep).signal, steep.signal)

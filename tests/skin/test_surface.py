@@ -14,7 +14,7 @@ from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import fine_lighting
 from splitknit.skin.relief import Measured
-from splitknit.skin.surface import ColourSettings, MetricSettings, with_relief
+from splitknit.skin.surface import ColourSettings, MetricSettings, _with_relief
 
 SETTINGS = MetricSettings(rounds=2)
 
@@ -175,8 +175,8 @@ def test_current_relief_is_added_to_the_slopes_through_the_skin(scene):
     )
     relief = scene.relief_mm.astype(np.float32)
     some = [(0.1 * ones, 0.2 * ones)]
-    assert with_relief(some, measured, grid, 0 * relief) is some
-    ((x, y),) = with_relief(some, measured, grid, relief)
+    assert _with_relief(some, measured, grid, 0 * relief) is some
+    ((x, y),) = _with_relief(some, measured, grid, relief)
     k = 2 * np.pi / PERIOD_MM
     gx, gy = np.meshgrid(grid.x_mm, grid.y_mm)
     swing = -float(skin(k)) * DEPTH_MM / 2 * k * np.sin(k * (0.5 * gx + np.sqrt(0.75) * gy))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.view import pixel_axes_mm
+from splitknit.imaging.view import _pixel_axes_mm
 from splitknit.simulator.light.renderer import BandLight
 from splitknit.training import relief_data
 from splitknit.training.fields import FIELDS
@@ -50,7 +50,7 @@ def test_a_piece_lies_where_it_was_cut_and_its_shape_is_a_little_wrong(taken) ->
     _, seen, surface = taken
     for white, grid, smooth_mm, truth in seen:
         window = []
-        for axis, own in zip(pixel_axes_mm(white.rig.camera), (grid.x_mm, grid.y_mm), strict=True):
+        for axis, own in zip(_pixel_axes_mm(white.rig.camera), (grid.x_mm, grid.y_mm), strict=True):
             first = int(np.argmin(np.abs(axis - own[0])))
             np.testing.assert_allclose(own, axis[first : first + 180], atol=1e-6)
             window.append(slice(first, first + 180))

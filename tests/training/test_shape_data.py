@@ -15,7 +15,7 @@ from splitknit.skin import learned
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.facets import Facets
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, shape_features
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, _shape_features
 from splitknit.training import shape_data
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import photograph_scene
@@ -48,7 +48,7 @@ class Scene:
 
     def sample(self) -> np.ndarray:
         facets = Facets(np.linspace(-0.5, 0.5, 7), *self.across)
-        fields = shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
+        fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
         return assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
 
     def moved(

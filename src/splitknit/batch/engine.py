@@ -45,7 +45,7 @@ from splitknit.presets import PipelineSettings
 Progress = Callable[[str, float], None]
 
 
-def no_progress(stage: str, share: float) -> None:
+def _no_progress(stage: str, share: float) -> None:
     """Say nothing."""
 
 
@@ -82,7 +82,7 @@ def run_batch(
     jobs: int = 2,
     cluster: str | Cluster | None = None,
     csv: Path | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = _no_progress,
 ) -> dict[str, Any]:
     """Do what the store lacks; return the facts.
 
@@ -129,7 +129,7 @@ def run_batch(
 
 def _reconstruct(run: _Run) -> dict[str, Any]:
     started = time.perf_counter()
-    tasks = feature_tasks(run.store, run.population, run.settings)
+    tasks = _feature_tasks(run.store, run.population, run.settings)
     sizes = [sum(len(names) for _, names in task.cases) for task in tasks]
     results = run.done(reconstruct_group, tasks, "reconstructing", sizes)
     return {
@@ -150,16 +150,16 @@ def _match(run: _Run) -> list[dict[str, Any]]:
             started = time.perf_counter()
             using = matcher(name, run.settings.matching)
             if using.source == "minutiae":
-                prints = minutiae_tasks(run.store, case)
+                prints = _minutiae_tasks(run.store, case)
                 run.done(extract_minutiae, prints, f"{case.name}: minutiae", [1] * len(prints))
             if using.source == "voted":
-                sets = voted_tasks(run.store, run.population, case, run.settings)
-                run.done(extract_voted, sets, f"{case.name}: voted minutiae", [1] * len(sets))
+                sets = _voted_tasks(run.store, run.population, case, run.settings)
+                run.done(_extract_voted, sets, f"{case.name}: voted minutiae", [1] * len(sets))
             if using.source in SOLIDS:
-                chunks = solid_tasks(run.store, case, using.source, run.settings)
+                chunks = _solid_tasks(run.store, case, using.source, run.settings)
                 run.done(extract_solids, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
-            tasks = score_tasks(run.store, run.population, run.settings, case, using)
+            tasks = _score_tasks(run.store, run.population, run.settings, case, using)
             sizes = [len(task.pairs) for task in tasks]
             results = run.done(score_block, tasks, f"{case.name}: {name}", sizes)
             work_s = sum(result.seconds for result in results)
@@ -220,7 +220,7 @@ def alone(store: Path) -> Iterator[None]:
 # What the store lacks, as tasks: captures to reconstruct, prints whose minutiae are wanted, comparisons.
 
 
-def feature_tasks(store: Store, population: Population, settings: BatchSettings) -> list[FeatureTask]:
+def _feature_tasks(store: Store, population: Population, settings: BatchSettings) -> list[FeatureTask]:
     """Captures that a case lacks, in groups that do not depend on what is there already."""
     lacking = [(case, store.captures(case.name)) for case in settings.cases]
     groups: dict[int, list[CaptureRef]] = {}
@@ -244,30 +244,32 @@ def feature_tasks(store: Store, population: Population, settings: BatchSettings)
                     missing,
                     settings.matching,
                     images=settings.surfaces,
-                    solids=wanted_solids(settings),
+                    solids=_wanted_solids(settings),
                 )
             )
     return tasks
 
 
-def minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
+def _minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
     """Chunks of features without their minutiae."""
     return [MinutiaeTask(store.folder, case.name, chunk) for chunk in _without(store, case, "minutiae")]
 
 
-def voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[VotedTask]:
+def _voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[_VotedTask]:
     """Chunks of features without their voted minutiae."""
     folder = population.folder.resolve()
-    return [VotedTask(store.folder, folder, case, chunk, settings.matching) for chunk in _without(store, case, "voted")]
+    return [
+        _VotedTask(store.folder, folder, case, chunk, settings.matching) for chunk in _without(store, case, "voted")
+    ]
 
 
-def wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
+def _wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
     """Features in space that the matchers read."""
     sources = {matcher_named(name, settings.matching).source for name in settings.matchers}
     return tuple(sorted(sources & set(SOLIDS)))
 
 
-def solid_tasks(store: Store, case: Case, kind: str, settings: BatchSettings) -> list[SolidTask]:
+def _solid_tasks(store: Store, case: Case, kind: str, settings: BatchSettings) -> list[SolidTask]:
     """Chunks of features without their features in space of one kind."""
     return [SolidTask(store.folder, case.name, chunk, kind, settings.matching) for chunk in _without(store, case, kind)]
 
@@ -278,7 +280,7 @@ def _without(store: Store, case: Case, kind: str) -> list[str]:
     return [file.stem for file in store.files("features", case.name) if file.stem not in there]
 
 
-def score_tasks(
+def _score_tasks(
     store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
 ) -> list[ScoreTask]:
     """Comparisons that are not in the store.
@@ -346,7 +348,7 @@ VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
-class VotedTask:
+class _VotedTask:
     """A chunk of features whose captures' voted minutiae are wanted."""
 
     store: Path
@@ -356,7 +358,7 @@ class VotedTask:
     matching: MatchingSettings
 
 
-def extract_voted(task: VotedTask) -> MinutiaeDone:
+def _extract_voted(task: _VotedTask) -> MinutiaeDone:
     """Find the voted minutiae of all captures of a chunk and write them under the same name."""
     case, settings = task.case.name, task.case.settings()
     file = task.store / "features" / case / f"{task.name}{SUFFIX}"

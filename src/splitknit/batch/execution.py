@@ -123,7 +123,7 @@ def run_tasks(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, cl
     return _here(work, tasks) if jobs == 1 or len(tasks) == 1 else _in_processes(work, tasks, jobs)
 
 
-def in_worker(work: Callable[[Task], Done], task: Task, parent: int) -> Done:
+def _in_worker(work: Callable[[Task], Done], task: Task, parent: int) -> Done:
     """Do a task in a worker: OpenCV on one thread, and an end when the run that started it is no more."""
     import cv2  # noqa: PLC0415
 
@@ -163,7 +163,7 @@ def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
         pool = joblib.Parallel(
             n_jobs=min(jobs, len(tasks)), return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs"
         )
-        results = pool(joblib.delayed(in_worker)(work, task, os.getpid()) for task in tasks)
+        results = pool(joblib.delayed(_in_worker)(work, task, os.getpid()) for task in tasks)
         try:
             yield from results
         except broken as error:

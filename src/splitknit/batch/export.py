@@ -49,7 +49,7 @@ def write_csv(path: Path, table: Any) -> None:
         "score": _numbers(table, "similarity", compared),
     }
     for kind in _KINDS:
-        columns |= {f"{kind}_a": [names_of(one)[kind] for one in a], f"{kind}_b": [names_of(one)[kind] for one in b]}
+        columns |= {f"{kind}_a": [_names_of(one)[kind] for one in a], f"{kind}_b": [_names_of(one)[kind] for one in b]}
     columns |= {name: _numbers(table, name, compared) for name in own}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -60,7 +60,7 @@ def write_csv(path: Path, table: Any) -> None:
 
 
 @lru_cache(maxsize=4096)
-def names_of(capture: str) -> dict[str, str]:
+def _names_of(capture: str) -> dict[str, str]:
     """Finger (of the world), subject and session of a capture's name.
 
     Examples
@@ -76,7 +76,7 @@ def names_of(capture: str) -> dict[str, str]:
 
 
 def _ids(table: Any) -> dict[str, Ids]:
-    sides = [[names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
+    sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
     return {kind: ids_of(*([names[kind] for names in side] for side in sides)) for kind in _KINDS}
 
 

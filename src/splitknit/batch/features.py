@@ -69,7 +69,7 @@ class FeatureDone:
         return self.rows
 
 
-def feature_schema() -> Any:
+def _feature_schema() -> Any:
     """Columns of a chunk of features."""
     names = [
         "capture", "subject", "finger", "session", "acquired", "failure", "area_mm2",
@@ -79,7 +79,7 @@ def feature_schema() -> Any:
     return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
-def chunk_name(group: int, captures: tuple[str, ...], settings_sha256: str) -> str:
+def _chunk_name(group: int, captures: tuple[str, ...], settings_sha256: str) -> str:
     """Name of a chunk's file without suffix: where its captures lie in the population, and what it follows from."""
     content = canonical_json([settings_sha256, list(captures)])
     return f"{group:05d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
@@ -108,14 +108,14 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
             rows[case.name].append(row)
             if not row["acquired"]:
                 failures.append(f"{case.name}, {ref.name}: {row['failure']}")
-    schema = feature_schema()
+    schema = _feature_schema()
     for case, wanted in task.cases:
         document = case.document()
-        name = chunk_name(task.group, wanted, document["settings_sha256"])
+        name = _chunk_name(task.group, wanted, document["settings_sha256"])
         columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
         origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
-        origin |= {"population_sha256": task.population_sha256, "matching_sha256": features_hash(task.matching)}
+        origin |= {"population_sha256": task.population_sha256, "matching_sha256": _features_hash(task.matching)}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         for kind in task.solids:  # before the features, by which a later run knows what is finished
             file = task.store / kind / case.name / f"{name}{SUFFIX}"
@@ -124,7 +124,7 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
     return FeatureDone(task.group, sum(map(len, rows.values())), tuple(failures), peak_memory_mb())
 
 
-def features_hash(matching: MatchingSettings) -> str:
+def _features_hash(matching: MatchingSettings) -> str:
     """SHA-256 of the settings that templates follow from."""
     return settings_hash({"band": matching.band, "template": matching.template})
 
@@ -153,14 +153,14 @@ def _row(
         "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
         "warnings": list(result.warnings),
         "template": pack(template),
-        "print": print_png(result),
+        "print": _print_png(result),
         "images": pack_surface(surface, result.height_mm) if task.images else None,
         **{kind: solid_payload(kind, surface, task.matching) for kind in task.solids},
     }
     return row | _quality(result.quality)
 
 
-def print_png(result: Reconstruction) -> bytes:
+def _print_png(result: Reconstruction) -> bytes:
     """Bytes of the ``print.png`` that ``splitknit reconstruct`` writes."""
     origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
     return encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, provenance_texts(origin))

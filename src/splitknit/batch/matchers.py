@@ -41,7 +41,7 @@ class Matcher(ABC):
     blocks: ClassVar[Blocks]
 
     def blocks_for(self, impostors: float) -> Blocks:
-        """Blocks of about as many comparisons where only a share of the impostors is compared."""
+        """Blocks of about as many comparisons where only a fraction of the impostors is compared."""
         return Blocks(self.blocks.database, round(self.blocks.query / max(impostors, 0.02)))
 
     @abstractmethod
@@ -61,21 +61,21 @@ class Matcher(ABC):
         """All settings."""
 
 
-class RidgeMatcher(Matcher):
+class _RidgeMatcher(Matcher):
     """Ridge templates; a side that is ready takes up to 9 MB."""
 
     name = "ridge"
     columns = ("correlation", "overlap_mm2", "rotation_deg")
     blocks = Blocks(48, 43)
 
-    def __init__(self, settings: RidgeMatchSettings) -> None:  # noqa: D107 - the class says it
+    def __init__(self, settings: RidgeMatchSettings) -> None:
         self.settings = settings
 
-    def database(self, place: Place) -> Prepared | None:  # noqa: D102
+    def database(self, place: Place) -> Prepared | None:
         payload = small_column(place, "template")
         return Prepared(unpack(payload), self.settings) if payload else None
 
-    def compare(self, a: Prepared, b: Prepared) -> Values:  # noqa: D102
+    def compare(self, a: Prepared, b: Prepared) -> Values:
         found = ridge_match(a, b)
         return {
             "similarity": found.similarity,
@@ -84,29 +84,29 @@ class RidgeMatcher(Matcher):
             "rotation_deg": found.rotation_deg,
         }
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         return self.settings
 
 
-class ThesisMatcher(Matcher):
+class _ThesisMatcher(Matcher):
     """The thesis's matcher without its gate, of all attributes; a side of the database takes 1.9 MB at 30 px/mm."""
 
     name = "thesis"
     columns = ("ratio", "shift_px", *(f"dissimilarity_{name}" for name in ATTRIBUTES))
     blocks = Blocks(128, 16)
 
-    def __init__(self, settings: ThesisSettings) -> None:  # noqa: D107
+    def __init__(self, settings: ThesisSettings) -> None:
         self.attributes = settings.attributes
         self.settings = replace(settings, gate=0.0, attributes=tuple(ATTRIBUTES))
 
-    def database(self, place: Place) -> Any:  # noqa: D102
+    def database(self, place: Place) -> Any:
         images = images_of(place)
         return None if images is None else database_finger(images, self.settings)
 
-    def query(self, place: Place) -> Any:  # noqa: D102
+    def query(self, place: Place) -> Any:
         return images_of(place)
 
-    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+    def compare(self, a: Any, b: Any) -> Values:
         found = match_database(a, b, self.settings)
         chosen = [found.dissimilarity[name] for name in self.attributes]
         return {
@@ -116,11 +116,11 @@ class ThesisMatcher(Matcher):
             **{f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()},
         }
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         return {"thesis": self.settings, "similarity_of": list(self.attributes)}
 
 
-class MinutiaeMatcher(Matcher):
+class _MinutiaeMatcher(Matcher):
     """Minutiae by mindtct, compared by bozorth3."""
 
     name = "minutiae"
@@ -128,28 +128,28 @@ class MinutiaeMatcher(Matcher):
     source = "minutiae"
     blocks = Blocks(128, 8)
 
-    def database(self, place: Place) -> Any:  # noqa: D102
+    def database(self, place: Place) -> Any:
         found = unpack_minutiae(small_column(place, "minutiae"))
         return found if found.acquired else None
 
-    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+    def compare(self, a: Any, b: Any) -> Values:
         score = minutiae_match(a, b)
         return {"similarity": score, "bozorth3": score}
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         return {"extraction": "mindtct", "edge_mm": EDGE_MM, "comparison": "bozorth3"}
 
 
-class VotedMatcher(MinutiaeMatcher):
+class _VotedMatcher(_MinutiaeMatcher):
     """Minutiae on which the sets of images that leave one out agree, compared by bozorth3."""
 
     name = "voted"
     source = "voted"
 
-    def __init__(self, settings: MatchingSettings) -> None:  # noqa: D107
+    def __init__(self, settings: MatchingSettings) -> None:
         self.settings = settings
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         own = {"leave_one_out": self.settings.leave_one_out, "voted": self.settings.voted}
         return {"extraction": "mindtct", "comparison": "bozorth3", **own}
 
@@ -159,17 +159,17 @@ def matcher(name: str, settings: MatchingSettings) -> Matcher:
 
     if name in SOLID_MATCHERS:
         return SOLID_MATCHERS[name](settings)
-    if name == VotedMatcher.name:
-        return VotedMatcher(settings)
-    if name == RidgeMatcher.name:
-        return RidgeMatcher(settings.ridge)
-    return ThesisMatcher(settings.thesis) if name == ThesisMatcher.name else MinutiaeMatcher()
+    if name == _VotedMatcher.name:
+        return _VotedMatcher(settings)
+    if name == _RidgeMatcher.name:
+        return _RidgeMatcher(settings.ridge)
+    return _ThesisMatcher(settings.thesis) if name == _ThesisMatcher.name else _MinutiaeMatcher()
 
 
-class Ready(threading.local):
+class _Ready(threading.local):
     """Sides of the database that this thread has ready: those of one block."""
 
-    def __init__(self) -> None:  # noqa: D107
+    def __init__(self) -> None:
         self.key: Any = None
         self.sides: OrderedDict[str, Any] = OrderedDict()
 
@@ -188,13 +188,13 @@ class Ready(threading.local):
         self.sides.clear()
 
 
-READY = Ready()
+READY = _Ready()
 
 
 # The matchers of a batch that compare features in space: minutiae, by pairs and by tetrahedra, and surface codes.
 
 
-class Minutiae3DMatcher(Matcher):
+class _Minutiae3DMatcher(Matcher):
     """Minutiae in space, aligned by reference pairs."""
 
     name = "minutiae3d"
@@ -202,22 +202,22 @@ class Minutiae3DMatcher(Matcher):
     source = "minutiae3d"
     blocks = Blocks(128, 16)
 
-    def __init__(self, settings: MatchingSettings) -> None:  # noqa: D107
+    def __init__(self, settings: MatchingSettings) -> None:
         self.settings = settings.minutiae3d
 
-    def database(self, place: Place) -> Any:  # noqa: D102
+    def database(self, place: Place) -> Any:
         found = unpack_space_minutiae(small_column(place, "minutiae3d"))
         return PreparedMinutiae3D(found, self.settings) if found.acquired else None
 
-    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+    def compare(self, a: Any, b: Any) -> Values:
         found = minutiae3d_match(a, b)
         return {"similarity": found.similarity, "agreeing": float(found.agreeing)}
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         return {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, self.name: self.settings}
 
 
-class TetrahedraMatcher(Matcher):
+class _TetrahedraMatcher(Matcher):
     """Minutiae in space, aligned by tetrahedra; a side that is ready takes 1 MB."""
 
     name = "tetrahedra"
@@ -225,22 +225,22 @@ class TetrahedraMatcher(Matcher):
     source = "minutiae3d"
     blocks = Blocks(128, 16)
 
-    def __init__(self, settings: MatchingSettings) -> None:  # noqa: D107
+    def __init__(self, settings: MatchingSettings) -> None:
         self.settings = settings.tetrahedra
 
-    def database(self, place: Place) -> Any:  # noqa: D102
+    def database(self, place: Place) -> Any:
         found = unpack_space_minutiae(small_column(place, "minutiae3d"))
         return PreparedTetrahedra(found, self.settings) if found.acquired else None
 
-    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+    def compare(self, a: Any, b: Any) -> Values:
         found = tetrahedra_match(a, b)
         return {"similarity": found.similarity, "agreeing": float(found.agreeing), "alike": float(found.tetrahedra)}
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         return {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, self.name: self.settings}
 
 
-class SurfaceCodeMatcher(Matcher):
+class _SurfaceCodeMatcher(Matcher):
     """Finger surface codes; a side that is ready takes up to 15 MB."""
 
     name = "surface-code"
@@ -248,14 +248,14 @@ class SurfaceCodeMatcher(Matcher):
     source = "surface_codes"
     blocks = Blocks(48, 43)
 
-    def __init__(self, settings: MatchingSettings) -> None:  # noqa: D107
+    def __init__(self, settings: MatchingSettings) -> None:
         self.code, self.settings = settings.surface_code, settings.surface_match
 
-    def database(self, place: Place) -> Any:  # noqa: D102
+    def database(self, place: Place) -> Any:
         found = unpack_surface_code(small_column(place, "surface_code"))
         return None if found.empty else PreparedSurface(found, self.settings)
 
-    def compare(self, a: Any, b: Any) -> Values:  # noqa: D102
+    def compare(self, a: Any, b: Any) -> Values:
         found = surface_code_match(a, b)
         return {
             "similarity": found.similarity,
@@ -264,10 +264,10 @@ class SurfaceCodeMatcher(Matcher):
             "rotation_deg": found.rotation_deg,
         }
 
-    def document(self) -> Any:  # noqa: D102
+    def document(self) -> Any:
         return {"surface_code": self.code, "surface_match": self.settings}
 
 
 SOLID_MATCHERS: Mapping[str, Callable[[MatchingSettings], Matcher]] = MappingProxyType(
-    {kind.name: kind for kind in (Minutiae3DMatcher, TetrahedraMatcher, SurfaceCodeMatcher)}
+    {kind.name: kind for kind in (_Minutiae3DMatcher, _TetrahedraMatcher, _SurfaceCodeMatcher)}
 )

@@ -148,7 +148,7 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
 
 
 def draw(a: str, b: str, seed: int) -> float:
-    """Number in [0, 1) that belongs to two fingers; those below the share of impostors are compared."""
+    """Number in [0, 1) that belongs to two fingers; those below the fraction of impostors are compared."""
     first, second = sorted((a, b))
     digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
     return int.from_bytes(digest[:8], "big") / 2.0**64

@@ -43,7 +43,7 @@ class MinutiaeDone:
         return 1
 
 
-def minutiae_schema() -> Any:
+def _minutiae_schema() -> Any:
     """Columns of a chunk of minutiae."""
     return load("pyarrow", "batch").schema([(name, column_type(name)) for name in ("capture", "acquired", "minutiae")])
 
@@ -73,7 +73,7 @@ def write_minutiae(
         "minutiae": [pack_minutiae(one) for one in found],
     }
     origin = read_origin(features) | {"kind": kind[0], "kind_version": kind[1]}
-    write_chunk(folder / features.name, columns, minutiae_schema(), origin)
+    write_chunk(folder / features.name, columns, _minutiae_schema(), origin)
 
 
 def _image(data: bytes, name: str) -> Any:

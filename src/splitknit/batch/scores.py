@@ -64,7 +64,7 @@ def score_schema(columns: tuple[str, ...]) -> Any:
     return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
-def chunk_name(task: ScoreTask, settings: Any) -> str:
+def _chunk_name(task: ScoreTask, settings: Any) -> str:
     """Name of a chunk's file without suffix: its block, and what its content follows from."""
     content = canonical_json([task.case_sha256, task.matcher, settings, [[a, b] for a, b, _ in task.pairs]])
     return f"{task.block:012d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
@@ -91,7 +91,7 @@ def score_block(task: ScoreTask) -> ScoreDone:
     origin = provenance(using.document(), {name: small_column(task.origins[name], "input_sha256") for name in captures})
     origin |= {"kind": "scores", "kind_version": VERSION, "case": task.case, "case_sha256": task.case_sha256}
     origin |= {"matcher": task.matcher, "population_sha256": task.population_sha256, "seed": task.seed}
-    name = chunk_name(task, using.document())
+    name = _chunk_name(task, using.document())
     seconds = time.thread_time() - started
     facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
     write_timings(task.store / "timings" / task.case / task.matcher, name, facts)

@@ -63,7 +63,7 @@ class BatchSettings(Checked):
     matchers: tuple[str, ...] = ("ridge",)
     """Of :data:`MATCHERS`; none: reconstruct only."""
     impostors: Annotated[float, Limits(0, 1)] = 1.0
-    """Share of the comparisons of different fingers that is made; genuine ones are all made."""
+    """Fraction of the comparisons of different fingers that is made; genuine ones are all made."""
     seed: Annotated[int, Limits(0)] = 0
     """Which of them, where not all are."""
     matching: MatchingSettings = field(default_factory=MatchingSettings)

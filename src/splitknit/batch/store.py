@@ -255,7 +255,7 @@ def _pairs(folder: Path, earlier: Any, wanted: Any) -> Any:
 
 
 def _check_settings(folder: Path, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    names = differing(earlier, wanted)
+    names = _differing(earlier, wanted)
     where = f" ({', '.join(names[:4])})" if names else ""
     require(
         earlier.get("settings_sha256") == wanted["settings_sha256"],
@@ -264,10 +264,10 @@ def _check_settings(folder: Path, what: str, earlier: Mapping[str, Any], wanted:
     )
 
 
-def differing(one: Any, other: Any, name: str = "") -> list[str]:
+def _differing(one: Any, other: Any, name: str = "") -> list[str]:
     """Names of the settings that differ."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         keys = sorted((one.keys() | other.keys()) - {"settings_sha256"})
         inner = [(key, name if key == "settings" else f"{name}.{key}".strip(".")) for key in keys]
-        return [found for key, where in inner for found in differing(one.get(key), other.get(key), where)]
+        return [found for key, where in inner for found in _differing(one.get(key), other.get(key), where)]
     return [] if one == other else [name]

@@ -111,15 +111,15 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     )
     table = np.stack([one.score for one in aligned], axis=1)
     by, ids = _named(first)
-    fold = deal(ids, settings.folds, settings.seed)
-    models, fused = cross_fit(table, first.label, fold[ids.codes], _fitter(settings))
+    fold = _deal(ids, settings.folds, settings.seed)
+    models, fused = _cross_fit(table, first.label, fold[ids.codes], _fitter(settings))
     title = name or f"{' + '.join(one.name for one in aligned)}, {settings.method}"
     scores = Scores(first.label, fused, first.finger, first.subject, first.session, title)
     missing = tuple(int(np.isnan(column).sum()) for column in table.T)
     return Fused(scores, tuple(one.name for one in aligned), by, fold, models, missing)
 
 
-def deal(ids: Ids, folds: int, seed: int) -> NDArray[np.int64]:
+def _deal(ids: Ids, folds: int, seed: int) -> NDArray[np.int64]:
     """Fold of each name (names,): as even as can be, in an order that the seed decides.
 
     Raises
@@ -134,7 +134,7 @@ def deal(ids: Ids, folds: int, seed: int) -> NDArray[np.int64]:
     return fold
 
 
-def cross_fit(
+def _cross_fit(
     table: Table,
     genuine: NDArray[np.bool_],
     fold: NDArray[np.int64],

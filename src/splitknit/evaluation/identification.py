@@ -17,7 +17,7 @@ class Cmc:
     """How often the right finger is among the best."""
 
     rate: NDArray[np.float64]
-    """(G,) share of probes whose finger is among the first 1 ... G of the gallery."""
+    """(G,) fraction of probes whose finger is among the first 1 ... G of the gallery."""
     rank: NDArray[np.int64]
     """(P,) of each probe; 0 where it gave no score with its own finger (a failure: never found)."""
     probe_finger: NDArray[np.int64]

@@ -31,7 +31,7 @@ CELLS = 60_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cells:
+class _Cells:
     """Where the scores lie; cell 0 holds the highest."""
 
     genuine: NDArray[np.int64]
@@ -46,7 +46,7 @@ class Cells:
     """(2, 2, count): genuine, impostor; mean and variance of the standardised scores of a cell."""
 
 
-def make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limit: int = CELLS) -> Cells:
+def _make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limit: int = CELLS) -> _Cells:
     """Put scores (N,) and (M,), NaN included, into cells."""
     sides = [side[~np.isnan(side)] for side in (genuine, impostor)]
     distinct = [np.unique(side) for side in sides]
@@ -64,7 +64,7 @@ def make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limi
         cell = np.full(whole.size, used.size, dtype=np.int64)
         cell[~np.isnan(whole)] = part
         placed.append(cell)
-    return Cells(placed[0], placed[1], int(used.size), crowded, np.stack(moments))
+    return _Cells(placed[0], placed[1], int(used.size), crowded, np.stack(moments))
 
 
 def _edges(distinct: list[NDArray[np.float64]], impostor: NDArray[np.float64], limit: int) -> NDArray[np.float64]:
@@ -102,8 +102,8 @@ FEW = 5
 """Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
 
 
-def bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
-    """How low and how high each rate of :class:`splitknit.evaluation.intervals.Layout` may lie for that reason.
+def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
+    """How low and how high each rate of :class:`_Layout` may lie for that reason.
 
     Both are the rate itself where enough fingers (``method``) were rejected and enough accepted.
     """
@@ -146,7 +146,7 @@ Progress = Callable[[float], None]
 
 
 CONFIDENCE = 0.95
-"""Share of the resampled figures that an interval spans, between 0 and 1."""
+"""Fraction of the resampled figures that an interval spans, between 0 and 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,7 @@ class Intervals:
     drawn: int
     """Comparisons of the smaller class, fingers or subjects."""
     figures: Mapping[str, Interval]
-    """By the names of :class:`splitknit.evaluation.intervals.Layout`."""
+    """By the names of :class:`_Layout`."""
     curve_far: NDArray[np.float64]
     """(P,) and the band of the GAR there:"""
     curve_low: NDArray[np.float64]
@@ -215,12 +215,12 @@ def bootstrap(
     BadInput
         If the ids are missing that `method` needs, or there are fewer than three to draw from.
     """
-    values = figure_values(scores, settings.targets)
-    layout = Layout(settings.targets, _curve(scores, settings))
-    cells = make_cells(scores.genuine, scores.impostor)
-    units = plain_units(cells) if method == "plain" else _clusters(scores, method)
+    values = _figure_values(scores, settings.targets)
+    layout = _Layout(settings.targets, _curve(scores, settings))
+    cells = _make_cells(scores.genuine, scores.impostor)
+    units = _plain_units(cells) if method == "plain" else _clusters(scores, method)
     rows = _rows(units, [cells], layout, settings, progress)[0]
-    possible = bounds(scores, method, settings.targets)
+    possible = _bounds(scores, method, settings.targets)
     lows, highs = _limits(rows, CONFIDENCE)
     figures = {
         name: _holding(values[name], lows[k], highs[k], possible.get(name, ()))
@@ -251,21 +251,21 @@ def differences(
     """
     same = first.label.shape == second.label.shape and bool((first.label == second.label).all())
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
-    layout = Layout(settings.targets)
-    systems = [make_cells(one.genuine, one.impostor) for one in (first, second)]
+    layout = _Layout(settings.targets)
+    systems = [_make_cells(one.genuine, one.impostor) for one in (first, second)]
     if method == "plain":
-        units = pair_units(int(first.label.sum()), int((~first.label).sum()))
+        units = _pair_units(int(first.label.sum()), int((~first.label).sum()))
     else:
         units = _clusters(first, method)
     rows = _rows(units, systems, layout, settings, progress)
     lows, highs = _limits(rows[0] - rows[1], CONFIDENCE)
-    values = [figure_values(one, settings.targets) for one in (first, second)]
+    values = [_figure_values(one, settings.targets) for one in (first, second)]
     both = [name for name in layout.names if name in values[0] and name in values[1]]
     places = {name: layout.names.index(name) for name in both}
     return {name: _holding(values[0][name] - values[1][name], lows[places[name]], highs[places[name]]) for name in both}
 
 
-def figure_values(scores: Scores, targets: Sequence[float]) -> dict[str, float]:
+def _figure_values(scores: Scores, targets: Sequence[float]) -> dict[str, float]:
     """The figures themselves, from all scores; d' is left out where no score varies."""
     g, i = np.sort(scores.genuine), np.sort(scores.impostor)
     values = {"eer": rates.equal_error(g, i).value, "auc": rates.auc(g, i)}
@@ -278,28 +278,28 @@ def figure_values(scores: Scores, targets: Sequence[float]) -> dict[str, float]:
 
 
 def _rows(
-    units: Units, systems: list[Cells], layout: Layout, settings: BootstrapSettings, progress: Progress | None
+    units: _Units, systems: list[_Cells], layout: _Layout, settings: BootstrapSettings, progress: Progress | None
 ) -> list[NDArray[np.float64]]:
     """(replicates, figures) for each system."""
     rows = [np.empty((settings.replicates, len(layout.names))) for _ in systems]
     done = 0
-    for weights in cell_weights(units, systems, settings.replicates, settings.seed):
+    for weights in _cell_weights(units, systems, settings.replicates, settings.seed):
         for table, cells, (genuine, impostor) in zip(rows, systems, weights, strict=True):
             columns = np.ascontiguousarray(genuine.T), np.ascontiguousarray(impostor.T)
             for k in range(len(columns[0])):
-                table[done + k] = figures_of(cells, columns[0][k], columns[1][k], layout)
+                table[done + k] = _figures_of(cells, columns[0][k], columns[1][k], layout)
         done += weights[0][0].shape[1]
         if progress is not None:
             progress(done / settings.replicates)
     return rows
 
 
-def _clusters(scores: Scores, method: str) -> Units:
+def _clusters(scores: Scores, method: str) -> _Units:
     require(method in METHODS, f"the bootstrap draws by {', '.join(METHODS)}, not by '{method}'.")
     ids: Ids | None = scores.finger if method == "finger" else scores.subject
     if ids is None:
         raise BadInput(f"{scores.name}: to draw by {method}, columns {method}_a and {method}_b are needed.")
-    units = cluster_units(scores.label, ids)
+    units = _cluster_units(scores.label, ids)
     require(
         units.clusters >= 3,
         f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are {units.clusters}.",
@@ -336,7 +336,7 @@ Row = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class _Layout:
     """Which number of a replicate's row is what."""
 
     targets: tuple[float, ...]
@@ -352,7 +352,7 @@ class Layout:
         return ["eer", *gars, *made, "auc", "d_prime", *(f"curve@{far!r}" for far in self.curve)]
 
 
-def figures_of(cells: Cells, genuine: Row, impostor: Row, layout: Layout) -> Row:
+def _figures_of(cells: _Cells, genuine: Row, impostor: Row, layout: _Layout) -> Row:
     """One row of figures, in the order of `layout.names`, from the weights (count + 1,) of the cells.
 
     All are NaN where a class weighs nothing, d' also where no score varies.
@@ -400,7 +400,7 @@ def _equal_error(gar: Row, far: Row, crowded: NDArray[np.bool_]) -> float:
     return float(min(sums)) / 2
 
 
-def _d_prime(cells: Cells, genuine: Row, impostor: Row) -> float:
+def _d_prime(cells: _Cells, genuine: Row, impostor: Row) -> float:
     means, spreads = [], []
     for share, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
         means.append(_dot(share, mean))
@@ -443,7 +443,7 @@ BATCH = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Units:
+class _Units:
     """What is drawn, for both sides: each comparison belongs to a unit."""
 
     genuine: NDArray[np.int64]
@@ -475,22 +475,22 @@ class Units:
         return max(1, min(32, BATCH // largest))
 
 
-def plain_units(cells: Cells) -> Units:
-    """Comparisons are drawn; those of one cell are alike and need not be told apart."""
+def _plain_units(cells: _Cells) -> _Units:
+    """Comparisons are drawn; those of one cell are alike and need not be separated."""
     sizes = (
         np.bincount(cells.genuine, minlength=cells.count + 1),
         np.bincount(cells.impostor, minlength=cells.count + 1),
     )
-    return Units(cells.genuine, cells.impostor, min(cells.genuine.size, cells.impostor.size), sizes)
+    return _Units(cells.genuine, cells.impostor, min(cells.genuine.size, cells.impostor.size), sizes)
 
 
-def pair_units(genuine: int, impostor: int) -> Units:
+def _pair_units(genuine: int, impostor: int) -> _Units:
     """Comparisons are drawn one by one, so that several systems can be given the same ones."""
     sizes = (np.ones(genuine, dtype=np.int64), np.ones(impostor, dtype=np.int64))
-    return Units(np.arange(genuine), np.arange(impostor), min(genuine, impostor), sizes)
+    return _Units(np.arange(genuine), np.arange(impostor), min(genuine, impostor), sizes)
 
 
-def cluster_units(label: NDArray[np.bool_], ids: Ids) -> Units:
+def _cluster_units(label: NDArray[np.bool_], ids: Ids) -> _Units:
     """Fingers, or subjects, are drawn."""
     _, codes = np.unique(ids.codes, return_inverse=True)
     codes = codes.reshape(ids.codes.shape)
@@ -499,11 +499,11 @@ def cluster_units(label: NDArray[np.bool_], ids: Ids) -> Units:
     low, high = codes[~label].min(axis=1), codes[~label].max(axis=1)
     keys, impostor = np.unique(low * clusters + high, return_inverse=True)
     pairs = np.stack([keys // clusters, keys % clusters], axis=1)
-    return Units(genuine.ravel(), impostor.ravel(), clusters, None, cluster, pairs)
+    return _Units(genuine.ravel(), impostor.ravel(), clusters, None, cluster, pairs)
 
 
-def cell_weights(
-    units: Units, systems: list[Cells], replicates: int, seed: int
+def _cell_weights(
+    units: _Units, systems: list[_Cells], replicates: int, seed: int
 ) -> Iterator[list[tuple[Weights, Weights]]]:
     """Draw replicates and give, for each system, the weight of its cells: (count + 1, R) of both sides, in batches.
 

@@ -57,7 +57,7 @@ Counting = Literal["all", "made"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Side:
+class _Side:
     """The scores of one class."""
 
     scores: Scores1D
@@ -69,7 +69,7 @@ class Side:
         return self.scores.size + (self.failures if counting == "all" else 0)
 
 
-def sort_scores(scores: Any, name: str = "scores") -> Side:
+def _sort_scores(scores: Any, name: str = "scores") -> _Side:
     """Scores in rising order, NaN counted and left out; what is sorted already costs next to nothing."""
     array = np.asarray(scores, dtype=np.float64)
     require(array.ndim == 1, f"{name} scores must have the shape (N,), but they have {array.shape}.")
@@ -78,7 +78,7 @@ def sort_scores(scores: Any, name: str = "scores") -> Side:
     known = int(np.searchsorted(array, np.nan))
     require(known > 0, f"there is no {name} score: both genuine and impostor scores are needed.")
     require(bool(np.isfinite(array[[0, known - 1]]).all()), f"{name} scores must be finite, but one is infinite.")
-    return Side(array[:known], array.size - known)
+    return _Side(array[:known], array.size - known)
 
 
 SLACK = 1e-12
@@ -150,7 +150,7 @@ def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:
     BadInput
         If a side has no score, or one is infinite.
     """
-    g, i = sort_scores(genuine, "genuine"), sort_scores(impostor, "impostor")
+    g, i = _sort_scores(genuine, "genuine"), _sort_scores(impostor, "impostor")
     fewer = g.scores if g.scores.size <= i.scores.size else i.scores
     anchor = fewer[np.concatenate([[True], fewer[1:] > fewer[:-1]])][::-1]
     # a corner at each anchor score and just above it; then everybody is accepted
@@ -187,7 +187,7 @@ def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", inte
     >>> equal_error([0.9, 0.8, 0.7, 0.3], [0.1, 0.2, 0.4, 0.5]).value
     0.25
     """
-    g, i = sort_scores(genuine, "genuine"), sort_scores(impostor, "impostor")
+    g, i = _sort_scores(genuine, "genuine"), _sort_scores(impostor, "impostor")
 
     def point(t: float) -> tuple[Fraction, Fraction]:
         far = Fraction(i.scores.size - _below(i.scores, t), i.attempts(counting))
@@ -247,7 +247,7 @@ def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting
     0.25
     """
     require(0 < target <= 1, f"a FAR target must lie above 0 and not above 1, but it is {target}.")
-    g, i = sort_scores(genuine, "genuine"), sort_scores(impostor, "impostor")
+    g, i = _sort_scores(genuine, "genuine"), _sort_scores(impostor, "impostor")
     attempts = i.attempts(counting)
     allowed = int(target * attempts * (1 + SLACK))
     refused = -np.inf if allowed >= i.scores.size else i.scores[i.scores.size - 1 - allowed]
@@ -267,7 +267,7 @@ def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting
 
 def auc(genuine: Any, impostor: Any) -> float:
     """Area under the ROC of the comparisons made: how likely a genuine score exceeds an impostor one, ties half."""
-    g, i = sort_scores(genuine, "genuine"), sort_scores(impostor, "impostor")
+    g, i = _sort_scores(genuine, "genuine"), _sort_scores(impostor, "impostor")
     few, many, turned = (g, i, False) if g.scores.size <= i.scores.size else (i, g, True)
     twice = np.searchsorted(many.scores, few.scores, side="left").sum(dtype=np.int64)
     twice += np.searchsorted(many.scores, few.scores, side="right").sum(dtype=np.int64)
@@ -285,7 +285,7 @@ def d_prime(genuine: Any, impostor: Any) -> float | None:
     ----------
     J. Daugman, "Biometric decision landscapes", technical report 482, University of Cambridge, 2000.
     """
-    g, i = sort_scores(genuine, "genuine").scores, sort_scores(impostor, "impostor").scores
+    g, i = _sort_scores(genuine, "genuine").scores, _sort_scores(impostor, "impostor").scores
     largest = max(abs(g[0]), abs(g[-1]), abs(i[0]), abs(i[-1]))
     if min(g[0], i[0]) == max(g[-1], i[-1]) or largest == 0:
         return None
@@ -321,7 +321,7 @@ def _finite(t: float) -> float | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histograms:
-    """Share of the comparisons made in each bin."""
+    """Fraction of the comparisons made in each bin."""
 
     edges: NDArray[np.float64]
     """(B + 1,)"""

@@ -1,7 +1,7 @@
 """Contrast-limited adaptive histogram equalisation of linear float images.
 
 At full resolution, inside the mask's bounding box. OpenCV's CLAHE has 256 grey levels on 8-bit images (visible steps in
-a relief) and no usable clip limit on 16-bit ones (65,536 bins for 4,096 pixels), and it lets the black backdrop into
+a relief) and no usable clip limit on 16-bit ones (65,536 bins for 4,096 pixels), and it lets the black background into
 the histograms; so the equalisation is done here, with mappings that are continuous in the grey value.
 """
 

@@ -30,18 +30,18 @@ from splitknit.finger.regions import (
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
-# How much every pixel looks like skin rather than like the backdrop.
+# How much every pixel looks like skin rather than like the background.
 
 
 SAMPLES = 8000
-"""The backdrop is fitted to about so many pixels."""
+"""The background is fitted to about so many pixels."""
 
 
-def chromaticity(image: FloatArray) -> FloatArray:
+def _chromaticity(image: FloatArray) -> FloatArray:
     """Chromaticity of the modified specular-free image, (H, W, 3) in [0, 1].
 
     I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
-    the dichromatic model do, also settles the colour of the unlit backdrop: where there is next to no light the three
+    the dichromatic model do, also settles the colour of the unlit background: where there is next to no light the three
     channels of I_MSF are alike and noise does not turn into colour.
 
     References
@@ -54,8 +54,8 @@ def chromaticity(image: FloatArray) -> FloatArray:
     return np.asarray(msf / msf.sum(axis=2, keepdims=True), dtype=np.float32)
 
 
-def signals(image: FloatArray) -> list[FloatArray]:
-    """The two quantities that tell skin from a dark neutral backdrop: brightness, and the coloured part of the light.
+def _signals(image: FloatArray) -> list[FloatArray]:
+    """The two quantities that tell skin from a dark neutral background: brightness, and the coloured part of the light.
 
     The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
     """
@@ -66,7 +66,7 @@ def signals(image: FloatArray) -> list[FloatArray]:
     return [np.asarray(brightness, dtype=np.float32), np.asarray(coloured, dtype=np.float32)]
 
 
-def skin_evidence(
+def _skin_evidence(
     image: FloatArray,
     seed: BoolArray,
     margin: float,
@@ -76,10 +76,10 @@ def skin_evidence(
     local: bool = False,
     samples: int = SAMPLES,
 ) -> tuple[FloatArray, bool]:
-    """Evidence map: above one where a pixel rises from the backdrop by enough to be skin.
+    """Evidence map: above one where a pixel rises from the background by enough to be skin.
 
-    For each signal the backdrop is a quadratic surface fitted robustly outside `seed`, and the threshold is `share` of
-    the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
+    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is `share`
+    of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
     shadow on the finger stays finger.
 
     Parameters
@@ -88,13 +88,13 @@ def skin_evidence(
     seed : (H, W) surely finger
     margin : pixels around `seed` that belong to neither side
     share, noise_factor : see above
-    local : let the backdrop follow a shadow's edge beside the finger; only for a `seed` that is already complete
-    samples : pixels to which the backdrop is fitted
+    local : let the background follow a shadow's edge beside the finger; only for a `seed` that is already complete
+    samples : pixels to which the background is fitted
 
     Returns
     -------
     evidence : (H, W) float32
-    usable : whether any signal tells `seed` from the backdrop
+    usable : whether any signal tells `seed` from the background
     """
     outside = ~dilate(seed, margin)
     inside = erode(seed, 0.5 * margin)
@@ -103,7 +103,7 @@ def skin_evidence(
     usable = False
     if outside.sum() < 50:
         return seed.astype(np.float32) * np.float32(2.0), True
-    for signal in signals(image):
+    for signal in _signals(image):
         backdrop, noise = _fit_backdrop(signal, outside, samples)
         rise = signal - backdrop
         if local:
@@ -126,14 +126,14 @@ def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float
 
 
 def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: float) -> FloatArray:
-    """Mean of what the backdrop's fit leaves near every pixel; dust, which is bright, hardly counts."""
+    """Mean of what the background's fit leaves near every pixel; dust, which is bright, hardly counts."""
     weight = outside.astype(np.float32)
     cover = wide_blur(weight, sigma)
     offset = wide_blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
     return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
 
 
-def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
+def _rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     """Relative step of brightness or colour across the outline of `mask`: (inside - outside) / inside, the larger."""
     inside = mask & ~erode(mask, reach)
     near = dilate(mask, 0.3 * reach)
@@ -141,7 +141,7 @@ def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     if not outside.any() or not inside.any():
         return 0.0
     steps = []
-    for signal in signals(image):
+    for signal in _signals(image):
         within, without = float(np.median(signal[inside])), float(np.median(signal[outside]))
         steps.append((within - without) / within if within > 0.0 else 0.0)
     return max(steps)
@@ -150,7 +150,7 @@ def rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
 def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
     """Robust quadratic surface through `signal` outside the finger, and the noise about it.
 
-    What does not belong to the backdrop (a shadowed part of the finger that the seed missed, dust) is brighter, so
+    What does not belong to the background (a shadowed part of the finger that the seed missed, dust) is brighter, so
     the fit starts from the darker pixels, and the noise is measured on residuals below the surface.
     """
     height, width = signal.shape
@@ -177,7 +177,7 @@ def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple
 
 
 def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
-    """Residuals that belong to the backdrop, and the scatter of those below it.
+    """Residuals that belong to the background, and the scatter of those below it.
 
     The larger of a robust and a plain standard deviation: the latter counts a shadow's edge that the fit cannot follow.
     """
@@ -197,24 +197,24 @@ BLUR_MM = 0.25
 _FINE_BLUR_MM = 0.06
 """Gaussian blur (sigma) of the images on which the outline is found."""
 _EDGE_FRACTION = 0.12
-"""A pixel is finger if it rises from the backdrop by this fraction of the finger's median rise."""
+"""A pixel is finger if it rises from the background by this fraction of the finger's median rise."""
 _NOISE_FACTOR = 5.0
-"""A pixel is finger if it also rises by this many standard deviations of the backdrop's noise."""
+"""A pixel is finger if it also rises by this many standard deviations of the background's noise."""
 _SPUR_FRACTION = 0.4
-"""Parts narrower than this share of the finger's own width are cut off."""
+"""Parts narrower than this fraction of the finger's own width are cut off."""
 _SPECK_MM = 1.0
-"""Bumps of the outline narrower than twice this (dust on the backdrop beside the finger) are cut off."""
+"""Bumps of the outline narrower than twice this (dust on the background beside the finger) are cut off."""
 _EDGE_MARGIN_MM = 1.0
-"""Width of the zone along the outline that counts neither as finger nor as backdrop while either is measured."""
+"""Width of the zone along the outline that counts neither as finger nor as background while either is measured."""
 _MIN_WIDTH_MM = 4.0
 """A region nowhere as wide as this is no finger."""
 _MIN_STEP = 0.15
-"""A region across whose outline neither brightness nor colour changes by this share is no finger."""
+"""A region across whose outline neither brightness nor colour changes by this fraction is no finger."""
 
 
 @dataclass(frozen=True, slots=True)
 class MaskSettings(Checked):
-    """How the finger is told from the backdrop."""
+    """How the finger is separated from the background."""
 
     coarse_px_per_mm: Annotated[float, Limits(0, above=True)] = 10.0
     """Scale of the copy that is clustered."""
@@ -223,13 +223,13 @@ class MaskSettings(Checked):
 
 
 def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
-    """Find the finger on a dark backdrop.
+    """Find the finger on a dark background.
 
     Seed: k-means (k = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that
     separates better (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's
-    border: a finger enters through a part of one side, the backdrop surrounds it. Then the backdrop is fitted outside
-    the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut, the
-    largest component kept and its holes (glare) filled.
+    border: a finger enters through a part of one side, the background surrounds it. Then the background is fitted
+    outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut,
+    the largest component kept and its holes (glare) filled.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     image gives the same mask.
     """
     settings = settings or MaskSettings()
-    image = check_image(mean_image)
+    image = _check_image(mean_image)
     height, width = image.shape[:2]
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
@@ -265,32 +265,32 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse = blur(coarse, 0.5 * BLUR_MM * coarse_px)
 
     try:
-        mask = coarse_mask(coarse, coarse_px)
+        mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
         check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
         raise
-    result = fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
+    result = _fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
     check_borders(result)
     return result
 
 
-def coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) -> BoolArray:
+def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) -> BoolArray:
     """The finger on the coarse copy."""
     margin = _EDGE_MARGIN_MM * px_per_mm
     mask = _seed(image, BLUR_MM * px_per_mm)
     for _ in range(2):
-        evidence, usable = skin_evidence(image, mask, margin, _EDGE_FRACTION, _NOISE_FACTOR, samples=samples)
+        evidence, usable = _skin_evidence(image, mask, margin, _EDGE_FRACTION, _NOISE_FACTOR, samples=samples)
         require(usable, NO_FINGER)
         mask = _clean(evidence > 1.0, mask)
     require(2.0 * float(depth_inside(mask).max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
-    require(rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
+    require(_rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
     return mask
 
 
 def _bright_side(image: FloatArray) -> BoolArray:
     """Whatever is far brighter than the rest of the image (nothing, where no such split shows)."""
     brightness = image if image.ndim == 2 else image.sum(axis=2)
-    second, _ = two_means(brightness.reshape(-1, 1))
+    second, _ = _two_means(brightness.reshape(-1, 1))
     split = second.reshape(brightness.shape)
     levels = [float(brightness[part].mean()) if part.any() else 0.0 for part in (split, ~split)]
     bright = split if levels[0] > levels[1] else ~split
@@ -328,7 +328,7 @@ NO_FINGER = (
 )
 
 
-def check_image(mean_image: FloatArray) -> FloatArray:
+def _check_image(mean_image: FloatArray) -> FloatArray:
     """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
     image = np.asarray(mean_image)
     require(
@@ -353,11 +353,11 @@ def _seed(image: FloatArray, sigma: float) -> BoolArray:
     root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
     candidates = [blur(root, sigma)[..., None]]
     if image.ndim == 3:
-        candidates.append(blur(chromaticity(image), sigma))
+        candidates.append(blur(_chromaticity(image), sigma))
     best: BoolArray | None = None
     clearest = 0.0
     for features in candidates:
-        second, separation = two_means(features.reshape(-1, features.shape[2]))
+        second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
         region = remove_spurs(fill_holes(cluster), _SPUR_FRACTION)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
@@ -387,7 +387,7 @@ def _clean(candidate: BoolArray, seed: BoolArray) -> BoolArray:
     return fill_holes(cleaned)
 
 
-def fine_outline(
+def _fine_outline(
     fine: FloatArray,
     mask: BoolArray,
     size: tuple[int, int],
@@ -399,7 +399,7 @@ def fine_outline(
     guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
     smooth = blur(fine, _FINE_BLUR_MM * px_per_mm)
     margin = _EDGE_MARGIN_MM * px_per_mm
-    evidence, _ = skin_evidence(smooth, guess, margin, _EDGE_FRACTION, _NOISE_FACTOR, local=True, samples=samples)
+    evidence, _ = _skin_evidence(smooth, guess, margin, _EDGE_FRACTION, _NOISE_FACTOR, local=True, samples=samples)
     near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
     found = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
@@ -415,7 +415,7 @@ def fine_outline(
 # Two-class k-means that gives the same answer every time.
 
 
-def two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[BoolArray, float]:
+def _two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[BoolArray, float]:
     """Split feature vectors into two clusters (Lloyd's algorithm, deterministic start).
 
     The start is the split at the middle of the direction of greatest variance, so no random number is involved.
@@ -470,7 +470,7 @@ def _separation(values: NDArray[np.float64], second: NDArray[np.bool_]) -> float
 
 
 FEW_SAMPLES = 2000
-"""Pixels to which the backdrop is fitted where time counts."""
+"""Pixels to which the background is fitted where time counts."""
 
 
 def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
@@ -480,12 +480,12 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
     coarse copy (``coarse_px_per_mm``). :func:`finger_outline` makes it exact.
     """
     settings = settings or MaskSettings()
-    image = check_image(mean_image)
+    image = _check_image(mean_image)
     height, width = image.shape[:2]
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
-    mask = coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
+    mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
     check_borders(mask)
     full = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return np.asarray(full, dtype=np.bool_)
@@ -499,7 +499,7 @@ def finger_outline(
     Parameters
     ----------
     mean_image : (H, W, 3) or (H, W) float32
-        The finger and at least three times ``edge_margin_mm`` of backdrop around it, save where it leaves the image.
+        The finger and at least three times ``edge_margin_mm`` of background around it, save where it leaves the image.
     rough : (h, w) bool
         The finger on the same piece of the scene, at any scale.
     px_per_mm : float
@@ -514,12 +514,12 @@ def finger_outline(
     Raises
     ------
     BadInput
-        If nothing stands out from the backdrop there.
+        If nothing stands out from the background there.
     """
     settings = settings or MaskSettings()
-    image = check_image(mean_image)
+    image = _check_image(mean_image)
     height, width = image.shape[:2]
     require(bool(rough.any()), NO_FINGER)
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, scale)
-    return fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)
+    return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)

@@ -25,9 +25,9 @@ _BANDS_MM = (0.3, 0.15, 0.08)
 _BAND_RATIO = 3.2
 """Coarse end of each filter over its fine end."""
 _ITERATIONS = 6
-"""Most refinements in each band."""
+"""Maximum refinements in each band."""
 _SURROUND_MM = 0.7
-"""Width of the backdrop around the finger that is used, for the sake of its silhouette."""
+"""Width of the background around the finger that is used, for the sake of its silhouette."""
 WARN_MM = 0.05
 """Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
 MIN_RELIABILITY = 0.8
@@ -45,7 +45,7 @@ class MotionSettings(Checked):
     most_mm: Annotated[float, Limits(0, above=True)] = 0.8
     """More motion is refused: ridges may be taken for their neighbours."""
     most_left: Annotated[float, Limits(0, above=True)] = 0.35
-    """Share of the details that may be left over, where the shots do not fit together, before they are refused."""
+    """Fraction of the details that may be left over, where the shots do not fit together, before they are refused."""
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     """How the shots are brought onto one of them."""
 

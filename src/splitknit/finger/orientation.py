@@ -19,13 +19,13 @@ from splitknit.model import BoolArray, FloatArray
 _LONGEST_SIDE = 512
 """Longer side of the reduced mask, pixels."""
 _FULL_WIDTH = 0.85
-"""Rows at least this share as wide as the widest count as full width."""
+"""Rows at least this fraction as wide as the widest count as full width."""
 _TIP_EXCLUSION = 0.5
-"""Rows nearer to the tip than this share of the widest row are left out of the fit."""
+"""Rows nearer to the tip than this fraction of the widest row are left out of the fit."""
 _LIMIT_DEG = 75.0
 """Largest turn from the expected direction that is believed (captures promise 60 deg)."""
 _MARGIN_FRACTION = 0.02
-"""Margin around the finger in the upright frame, as a share of its longer side."""
+"""Margin around the finger in the upright frame, as a fraction of its longer side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

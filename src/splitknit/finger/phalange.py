@@ -26,11 +26,11 @@ _SMOOTHING_MM = 0.3
 _SIDE_MM = 1.6
 """A valley must be darker than the skin this far above and below it."""
 _MIN_DEPTH = 0.025
-"""Least relative darkening, averaged over the finger's width."""
+"""Minimum relative darkening, averaged over the finger's width."""
 _MIN_COVERAGE = 0.6
-"""Share of the finger's width along which the valley must be seen."""
+"""Fraction of the finger's width along which the valley must be seen."""
 _MIN_PROMINENCE = 2.5
-"""Least depth in units of what lines across this finger usually show (80th percentile of the profile)."""
+"""Minimum depth in units of what lines across this finger usually show (80th percentile of the profile)."""
 _MAX_TILT_DEG = 15.0
 """Creases may lean by this much against the finger's axis."""
 _RATIO_RANGE = (0.95, 2.4)
@@ -95,7 +95,7 @@ def find_crease(mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(grey, mask, upright, scale)
-    found = transverse_valleys(small, inside, px_per_mm * scale)
+    found = _transverse_valleys(small, inside, px_per_mm * scale)
     width_mm = upright.width_px / px_per_mm
     tip_row = upright.tip_row
     placed = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in found)
@@ -194,7 +194,7 @@ class Valley:
     depth: float
     """Relative darkening, averaged over the width."""
     coverage: float
-    """Share of the width along which it is seen."""
+    """Fraction of the width along which it is seen."""
     distance_mm: float = float("nan")
     """From the tip."""
 
@@ -210,7 +210,7 @@ class Valley:
         )
 
 
-def transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[Valley, ...]:
+def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[Valley, ...]:
     """All dark lines across an upright finger, from the tip down.
 
     A place of the blurred `image` (H, W) responds by how much darker it is than the skin `_SIDE_MM` above and below,
@@ -299,7 +299,7 @@ def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatA
 def _along_lines(
     response: FloatArray, core: BoolArray, inside: BoolArray, tilt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean response and share of responding columns for every line of one lean; zero where too little is known."""
+    """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
     height, width = response.shape
     centre = _middle(inside)
     x = np.arange(width, dtype=np.float32)

@@ -65,12 +65,12 @@ class SpeckSettings(Checked):
 
     _group = "quality.specks"
     most_dark: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.002
-    """Share of the finger that dark specks may cover."""
+    """Fraction of the finger that dark specks may cover."""
     most_bright: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.005
-    """Share of the finger that bright specks may cover."""
+    """Fraction of the finger that bright specks may cover."""
 
 
-def speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
+def _speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
     """Measure how much of the finger dark and bright specks cover.
 
     Parameters
@@ -113,14 +113,14 @@ def speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[
     half = max(1, len(images) // 2)
     lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
     core = np.repeat(np.repeat(core, _FINER, axis=0), _FINER, axis=1)
-    filled = short_marks_filled(lit, _DARK_MM * px * _FINER)
-    levelled = -short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
+    filled = _short_marks_filled(lit, _DARK_MM * px * _FINER)
+    levelled = -_short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
     dark = lit[core] < (1.0 - _DARKER) * filled[core]
     bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
     return float(dark.mean()), float(bright.mean())
 
 
-def short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
+def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
     """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
     closings = (cv2.morphologyEx(image, cv2.MORPH_CLOSE, line) for line in _lines(length_px))
     return np.asarray(np.minimum.reduce(list(closings)), dtype=np.float32)
@@ -154,11 +154,11 @@ def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray
 _SATURATION = 0.98
 """Values from here on are saturated, unless the caller says otherwise."""
 _MAX_SATURATED = 0.02
-"""Share of the finger that may be saturated in any image."""
+"""Fraction of the finger that may be saturated in any image."""
 _MIN_RIDGE_CONTRAST = 0.006
-"""Least relative contrast (standard deviation over mean) of the ridge band."""
+"""Minimum relative contrast (standard deviation over mean) of the ridge band."""
 _MAX_AMBIENT = 0.3
-"""Ambient light as a share of the median lit brightness."""
+"""Ambient light as a fraction of the median lit brightness."""
 _MIN_BRIGHTNESS = 0.02
 """Median brightness of the mean image (full scale is one)."""
 _LED_RANGE = (0.5, 2.0)
@@ -207,7 +207,7 @@ def capture_quality(
     dict
         Plain numbers, strings and lists (JSON): ``ridge_contrast`` (relative, mean of the images),
         ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and
-        ``bright_specks`` (shares of the finger; None where the stack is too coarse),
+        ``bright_specks`` (fractions of the finger; None where the stack is too coarse),
         ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
         ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
         median one; or None).
@@ -228,7 +228,7 @@ def capture_quality(
     ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
     saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
-    dark_specks, bright_specks = speck_shares(stack, mask, px_per_mm)
+    dark_specks, bright_specks = _speck_shares(stack, mask, px_per_mm)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")
@@ -355,7 +355,7 @@ def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> 
 
 
 _DARK_FRACTION = 0.03
-"""A light reaches a pixel if it is brighter than this share of the finger's median brightness."""
+"""A light reaches a pixel if it is brighter than this fraction of the finger's median brightness."""
 _MIN_LIGHTS = 3
 """Lights that must reach a pixel unsaturated; three determine a normal."""
 _PINHOLE_MM2 = 1.0

@@ -23,7 +23,7 @@ def reduce_image(image: NDArray[np.float32], scale: float) -> NDArray[np.float32
 
 
 def reduce_mask(mask: BoolArray, scale: float) -> FloatArray:
-    """Share of every reduced pixel that `mask` covers, float32 in [0, 1]."""
+    """Fraction of every reduced pixel that `mask` covers, float32 in [0, 1]."""
     if scale >= 1.0:
         return mask.astype(np.float32)
     size = (max(1, round(mask.shape[1] * scale)), max(1, round(mask.shape[0] * scale)))

@@ -51,7 +51,7 @@ BAND_RATIO = 3.2
 WORKING_PX_PER_MM = 12.5
 """Scale of the copies that are compared in the finest band."""
 SURROUND_MM = 0.7
-"""Width of the backdrop around the finger that is used, for the sake of its silhouette."""
+"""Width of the background around the finger that is used, for the sake of its silhouette."""
 RIM_MM = 0.8
 """Width of the finger's edge that is left out of the fine bands."""
 BLOCK_MM = 0.6
@@ -70,7 +70,7 @@ class RegistrationSettings(Checked):
     stiffness: Annotated[float, Limits(0)] = 1.0
     """Weight against elastic shifts, over that of what the images say of a control point on average."""
     iterations: Annotated[int, Limits(1)] = 20
-    """Most refinements in each band."""
+    """Maximum refinements in each band."""
 
     def __post_init__(self) -> None:
         check_fields(self)

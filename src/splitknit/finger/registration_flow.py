@@ -49,7 +49,7 @@ class Flow:
 
     def at(self, x_mm: Array, y_mm: Array) -> Array:
         """(L, 2, N) shifts at places (N,), right and down from the first pixel."""
-        return at_nodes(self.nodes_mm, x_mm - self.origin_mm[0], y_mm - self.origin_mm[1])
+        return _at_nodes(self.nodes_mm, x_mm - self.origin_mm[0], y_mm - self.origin_mm[1])
 
     def affine(self, shot: int, px_per_mm: float) -> Array | None:
         """(2, 3) matrix from columns and rows of the reference to those of a shot, if it only shifted and turned."""
@@ -64,7 +64,7 @@ class Flow:
         return np.column_stack([np.eye(2) + slopes, start * px_per_mm])
 
 
-def at_nodes(nodes: Array, x_mm: Array, y_mm: Array) -> Array:
+def _at_nodes(nodes: Array, x_mm: Array, y_mm: Array) -> Array:
     """(..., N) values on nodes (..., h, w), interpolated at places (N,)."""
     height, width = nodes.shape[-2:]
     column = np.clip(x_mm / NODE_MM, 0, width - 1.001)
@@ -112,7 +112,7 @@ class Family:
         if self.turns:
             parts.append((-(y - self.centre_mm[1]) / TURN_MM, (x - self.centre_mm[0]) / TURN_MM))
         if self.height_mm is not None:
-            high = at_nodes(self.height_mm, x, y) / TURN_MM
+            high = _at_nodes(self.height_mm, x, y) / TURN_MM
             parts += [(high, none), (none, high)]
         if self.hats_mm > 0:
             hats = self._hats(x, 0)[:, :, None] * self._hats(y, 2)[:, None, :]
@@ -143,11 +143,11 @@ def finger_family(
     left, right = columns[0] / px_per_mm, columns[-1] / px_per_mm
     top, bottom = rows[0] / px_per_mm, rows[-1] / px_per_mm
     centre = (0.5 * (left + right), 0.5 * (top + bottom))
-    height = rough_height(mask, px_per_mm) if tilts else None
+    height = _rough_height(mask, px_per_mm) if tilts else None
     return Family(centre, turns, height, hats_mm, (float(left), float(right), float(top), float(bottom)))
 
 
-def rough_height(mask: BoolArray, px_per_mm: float) -> Array:
+def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
     """(h, w) height in mm on the nodes of a body that is round across the finger under `mask`; mean zero."""
     shape = still(1, (mask.shape[0], mask.shape[1]), px_per_mm).nodes_mm.shape[2:]
     beyond = np.pad(mask.astype(np.uint8), ((0, 1), (0, 1)), mode="edge")  # the border is no edge of the finger
@@ -268,7 +268,7 @@ def gram(columns: FloatArray) -> Array:
     return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
 
 
-def at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float]) -> FloatArray:
+def _at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float]) -> FloatArray:
     """(..., N) values of fields (..., h, w) whose nodes lie evenly over an image of `extent_mm`, ends included."""
     height, width = field.shape[-2:]
     x, y = level.places()
@@ -295,7 +295,7 @@ def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: fl
     """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
     if lights.ndim == 2:
         return lights[..., None].astype(np.float32)
-    return at_samples(lights.astype(np.float32), level, ((shape[1] - 1) / px_per_mm, (shape[0] - 1) / px_per_mm))
+    return _at_samples(lights.astype(np.float32), level, ((shape[1] - 1) / px_per_mm, (shape[0] - 1) / px_per_mm))
 
 
 def shown_by_surfaces(lights: FloatArray) -> FloatArray:

@@ -42,7 +42,7 @@ class Entry:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "person", check_person(self.person))
-        check_finger(self.finger)
+        _check_finger(self.finger)
         check_session(self.session)
         require(self.images in ("", "thumbnail", "raw"), f"images are 'thumbnail' or 'raw', not '{self.images}'.")
 
@@ -98,7 +98,7 @@ def check_person(text: str) -> str:
     return name
 
 
-def check_finger(text: str) -> str:
+def _check_finger(text: str) -> str:
     """Return `text` if it can be a finger's name."""
     require(
         re.fullmatch(r"[a-z0-9_]{1,32}", text) is not None,

@@ -81,7 +81,7 @@ def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
         If it is none, another program's, of another version, damaged, or cannot be opened.
     """
     _look_at(path)
-    with told(path):
+    with _told(path):
         database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=rw", uri=True, timeout=wait_s, isolation_level=None)
         try:
             _prepare(database, path)
@@ -127,7 +127,7 @@ def _prepare(database: sqlite3.Connection, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def told(path: Path) -> Iterator[None]:
+def _told(path: Path) -> Iterator[None]:
     """Turn what SQLite says into one sentence."""
     try:
         yield
@@ -179,7 +179,7 @@ def read_record(database: sqlite3.Connection, table: str, column: str) -> bytes:
 @contextlib.contextmanager
 def transaction(database: sqlite3.Connection, path: Path, *, write: bool) -> Iterator[None]:
     """All or nothing; a writer waits for other writers first."""
-    with told(path):
+    with _told(path):
         database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
         try:
             yield

@@ -143,7 +143,7 @@ class Box(Protocol):
         """16 bytes for a row that is written in this change."""
 
 
-class PlainBox:
+class _PlainBox:
     """Nothing is hidden: a SHA-256 of content and place in front of the content."""
 
     overhead = DIGEST_BYTES
@@ -177,7 +177,7 @@ def _digest(content: bytes, context: bytes) -> bytes:
     return hashlib.sha256(len(context).to_bytes(4, "little") + context + content).digest()
 
 
-class SealedBox:
+class _SealedBox:
     """AES-256-GCM with a nonce of chance for every content, bound to its place."""
 
     overhead = _NONCE_BYTES + _SEAL_BYTES
@@ -236,7 +236,7 @@ def lock(key: Key | None, scrypt: ScryptSettings | None) -> dict[str, Any]:
         return {"box": "plain"}
     chosen = scrypt or ScryptSettings()
     salt = os.urandom(SALT_BYTES)
-    check = SealedBox(key, salt, chosen).seal(_CHECK, _check_context(VERSION))
+    check = _SealedBox(key, salt, chosen).seal(_CHECK, _check_context(VERSION))
     cost = {} if key.raw else {"log2_n": chosen.log2_n, "r": chosen.r, "p": chosen.p}
     return {
         "box": "aes-256-gcm",
@@ -265,7 +265,7 @@ def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VE
             f"a key was given, but the gallery '{path}' is not encrypted; leave the key out, or encrypt it with "
             "'splitknit gallery rekey'.",
         )
-        return PlainBox()
+        return _PlainBox()
     if key is None:
         raise BadInput(f"the gallery '{path}' is encrypted; give its key with --key-file or in SPLITKNIT_GALLERY_KEY.")
     try:
@@ -284,7 +284,7 @@ def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VE
         key.raw == raw,
         f"the key does not fit: that of the gallery '{path}' is {kinds[not raw]}, but {kinds[not key.raw]} was given.",
     )
-    box = SealedBox(key, salt, scrypt, version)
+    box = _SealedBox(key, salt, scrypt, version)
     with contextlib.suppress(Damaged):
         if box.open(check, _check_context(version)) == _CHECK:
             return box

@@ -1,4 +1,4 @@
-"""Linear light of all images of a band: ambient removed, exposures made equal, colours told apart."""
+"""Linear light of all images of a band: ambient removed, exposures made equal, colours separated."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
 
 
 def _share(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Share of the light that reaches the places (x, y), of any shape."""
+    """Fraction of the light that reaches the places (x, y), of any shape."""
     rows, columns = shade.share.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
@@ -143,7 +143,7 @@ def light_field(
     field : (L, 3, h, W) float32
         Direction towards the light times its relative irradiance.
     """
-    size = image_shape(rig, surface_mm, shape, x_mm, y_mm)
+    size = _image_shape(rig, surface_mm, shape, x_mm, y_mm)
     surface = surface_array(surface_mm, size)
     view = seen_from(rig.camera, size, x_mm, y_mm)
     for chunk in row_chunks(*size, len(rig.leds)):
@@ -151,7 +151,7 @@ def light_field(
         yield chunk, light_vectors_at(rig, *view.points(z, chunk))
 
 
-def image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
+def _image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
     """(H, W) as the surface, the caller, the axes or the camera say, in this order."""
     if np.ndim(surface_mm) == 2:
         rows, columns = np.shape(surface_mm)

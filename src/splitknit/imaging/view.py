@@ -138,7 +138,7 @@ def view_of(
     row = np.asarray(top + np.arange((bottom - top) // binning) * binning + middle, dtype=np.float64)
     column = np.asarray(left + np.arange((right - left) // binning) * binning + middle, dtype=np.float64)
     if camera.model == "orthographic":
-        return View(*pixel_axes_mm(camera, row, column))
+        return View(*_pixel_axes_mm(camera, row, column))
     some_rows, some_columns = (_lattice(axis) for axis in (row, column))
     grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
     points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
@@ -156,7 +156,7 @@ def _f32(values: Any) -> FloatArray:
     return np.asarray(values, dtype=np.float32)
 
 
-def pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
+def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
     """Return x of `columns` and y of `rows` (all by default), in mm on the finger plane, under parallel rays."""
     height, width = camera.image_size
     column = np.arange(width, dtype=np.float64) if columns is None else columns
@@ -184,7 +184,7 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
     """
     places = _pairs(pixels, "pixels")
     if camera.model == "orthographic":
-        return np.stack(pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
+        return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     assert camera.matrix is not None
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)

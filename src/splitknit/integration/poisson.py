@@ -51,7 +51,7 @@ from splitknit.settings import Checked, Limits
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 
 
-def difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Height of the right neighbour, and of the lower neighbour, less the pixel's own."""
     right, down = np.zeros_like(height), np.zeros_like(height)
     np.subtract(height[:, 1:], height[:, :-1], out=right[:, :-1])
@@ -59,15 +59,15 @@ def difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right, down
 
 
-def difference_adjoint(right: Floats, down: Floats) -> Floats:
-    """Adjoint of :func:`difference`: what flows into a pixel less what flows out of it."""
+def _difference_adjoint(right: Floats, down: Floats) -> Floats:
+    """Adjoint of :func:`_difference`: what flows into a pixel less what flows out of it."""
     result = -right - down
     result[:, 1:] += right[:, :-1]
     result[1:] += down[:-1]
     return result
 
 
-def edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Mean weight of an edge's two pixels, zero unless both lie in the mask."""
     own = mask.astype(np.float32) if weights is None else np.where(mask, weights, np.float32(0.0))
     right, down = np.zeros_like(own), np.zeros_like(own)
@@ -77,7 +77,7 @@ def edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArra
     return right, down
 
 
-def predicted_differences(
+def _predicted_differences(
     slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None, quadrature: str
 ) -> tuple[FloatArray, FloatArray]:
     """Integral of the slopes (y up) along every edge; what lies outside the mask is never used.
@@ -119,7 +119,7 @@ _COARSEST_SWEEPS = 48
 _LONG = 16
 """A coarsest grid with a longer side is solved directly, not by sweeps."""
 _WELDED = 0.02
-"""Share of coarse pixels that may join what is not joined inside them."""
+"""Fraction of coarse pixels that may join what is not joined inside them."""
 _DIRECT = 100_000
 """Unknowns that a direct solver is trusted with."""
 _GROUND = 1e-9
@@ -140,7 +140,7 @@ class Grid:
         self.inside = (degree > 0).astype(np.float32)
         self._target, self._term = np.empty_like(right), np.empty_like(right)
         self.coarser: Grid | None = None
-        self.direct: DirectSolver | None = None
+        self.direct: _DirectSolver | None = None
         self.share = self.inside  # replaced where there is a coarser grid
 
     def neighbours(self, height: Floats, out: Floats | None = None) -> Floats:
@@ -217,7 +217,7 @@ class Grid:
         return np.ascontiguousarray(spread[::2, ::2]) * self.coarser.inside
 
 
-class DirectSolver:
+class _DirectSolver:
     """Pseudo-inverse of one grid's Laplacian by sparse factorisation: every connected part keeps a zero mean."""
 
     def __init__(self, grid: Grid) -> None:
@@ -257,8 +257,8 @@ class DirectSolver:
         return np.asarray(values - mean[self.part])
 
 
-def build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
-    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`padded_size` says."""
+def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
+    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` says."""
     finest = Grid(right, down, unit)
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
@@ -275,12 +275,12 @@ def build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
         grid.coarser = coarse
         grid = coarse
     if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
-        grid.direct = DirectSolver(grid)
+        grid.direct = _DirectSolver(grid)
     return finest
 
 
 def _welded_share(grid: Grid) -> float:
-    """Share of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
+    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
     rows, columns = (side // 2 * 2 for side in grid.inside.shape)
     inside = grid.inside[:rows, :columns]
     members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]
@@ -291,7 +291,7 @@ def _welded_share(grid: Grid) -> float:
     return int(np.count_nonzero(edges < members - 1)) / max(int(np.count_nonzero(members)), 1)
 
 
-def padded_size(rows: int, columns: int) -> tuple[int, int]:
+def _padded_size(rows: int, columns: int) -> tuple[int, int]:
     """Smallest size not below the given one that halves until its smaller side is at most four."""
     halvings = 0
     while min(rows, columns) / 2**halvings > _COARSEST:
@@ -369,8 +369,8 @@ def poisson(
     slope_x, slope_y, inside = check_gradients(gradient_x, gradient_y, mask)
     trust = None if weights is None else _check_weights(weights, inside)
     if trust is None and bool(inside.all()):
-        right, down = predicted_differences(slope_x, slope_y, inside, None, chosen.quadrature)
-        return zero_mean(_solve_rectangle(difference_adjoint(right, down)), inside)
+        right, down = _predicted_differences(slope_x, slope_y, inside, None, chosen.quadrature)
+        return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
     window = _bounding_box(inside)
     height = _solve_masked(
         slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window], chosen
@@ -413,19 +413,19 @@ def _solve_masked(
     slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None, settings: PoissonSettings
 ) -> FloatArray:
     rows, columns = mask.shape
-    size = padded_size(rows, columns)
+    size = _padded_size(rows, columns)
     frame = ((0, size[0] - rows), (0, size[1] - columns))
     inside = np.pad(mask, frame)
     trust = None if weights is None else np.pad(weights, frame)
-    weight_right, weight_down = edge_weights(inside, trust)
-    target_right, target_down = predicted_differences(
+    weight_right, weight_down = _edge_weights(inside, trust)
+    target_right, target_down = _predicted_differences(
         np.pad(slope_x, frame), np.pad(slope_y, frame), inside, trust, settings.quadrature
     )
-    grid = build_grids(weight_right, weight_down, unit=weights is None)
-    height = grid.solve_nested(difference_adjoint(weight_right * target_right, weight_down * target_down))
+    grid = _build_grids(weight_right, weight_down, unit=weights is None)
+    height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
     # The residual of edges, not of heights: differences of neighbouring heights are exact in single precision.
-    step_right, step_down = difference(height)
-    residual = difference_adjoint(
+    step_right, step_down = _difference(height)
+    residual = _difference_adjoint(
         (weight_right * (target_right - step_right)).astype(np.float64),
         (weight_down * (target_down - step_down)).astype(np.float64),
     )

@@ -66,12 +66,12 @@ def parse_json(data: bytes, name: str) -> Any:
         raise BadInput(f"{name} is not valid JSON: {error}.") from error
 
 
-def shown(value: Any) -> str:
+def _shown(value: Any) -> str:
     """Return `value` short and printable."""
     if isinstance(value, dict):
         return f"an object of {len(value)}"
     if isinstance(value, list):
-        words = [shown(item) for item in value[:17]]
+        words = [_shown(item) for item in value[:17]]
         text = f"[{', '.join(words)}]"
         plain = not any(isinstance(item, (dict, list)) for item in value)
         return text if plain and len(words) <= 16 and len(text) <= 60 else f"a list of {len(value)}"
@@ -87,7 +87,7 @@ class Fields:
     def __init__(self, value: Any, name: str, where: str = "") -> None:  # noqa: D107 - the class says it
         self.name, self.where = name, where
         if not isinstance(value, dict):
-            raise BadInput(f"{name}: {where or 'the document'} must be an object, but it is {shown(value)}.")
+            raise BadInput(f"{name}: {where or 'the document'} must be an object, but it is {_shown(value)}.")
         self._value: dict[str, Any] = value
 
     def path(self, key: str) -> str:
@@ -96,7 +96,7 @@ class Fields:
 
     def refuse(self, key: str, expected: str) -> NoReturn:
         """Raise that field `key` is not `expected`."""
-        raise BadInput(f"{self.name}: {self.path(key)} must be {expected}, but it is {shown(self._value.get(key))}.")
+        raise BadInput(f"{self.name}: {self.path(key)} must be {expected}, but it is {_shown(self._value.get(key))}.")
 
     def has(self, key: str) -> bool:
         """Whether the field is there and not null."""
@@ -182,8 +182,8 @@ def inside(folder: Path, value: Any, file: str, field: str) -> Path:
     """
     what = f"{file}: {field}"
     if not isinstance(value, str) or not value.strip():
-        raise BadInput(f"{what} must be the name of a file, but it is {shown(value)}.")
-    leaves = f"{what} leaves the capture folder: {shown(value)}; name a file inside it."
+        raise BadInput(f"{what} must be the name of a file, but it is {_shown(value)}.")
+    leaves = f"{what} leaves the capture folder: {_shown(value)}; name a file inside it."
     parts = value.replace("\\", "/").split("/")
     require(not value.startswith(("/", "\\", "~")) and ":" not in parts[0], leaves)
     depth = 0
@@ -197,5 +197,5 @@ def inside(folder: Path, value: Any, file: str, field: str) -> Path:
     except BadInput:
         raise
     except (OSError, ValueError, RuntimeError) as error:
-        raise BadInput(f"{what} is not a usable file name: {shown(value)}.") from error
+        raise BadInput(f"{what} is not a usable file name: {_shown(value)}.") from error
     return path

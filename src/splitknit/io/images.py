@@ -41,7 +41,7 @@ class ImageSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class ImageInfo:
+class _ImageInfo:
     """What a file's header says about its image once decoded."""
 
     rows: int
@@ -85,11 +85,11 @@ def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS)
 
 def image_size(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> tuple[int, int]:
     """Rows and columns of an image file, without decoding it."""
-    info = image_info(read_bytes(path, settings.max_bytes), str(path), settings)
+    info = _image_info(read_bytes(path, settings.max_bytes), str(path), settings)
     return info.rows, info.columns
 
 
-def image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> ImageInfo:
+def _image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> _ImageInfo:
     """Read size, channels and type from the header in `data`; `name` is for messages.
 
     Raises
@@ -100,13 +100,13 @@ def image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> Im
     """
     if data.startswith(png.SIGNATURE[:4]):
         header = png.png_header(data, name)
-        info = ImageInfo(header.rows, header.columns, header.channels, header.dtype)
+        info = _ImageInfo(header.rows, header.columns, header.channels, header.dtype)
     elif data.startswith(_JPEG_SIGNATURE):
-        frame = jpeg_header(data, name)
-        info = ImageInfo(frame.rows, frame.columns, frame.channels, np.dtype(np.uint8))
+        frame = _jpeg_header(data, name)
+        info = _ImageInfo(frame.rows, frame.columns, frame.channels, np.dtype(np.uint8))
     elif data.startswith(tiff.SIGNATURES):
         page = tiff.tiff_header(data, name)
-        info = ImageInfo(page.rows, page.columns, page.channels, page.dtype.newbyteorder("="))
+        info = _ImageInfo(page.rows, page.columns, page.channels, page.dtype.newbyteorder("="))
     else:
         what = "is empty" if not data else "is not a PNG, TIFF or JPEG image"
         raise BadInput(f"{name} {what}; export it again as 8- or 16-bit PNG.")
@@ -121,11 +121,11 @@ def decode_image(
     data: bytes, name: str, out: PixelArray | None = None, settings: ImageSettings = DEFAULTS
 ) -> PixelArray:
     """Decode the bytes of an image file, into `out` (H, W, C) where given; see :func:`read_image`."""
-    image_info(data, name, settings)
+    _image_info(data, name, settings)
     if data.startswith(png.SIGNATURE):
         return png.decode_png(data, name, out)
     if data.startswith(_JPEG_SIGNATURE):
-        return decode_jpeg(data, name, out)
+        return _decode_jpeg(data, name, out)
     return tiff.decode_tiff(data, name, out)
 
 
@@ -158,7 +158,7 @@ class StackReader:
         expected_by : who says so, for the message
         """
         first = read_bytes(files[0], self._settings.max_bytes)
-        info = image_info(first, str(files[0]), self._settings)
+        info = _image_info(first, str(files[0]), self._settings)
         _check_size(info, size, str(files[0]), expected_by)
         self._bytes += len(files) * size[0] * size[1] * info.channels * info.dtype.itemsize
         require(
@@ -180,11 +180,11 @@ class StackReader:
         return hashes
 
     def _read(  # noqa: PLR0917 - the job of one thread
-        self, file: Path, data: bytes | None, like: ImageInfo, first: str, out: PixelArray, expected_by: str
+        self, file: Path, data: bytes | None, like: _ImageInfo, first: str, out: PixelArray, expected_by: str
     ) -> str:
         name = str(file)
         data = read_bytes(file, self._settings.max_bytes) if data is None else data
-        info = image_info(data, name, self._settings)
+        info = _image_info(data, name, self._settings)
         _check_size(info, (like.rows, like.columns), name, expected_by)
         require(
             info == like,
@@ -239,7 +239,7 @@ def _encode_png(array: NDArray[Any]) -> bytes:
     return data.tobytes()
 
 
-def _check_size(info: ImageInfo, size: tuple[int, int], name: str, expected_by: str) -> None:
+def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by: str) -> None:
     require(
         (info.rows, info.columns) == size,
         f"{name} has {info.rows} x {info.columns} pixels (rows x columns), but {size[0]} x {size[1]} are expected "
@@ -249,12 +249,9 @@ def _check_size(info: ImageInfo, size: tuple[int, int], name: str, expected_by: 
 
 # JPEG files: the structure is checked before the decoder sees them.
 #
-# JPEG has no checksums, so that a changed byte inside the image data cannot be told from a picture; what can be found
-# is
-# a
-# file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to the same
-# pixels as
-# OpenCV, whose decoder prints on stderr where a file is damaged.
+# JPEG has no checksums, so that a changed byte inside the image data cannot be distinguished from a picture; what can
+# be found is a file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to
+# the same pixels as OpenCV, whose decoder prints on stderr where a file is damaged.
 #
 # References
 # ----------
@@ -271,7 +268,7 @@ _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE,
 
 
 @dataclass(frozen=True, slots=True)
-class JpegHeader:
+class _JpegHeader:
     """The facts of the frame header."""
 
     rows: int
@@ -281,7 +278,7 @@ class JpegHeader:
     """Part of the pixels that the finest channel has; each of its blocks of 8 x 8 takes at least one bit."""
 
 
-def jpeg_header(data: bytes, name: str) -> JpegHeader:
+def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
     """Walk all segments of a JPEG file to its end marker and return the frame's size.
 
     Raises
@@ -291,7 +288,7 @@ def jpeg_header(data: bytes, name: str) -> JpegHeader:
         too large to be decoded, or to be in the file.
     """
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
-    frame: JpegHeader | None = None
+    frame: _JpegHeader | None = None
     position, scans = 2, 0
     while True:
         require(position + 2 <= len(data), truncated)
@@ -331,7 +328,7 @@ def jpeg_header(data: bytes, name: str) -> JpegHeader:
     return frame
 
 
-def decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
+def _decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """Decode a JPEG file to (H, W, C) uint8 in RGB order, C = 1 or 3, as stored: EXIF orientation is ignored.
 
     Raises
@@ -341,7 +338,7 @@ def decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelA
     """
     from PIL import JpegImagePlugin  # noqa: PLC0415 - slow to import
 
-    header = jpeg_header(data, name)
+    header = _jpeg_header(data, name)
     with refusing(f"{name} cannot be decoded; capture or export it again."):
         image = np.asarray(JpegImagePlugin.JpegImageFile(io.BytesIO(data)))
     shape = (header.rows, header.columns) if header.channels == 1 else (header.rows, header.columns, header.channels)
@@ -352,7 +349,7 @@ def decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelA
     return out
 
 
-def _frame(body: bytes, name: str) -> JpegHeader:
+def _frame(body: bytes, name: str) -> _JpegHeader:
     require(len(body) >= 6, f"{name} is damaged: its JPEG frame header is incomplete; copy it again.")
     rows, columns = int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big")
     require(body[0] == 8, f"{name} has {body[0]} bits a sample; a JPEG file must have 8.")
@@ -368,4 +365,4 @@ def _frame(body: bytes, name: str) -> JpegHeader:
         all(1 <= factor <= 4 for pair in sampling for factor in pair),
         f"{name} is damaged: its JPEG channels have an impossible sampling; copy it again.",
     )
-    return JpegHeader(rows, columns, body[5], max(x * y for x, y in sampling) / (across * down))
+    return _JpegHeader(rows, columns, body[5], max(x * y for x, y in sampling) / (across * down))

@@ -127,7 +127,7 @@ def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFac
         If there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
     """
     require(1 <= len(prints) <= MOST_PRINTS, f"a transaction takes 1 to {MOST_PRINTS} prints, not {len(prints)}.")
-    nistitl = itl_package()
+    nistitl = _itl_package()
     date = facts.date.strftime("%Y%m%d")
     message = nistitl.Message()
     first = message[0]
@@ -159,7 +159,7 @@ def write_transaction(
         stream.write(data)
 
 
-def itl_package() -> Any:
+def _itl_package() -> Any:
     """Import `nistitl`, or say how to get it."""
     try:
         import nistitl  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - an extra
@@ -222,7 +222,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
         8-bit grey or compressed otherwise than ``NONE``, ``WSQ20`` or ``PNG``.
     """
     _check_frame(data, name)
-    nistitl = itl_package()
+    nistitl = _itl_package()
     message = nistitl.Message()
     with refusing(f"{name} is a damaged ANSI/NIST-ITL transaction; copy it again."):
         message.parse(data)

@@ -154,8 +154,8 @@ def _package_folder() -> Path:
 
 # The structure of a WSQ file, checked before its decoder sees it.
 #
-# WSQ has no checksums: a changed byte inside the image data cannot be told from a picture. What can be found is a file
-# that ends early, has a damaged header, or claims more pixels than any print has.
+# WSQ has no checksums: a changed byte inside the image data cannot be distinguished from a picture. What can be found
+# is a file that ends early, has a damaged header, or claims more pixels than any print has.
 #
 # References
 # ----------

@@ -23,7 +23,7 @@ Affine = NDArray[np.float64]
 
 
 _MIN_OVERLAP = 0.6
-"""Share of a patch that must be valid on both sides."""
+"""Fraction of a patch that must be valid on both sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Agreement:
     shift: NDArray[np.float64]
     """(N, 2) columns and rows by which A's content must still move."""
     weight: FloatArray
-    """(N,) valid share of both."""
+    """(N,) valid fraction of both."""
 
     @property
     def mean(self) -> float:

@@ -163,7 +163,7 @@ _CLOSED_MM, _OPENED_MM = 1.0, 0.6
 """Radii: valleys and small gaps belong to the print, thin lines beside it do not."""
 
 
-def edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
+def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     """Distance of every pixel to the print's outline.
 
     Parameters
@@ -185,7 +185,7 @@ def edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     return np.asarray(pixels * np.float32(25.4 / PPI), dtype=np.float32)
 
 
-def inside_by(minutiae: Minutiae, distance_mm: FloatArray, least_mm: float) -> Minutiae:
+def _inside_by(minutiae: Minutiae, distance_mm: FloatArray, least_mm: float) -> Minutiae:
     """The minutiae whose pixel has a `distance_mm` (H, W) of at least `least_mm`."""
     return minutiae.taken(distance_mm[minutiae.y_px, minutiae.x_px] >= least_mm)
 
@@ -260,7 +260,7 @@ def extract(
         (image.shape[0], image.shape[1]),
     )
     least = edge_mm if edge_mm is not None else (0.0 if enhance else EDGE_MM)
-    return inside_by(every, edge_distance(image), least) if least > 0 else every
+    return _inside_by(every, _edge_distance(image), least) if least > 0 else every
 
 
 def minutiae_match(a: Minutiae, b: Minutiae) -> float:

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 _LENGTH_MM = 0.25
-"""Largest difference of the lengths of two pairs that are alike."""
+"""Largest difference of the lengths of two pairs that are similar."""
 _ANGLE_DEG = 15.0
 """Largest difference of their angles."""
 
@@ -120,12 +120,12 @@ def minutiae3d_match(
     if sides is None:
         return Minutiae3DMatch(0.0, 0, compared=False)
     left, right = sides
-    found = best_agreement(left, right, alike_pairs(left, right), left.settings.agreement)
+    found = best_agreement(left, right, _alike_pairs(left, right), left.settings.agreement)
     count = len(found.a)
     return Minutiae3DMatch(share_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
 
 
-def alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
+def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
     """Correspondences (K, 2) of pairs that look alike."""
     i, j = close_points(a.tree, b.tree)
     return a.pairs[i], b.pairs[j]
@@ -134,7 +134,7 @@ def alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, In
 # Comparison of minutiae in space after Lin and Kumar: tetrahedra of neighbouring minutiae, matched level by level.
 #
 # A tetrahedron is a minutia and three of its nearest. Level 1 compares six sorted edges of all tetrahedra, which is
-# cheap and hardly misses: sorted lists of edges that are alike one by one stay alike. Level 2 finds which corner is
+# cheap and hardly misses: sorted lists of edges that are similar one by one stay alike. Level 2 finds which corner is
 # which, and compares edges and the angles between each corner's direction and the edges from it. Level 3 lets what is
 # left vote for corresponding minutiae; the tetrahedra whose corners have the most votes align the fingers. Level 4
 # counts minutiae that agree. Nothing of the first two levels depends on how the finger lies.
@@ -152,7 +152,7 @@ class TetrahedraSettings(Checked):
     neighbours: Annotated[int, Limits(3, 12)] = 5
     """Nearest minutiae; any three of them make a tetrahedron with the minutia."""
     edge_mm: Annotated[float, Limits(0, 5, above=True)] = 0.35
-    """Largest difference of two edges that are alike."""
+    """Largest difference of two edges that are similar."""
     angle_deg: Annotated[float, Limits(0, 90, above=True)] = 25.0
     """Largest difference of the angles between directions and edges."""
     agreement: AgreementSettings = field(default_factory=AgreementSettings)
@@ -167,7 +167,7 @@ class TetrahedraMatch:
     agreeing: int
     """Minutiae that agree one to one."""
     tetrahedra: int
-    """Pairs of tetrahedra that are alike in edges and angles."""
+    """Pairs of tetrahedra that are similar in edges and angles."""
     compared: bool
     """False where one side has fewer than ten minutiae."""
 
@@ -180,7 +180,7 @@ class PreparedTetrahedra(Framed):
 
     @cached_property
     def corners(self) -> Index:
-        """(T, 4) minutiae of each tetrahedron, its apex first; none with an edge below what is told apart."""
+        """(T, 4) minutiae of each tetrahedron, its apex first; none with an edge below what is separated."""
         places = self.places[0]
         near, apart2 = nearest(places, self.settings.neighbours)
         triples = np.array(list(combinations(range(near.shape[1]), 3)), dtype=np.intp)
@@ -253,7 +253,7 @@ def tetrahedra_match(
     if sides is None:
         return TetrahedraMatch(0.0, 0, 0, compared=False)
     left, right = sides
-    corners = alike_tetrahedra(left, right)
+    corners = _alike_tetrahedra(left, right)
     total = len(corners[0])
     found = best_agreement(left, right, corners, left.settings.agreement)
     count = len(found.a)
@@ -261,8 +261,8 @@ def tetrahedra_match(
     return TetrahedraMatch(score, count, total, compared=True)
 
 
-def alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
-    """Corners (K, 4) of both sides' tetrahedra that are alike, each corner beside the one that it corresponds to.
+def _alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
+    """Corners (K, 4) of both sides' tetrahedra that are similar, each corner beside the one that it corresponds to.
 
     Where several orders of the corners are alike the one with the least difference of angles is taken.
     """

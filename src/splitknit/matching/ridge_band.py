@@ -37,7 +37,7 @@ class RidgeBandSettings(Checked):
     window_mm: Annotated[float, Limits(0, above=True)] = 0.6
     """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
     floor: Annotated[float, Limits(0, 1)] = 0.3
-    """Contrast below this share of the finger's median is not raised further; half of it is no ridge at all."""
+    """Contrast below this fraction of the finger's median is not raised further; half of it is no ridge at all."""
     coherence: Annotated[float, Limits(0, 1, below=True)] = 0.2
     """Skin whose ridges agree less on a direction (0 none, 1 parallel) is left out."""
     slant_deg: Annotated[float, Limits(0, 85, above=True, below=True)] = 60.0
@@ -136,8 +136,8 @@ def ridge_band(  # noqa: PLR0917
     weight = blur(mask.astype(np.float32), sigma)
     known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
     smooth = blur(known, sigma) / np.maximum(weight, np.float32(1e-3))
-    value = sample(smooth, columns, rows)
-    inside = (sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
+    value = _sample(smooth, columns, rows)
+    inside = (_sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
     return even(value, inside, settings)
 
 
@@ -160,7 +160,7 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     if typical <= 0.0:
         return RidgeBand(empty, np.zeros(value.shape, dtype=np.bool_), empty, empty, pitch)
     flat = ridges / np.maximum(spread, np.float32(settings.floor * typical))
-    orientation, coherence = ridge_direction(flat, window)
+    orientation, coherence = _ridge_direction(flat, window)
     valid = inside & (spread > 0.5 * settings.floor * typical) & (coherence >= settings.coherence)
     # specks and threads of valid skin at the edge say nothing
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -199,7 +199,7 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBand
     return ridge_band(ink, finger, pitch, settings=settings)
 
 
-def ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+def _ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     """Direction across the ridges (counter-clockwise from x, y up) and its coherence, by the structure tensor.
 
     References
@@ -245,8 +245,8 @@ def band_places(  # noqa: PLR0917
     limit = np.float32(np.tan(np.deg2rad(settings.slant_deg)))
     x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
     there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
-    known = sample(inside.astype(np.float32), *there) > 0.5
-    right, up = (sample(blur(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there) for s in slopes)
+    known = _sample(inside.astype(np.float32), *there) > 0.5
+    right, up = (_sample(blur(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there) for s in slopes)
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
     along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
     slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
@@ -260,7 +260,7 @@ def band_places(  # noqa: PLR0917
     first, last = float(arc[:, 0].min()), float(arc[:, -1].max())
     wanted = np.arange(np.floor(first), np.ceil(last) + 1.0)
     source = np.stack([np.interp(wanted, line, column, left=-1e6, right=-1e6) for line in arc])
-    slant_cos = sample(
+    slant_cos = _sample(
         slant_cos,
         (source / step).astype(np.float32),
         np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape),
@@ -268,7 +268,7 @@ def band_places(  # noqa: PLR0917
     return (*_to_input(source, row, transform), slant_cos)
 
 
-def sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
+def _sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
     """Bilinear values of `image` at places; zero beyond its border."""
     result = cv2.remap(
         np.ascontiguousarray(image, dtype=np.float32),

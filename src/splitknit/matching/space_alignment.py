@@ -96,7 +96,7 @@ class Framed:
         return float(self.minutiae.count), round(float((places**2).sum()), 3), pack_space_minutiae(self.minutiae)
 
 
-def rigid_motion(a: Array, b: Array) -> tuple[Array, Array]:
+def _rigid_motion(a: Array, b: Array) -> tuple[Array, Array]:
     """Rotation (3, 3) and shift (3,) that take points `a` (n, 3) best to points `b` (n, 3).
 
     References
@@ -117,7 +117,7 @@ def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: A
     """
     none = np.zeros(0, dtype=np.intp)
     best = Agreement(none, none, np.eye(3), np.zeros(3))
-    for chosen in voted(a, b, pairs):
+    for chosen in _voted(a, b, pairs):
         found = _moved(a, b, pairs[0][chosen].ravel(), pairs[1][chosen].ravel(), settings)
         for _ in range(_ROUNDS):
             if len(found.a) < 3:
@@ -131,7 +131,7 @@ def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: A
     return best
 
 
-def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
+def _voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
     """Correspondences that propose like motions, the largest such groups first.
 
     Each proposes a turn in the finger's plane, and a shift; they are counted in overlapping cells.
@@ -167,7 +167,7 @@ def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
     return groups
 
 
-def agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: AgreementSettings) -> Agreement:
+def _agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: AgreementSettings) -> Agreement:
     """Minutiae that agree after a motion, paired one to one, the nearest first."""
     there, ahead = a.places[0] @ rotation.T + shift_mm, a.places[1] @ rotation.T
     apart = there[:, None] - b.places[0][None]
@@ -181,11 +181,11 @@ def agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: A
     i, j, turned, risen = i[alike], j[alike], turned[alike], risen[alike]
     cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / _HEIGHT_MM) ** 2
     cost += (turned / np.deg2rad(_THETA_DEG)) ** 2 + (risen / np.deg2rad(_PHI_DEG)) ** 2
-    chosen = one_to_one(i, j, cost)
+    chosen = _one_to_one(i, j, cost)
     return Agreement(i[chosen], j[chosen], rotation, shift_mm)
 
 
-def one_to_one(i: Index, j: Index, cost: Array) -> Index:
+def _one_to_one(i: Index, j: Index, cost: Array) -> Index:
     """Which of the pairs (i, j) are kept if each side is used once, the cheapest first."""
     kept, seen_i, seen_j = [], set(), set()
     for k in np.argsort(cost, kind="stable").tolist():
@@ -246,8 +246,8 @@ def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
 
 def _moved(a: Framed, b: Framed, left: Index, right: Index, settings: AgreementSettings) -> Agreement:
     """What agrees after the motion that takes minutiae `left` best to `right`."""
-    rotation, shift = rigid_motion(_armed(a, left), _armed(b, right))
-    return agreeing(a, b, rotation, shift, settings)
+    rotation, shift = _rigid_motion(_armed(a, left), _armed(b, right))
+    return _agreeing(a, b, rotation, shift, settings)
 
 
 def _plane_motions(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Array, Array]:

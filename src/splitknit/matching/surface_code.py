@@ -119,7 +119,7 @@ def make_surface_code(
     return SurfaceCode(code, known, CODE_PITCH_MM)
 
 
-def packed_planes(code: NDArray[np.uint8], mask: BoolArray) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+def _packed_planes(code: NDArray[np.uint8], mask: BoolArray) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """Bits of codes (..., H, W) as words: planes (4, ..., H, words), and the mask (..., H, words)."""
     width = -(-code.shape[-1] // 64) * 64
     gap = [(0, 0)] * (code.ndim - 1) + [(0, width - code.shape[-1])]
@@ -184,7 +184,7 @@ Words = NDArray[np.uint64]
 _CANDIDATES = 2
 """Turns and shifts of the first level that are counted exactly."""
 _MIN_OVERLAP = 0.4
-"""Share of the smaller finger that must overlap."""
+"""Fraction of the smaller finger that must overlap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +215,7 @@ class SurfaceMatch:
     similarity: float
     """1 - the distance; 0 where nothing was compared."""
     distance: float
-    """Share of unequal bits where both fingers have codes, at the best shift and turn."""
+    """Fraction of unequal bits where both fingers have codes, at the best shift and turn."""
     overlap_mm2: float
     """Skin compared."""
     rotation_deg: float
@@ -280,7 +280,7 @@ class PreparedSurface:
     def packed(self, turn_deg: float) -> tuple[Words, Words]:
         """Packed planes and mask at the full grid."""
         if turn_deg not in self._kept:
-            self._kept[turn_deg] = packed_planes(*self.turned(turn_deg, self.surface_code.pitch_mm))
+            self._kept[turn_deg] = _packed_planes(*self.turned(turn_deg, self.surface_code.pitch_mm))
         planes, mask = self._kept[turn_deg]
         return planes, mask
 
@@ -366,7 +366,7 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
 def _counted(
     a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], least_mm2: float
 ) -> SurfaceMatch:
-    """Least distance around a candidate: turns within a step, shifts within a coarse place."""
+    """Minimum distance around a candidate: turns within a step, shifts within a coarse place."""
     settings, pitch = a.settings, a.surface_code.pitch_mm
     step = settings.turn_step_deg
     turns = [start[0] + step * k / 4 for k in (-2, -1, 0, 1, 2)]
@@ -380,7 +380,7 @@ def _counted(
     for d in range(-near, near + 1):
         # b, moved so that its places lie on those of a; with spare rows, among which a window slides
         at = (margin[0] - rows + near, margin[1] - columns - d)
-        other, other_mask = packed_planes(*_placed(code, mask, at, (grid[0] + 2 * near, grid[1])))
+        other, other_mask = _packed_planes(*_placed(code, mask, at, (grid[0] + 2 * near, grid[1])))
         for e in range(2 * near + 1):
             window = slice(e, e + grid[0])
             common = masks & other_mask[window]

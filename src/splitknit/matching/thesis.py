@@ -64,7 +64,7 @@ def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
     """
     require(bool(database.any()) and bool(query.any()), "a mask is empty: not one pixel belongs to the finger.")
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)
-    start = tip_column(database) - tip_column(query)
+    start = _tip_column(database) - _tip_column(query)
     small_database, small_query = _reduced(database, factor), _reduced(query, factor)
     reach = max(database.shape[1], query.shape[1]) // (4 * factor) + 1
     middle = round(start / factor)
@@ -77,7 +77,7 @@ def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
     return MaskAlignment(best, intersection_over_union(database, query, best))
 
 
-def tip_column(mask: BoolArray) -> int:
+def _tip_column(mask: BoolArray) -> int:
     """Middle of the first row of a mask that has any pixel."""
     row = int(np.argmax(mask.any(axis=1)))
     return int(np.flatnonzero(mask[row]).mean())
@@ -352,7 +352,7 @@ class DatabaseFinger:
 
 def database_finger(images: FingerImages, settings: ThesisSettings) -> DatabaseFinger:
     """Keep of a finger what comparisons with it need."""
-    return DatabaseFinger(features_of(images, settings), images.mask, images.px_per_mm)
+    return DatabaseFinger(_features_of(images, settings), images.mask, images.px_per_mm)
 
 
 def match_database(database: DatabaseFinger, query: FingerImages, settings: ThesisSettings) -> ThesisMatch:
@@ -378,7 +378,7 @@ def match_database(database: DatabaseFinger, query: FingerImages, settings: Thes
     needed = [name for attribute in settings.attributes for name in ATTRIBUTES[attribute]]
     require(all(name in query.channels for name in needed), "the query lacks a channel.")
     channels = {name: to_box(query.channels[name], box) for name in needed}
-    found = features_of(FingerImages(channels, database.mask, database.px_per_mm), settings)
+    found = _features_of(FingerImages(channels, database.mask, database.px_per_mm), settings)
     distances = {name: float(np.linalg.norm(database.features[name] - found[name])) for name in needed}
     scores = {
         attribute: dissimilarity(laid.ratio, [distances[name] for name in ATTRIBUTES[attribute]])
@@ -388,17 +388,17 @@ def match_database(database: DatabaseFinger, query: FingerImages, settings: Thes
     return ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
 
 
-def features_of(images: FingerImages, settings: ThesisSettings) -> dict[str, NDArray[np.float32]]:
+def _features_of(images: FingerImages, settings: ThesisSettings) -> dict[str, NDArray[np.float32]]:
     """What ``finger_features`` gives."""
     if settings.feature != "lbp" or settings.lbp.interpolation != "linear":
         return finger_features(images, settings)
     needed = [name for attribute in settings.attributes for name in ATTRIBUTES[attribute]]
     missing = [name for name in needed if name not in images.channels]
     require(not missing, f"a finger has no channel '{missing[0] if missing else ''}'.")
-    return {name: quick_lbp_features(images.channels[name], images.px_per_mm, settings.lbp) for name in needed}
+    return {name: _quick_lbp_features(images.channels[name], images.px_per_mm, settings.lbp) for name in needed}
 
 
-def quick_lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings) -> NDArray[np.float32]:
+def _quick_lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings) -> NDArray[np.float32]:
     """Feature vector of a finite channel (H, W), as ``lbp_features`` with linear interpolation gives it."""
     cell = settings.cell(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell

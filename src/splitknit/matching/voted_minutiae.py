@@ -30,7 +30,7 @@ class VoteSettings(Checked):
 
     _group = "voted"
     least_share: Annotated[float, Limits(0, 1, above=True)] = 0.5
-    """Share of the pictures in which a minutia must be found to be kept."""
+    """Fraction of the pictures in which a minutia must be found to be kept."""
 
 
 def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> Minutiae:
@@ -48,7 +48,7 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
     Returns
     -------
     Minutiae
-        By column and row; the quality is the share of the pictures that show it, 0 to 100. The order of the pictures
+        By column and row; the quality is the fraction of the pictures that show it, 0 to 100. The order of the pictures
         changes nothing.
 
     Raises

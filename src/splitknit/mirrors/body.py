@@ -110,13 +110,13 @@ class Sections:
         """X and Z where a line of that normal touches, and the normal's second part after the shear."""
         turned = normal_z + self.shear * normal_t
         steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
-        angle = oval_angle(steepness, self.squareness)
+        angle = _oval_angle(steepness, self.squareness)
         sine, cosine = np.sin(angle), np.cos(angle)
         rise = cosine * (1.0 + self.squareness * sine * sine)
         return np.copysign(sine, normal_t), np.copysign(rise, turned), turned
 
 
-def oval_angle(steepness: Array, squareness: float) -> Array:
+def _oval_angle(steepness: Array, squareness: float) -> Array:
     """w at which the oval X = sin w, Z = cos w (1 + k sin^2 w) has its normal `steepness` away from Z, radians."""
     return np.asarray(np.interp(steepness, *_oval_table(squareness)))
 
@@ -168,7 +168,7 @@ class Table:
     """(S, NODES) over -pi/2 to pi/2."""
 
 
-def table_of(body: Body) -> Table:
+def _table_of(body: Body) -> Table:
     """Table the side of `body` that faces the camera."""
     s = np.linspace(0.0, 1.0, _DENSE_STATIONS)
     s[0] = 1e-3
@@ -202,7 +202,7 @@ def heights_on(
     plane_x, plane_y = view.on_plane()
     shape = np.broadcast_shapes(plane_x.shape, plane_y.shape)
     plane_x, plane_y = np.broadcast_to(plane_x, shape), np.broadcast_to(plane_y, shape)
-    table = table_of(body)
+    table = _table_of(body)
     if view.apex_mm is None:
         z, inside, known = _looked_up(body, table, plane_x, plane_y)
         return np.asarray(plane_x), np.asarray(plane_y), z, inside, known
@@ -373,7 +373,7 @@ def all_planes(state: State, front: Touching, mirrors: Mapping[str, SeenIn], nam
     return [front, *(state.poses[name].of(mirrors[name]).reflect(mirrors[name].touching) for name in names)]
 
 
-def stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array]:
+def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array]:
     """Where along the body each plane touches it: u (n,), and the planes' normals and points in the finger's frame."""
     normal = body.to_frame(planes.normal, place=False)
     point = body.to_frame(planes.point, place=True)
@@ -395,7 +395,7 @@ def stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Ar
 def misfit_of(state: State, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array, Array, Array]:
     """How far (n,) the body reaches beyond each plane; where it touches, the normals, derivatives by a and b."""
     body = state.body
-    u, normal, point = stations(body, planes, from_tip=from_tip)
+    u, normal, point = _stations(body, planes, from_tip=from_tip)
     support, by_a, by_b = body.sections(u).support(normal[:, 0], normal[:, 2])
     offset = (normal * point).sum(axis=1)
     residual = support + normal[:, 1] * u - offset
@@ -413,7 +413,7 @@ def all_misfits(state: State, front: Touching, mirrors: Mapping[str, SeenIn], na
 
 def touched(body: Body, planes: Touching) -> Array:
     """(n, 3) points of the body, rig's frame, at which planes of a view beside it touch."""
-    u, normal, _ = stations(body, planes, from_tip=False)
+    u, normal, _ = _stations(body, planes, from_tip=False)
     t, z = body.sections(u).contact(normal[:, 0], normal[:, 2])
     level = body.origin_mm + np.outer(t, body.across) + np.outer(u, body.axis)
     return np.column_stack([level, z])

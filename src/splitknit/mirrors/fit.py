@@ -52,7 +52,7 @@ TIP_SD_MM = 0.05
 """Standard deviation of the tip's place as the front view's outline has it."""
 
 
-def add_priors(  # noqa: PLR0917
+def _add_priors(  # noqa: PLR0917
     normal: Array,
     right: Array,
     state: State,
@@ -97,7 +97,7 @@ def add_priors(  # noqa: PLR0917
         right[4 * count + k] += away / spread**2
 
 
-def add_slopes(  # noqa: PLR0917
+def _add_slopes(  # noqa: PLR0917
     normal: Array,
     right: Array,
     state: State,
@@ -121,7 +121,7 @@ def add_slopes(  # noqa: PLR0917
     good &= np.isfinite(jacobian).all(axis=1)
     if int(good.sum()) < 20:
         return
-    weight = tukey(residual[good], 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
+    weight = _tukey(residual[good], 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
     weight *= INDEPENDENT_SLOPES / max(int(good.sum()), 1)
     part = jacobian[good]
     where = 4 * count + np.asarray(chosen)
@@ -129,20 +129,20 @@ def add_slopes(  # noqa: PLR0917
     right[where] -= part.T @ (weight * residual[good])
 
 
-def robust_weights(residual: Array, ends: Array, sigma: float, *, sure: bool) -> Array:
+def _robust_weights(residual: Array, ends: Array, sigma: float, *, sure: bool) -> Array:
     """Weights of the outlines' points, each view with its own scale; milder ones before the fit is `sure`."""
     parts = []
     for part in np.split(residual, ends):
         size = np.abs(part)
         scale = max(sigma, 1.4826 * float(np.median(size)))
         if sure:
-            parts.append(tukey(part, 4.685 * scale))
+            parts.append(_tukey(part, 4.685 * scale))
         else:  # Huber
             parts.append(np.where(size >= 5.0, 0.0, np.minimum(1.0, 1.345 * scale / np.maximum(size, 1e-9))))
     return np.concatenate(parts)
 
 
-def tukey(residual: Array, limit: float) -> Array:
+def _tukey(residual: Array, limit: float) -> Array:
     """Tukey's biweight: one at zero, nothing from `limit` on."""
     return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
 
@@ -157,7 +157,7 @@ _END_SETTLED = 2e-4
 """A correction (mm, rad) below this is the last one."""
 
 
-def fitted_ends(
+def _fitted_ends(
     state: State,
     mirrors: Mapping[str, SeenIn],
     ends: list[str],
@@ -169,13 +169,13 @@ def fitted_ends(
     expected = {"squareness": state.body.squareness, "shear": state.body.shear}
 
     def misfit(state: State) -> Array:
-        return np.concatenate([misfit_of_end(state, mirrors, name) for name in ends])
+        return np.concatenate([_misfit_of_end(state, mirrors, name) for name in ends])
 
     for turn in range(8):
         residual = misfit(state)
         jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
         scale = max(OUTLINE_MM, 1.4826 * float(np.median(np.abs(residual))))
-        weight = tukey(residual, 4.685 * scale) if turn > _END_SURE else (np.abs(residual) < 5.0).astype(np.float64)
+        weight = _tukey(residual, 4.685 * scale) if turn > _END_SURE else (np.abs(residual) < 5.0).astype(np.float64)
         weight = weight * (TIP_TRUST * 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
@@ -194,7 +194,7 @@ def fitted_ends(
     return state
 
 
-def misfit_of_end(state: State, mirrors: Mapping[str, SeenIn], name: str) -> Array:
+def _misfit_of_end(state: State, mirrors: Mapping[str, SeenIn], name: str) -> Array:
     """Misfit of a mirror beyond the tip."""
     planes = state.poses[name].of(mirrors[name]).reflect(mirrors[name].touching)
     return misfit_of(state, planes, from_tip=True)[0]
@@ -245,20 +245,20 @@ def fit_body(  # noqa: PLR0917
         by_global = np.column_stack(
             [_change(state, name, size, front, mirrors, names, residual) for name, size in globals_]
         )
-        weight = robust_weights(residual, ends, OUTLINE_MM, sure=turn >= sure_from)
+        weight = _robust_weights(residual, ends, OUTLINE_MM, sure=turn >= sure_from)
         weight *= min(1.0, 2.0 * ROW_MM / COMMON_MM) / OUTLINE_MM**2
         jacobian = np.column_stack([spline, by_global])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
-        add_priors(normal, right, state, globals_, mirrors, body.tip_mm, settings, count)
+        _add_priors(normal, right, state, globals_, mirrors, body.tip_mm, settings, count)
         if slopes is not None:
-            add_slopes(normal, right, state, globals_, slopes, count)
+            _add_slopes(normal, right, state, globals_, slopes, count)
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
         state = state.stepped(np.asarray(step, dtype=np.float64), globals_, count)
         if turn > sure_from and float(np.abs(step[: 4 * count]).max()) < SETTLED:
             break
     residual = all_misfits(state, front, mirrors, names)
-    weight = robust_weights(residual, ends, OUTLINE_MM, sure=True)
+    weight = _robust_weights(residual, ends, OUTLINE_MM, sure=True)
     split = dict(zip(("front", *names), np.split(residual, ends), strict=True))
     weights = dict(zip(("front", *names), np.split(weight, ends), strict=True))
     return Fit(state.body, state.poses, split, weights)
@@ -283,15 +283,15 @@ def _with_ends(  # noqa: PLR0917
     ends = sorted(name for name in mirrors if name not in beside)
     places = [(f"{kind} {name}", 1e-4) for name in ends for kind in ("turn_rad", "lean_rad", "shift_mm")]
     form = ["squareness"] * (settings.section == "oval") + ["shear"]
-    state = fitted_ends(state, mirrors, ends, [*((name, 1e-4) for name in form), *places], settings)
+    state = _fitted_ends(state, mirrors, ends, [*((name, 1e-4) for name in form), *places], settings)
     again = replace(settings, squareness=state.body.squareness, squareness_spread=1e-3)
     poses = {name: state.poses[name] for name in beside}
     last = fit_body(state.body, front, beside, poses, again, None, state.body.shear, sure_from=0)
-    state = fitted_ends(State(last.body, {**state.poses, **last.poses}), mirrors, ends, places, settings)
+    state = _fitted_ends(State(last.body, {**state.poses, **last.poses}), mirrors, ends, places, settings)
     misfit, weights = dict(last.misfit_mm), dict(last.weights)
     for name in ends:
-        misfit[name] = misfit_of_end(state, mirrors, name)
-        weights[name] = robust_weights(misfit[name], np.zeros(0, dtype=np.intp), OUTLINE_MM, sure=True)
+        misfit[name] = _misfit_of_end(state, mirrors, name)
+        weights[name] = _robust_weights(misfit[name], np.zeros(0, dtype=np.intp), OUTLINE_MM, sure=True)
     return Fit(state.body, state.poses, misfit, weights)
 
 

@@ -145,7 +145,7 @@ class Ellipses:
         return np.asarray(x), np.asarray(y), z
 
 
-def ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> Ellipses:
+def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> Ellipses:
     """Align the views as the thesis does, and pair their rows.
 
     Both medial lines are turned to one direction, both tips put into one row, and each row's half-widths become the
@@ -308,7 +308,7 @@ def _by_thesis(
         "the middle, so that the mirror shows all of its pad.",
     )
     outward = 1.0 if side == "right" else -1.0
-    model = ellipses(front, lateral, outward)
+    model = _ellipses(front, lateral, outward)
     facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}
     return MirrorShape(camera, model, facts, {"front": (front,), name: (lateral,)})
 

@@ -23,7 +23,7 @@ class MirrorShapeSettings(Checked):
 
     _group = "shape.mirror"
     method: Literal["outlines", "thesis"] = "outlines"
-    """``outlines`` (ours), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
+    """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
     section: Literal["oval", "ellipse"] = "oval"
     """``oval``: ellipses with a flatter pad, as flat as is found; or ``ellipse``."""
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16

@@ -142,11 +142,11 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
     require(workers >= 1, f"workers must be at least 1, but it is {workers}.")
     count, channels, height, width = stack.shape
     stride = network.card.stride
-    rows, columns = padded_index(height, stride), padded_index(width, stride)
-    tiles = plan_tiles((rows.size, columns.size), tile, reach=network.card.reach, stride=stride)
+    rows, columns = _padded_index(height, stride), _padded_index(width, stride)
+    tiles = _plan_tiles((rows.size, columns.size), tile, reach=network.card.reach, stride=stride)
     result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
 
-    def one(job: tuple[int, Tile]) -> None:
+    def one(job: tuple[int, _Tile]) -> None:
         k, part = job
         piece = stack[k][:, rows[part.source[0]]][:, :, columns[part.source[1]]]
         if channels != network.card.channels_in:
@@ -216,7 +216,7 @@ def _first_line(error: BaseException) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Tile:
+class _Tile:
     """One piece of work, in pixels of the padded image."""
 
     source: tuple[slice, slice]
@@ -227,7 +227,7 @@ class Tile:
     """Where these go."""
 
 
-def padded_index(length: int, stride: int) -> NDArray[np.intp]:
+def _padded_index(length: int, stride: int) -> NDArray[np.intp]:
     """Index of every row (or column) of an image that reflection lengthens to the next multiple of `stride`.
 
     Raises
@@ -239,7 +239,7 @@ def padded_index(length: int, stride: int) -> NDArray[np.intp]:
     return np.pad(np.arange(length, dtype=np.intp), (0, -length % stride), mode="reflect")
 
 
-def plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[Tile]:
+def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:
     """Cut a padded image into tiles of nearly one size, whose sides are at most `tile` without their margins.
 
     Parameters
@@ -257,7 +257,7 @@ def plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) ->
     require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
     rows, columns = (_spans(length, tile, reach, stride) for length in shape)
     return [
-        Tile(source=(r[0], c[0]), inner=(r[1], c[1]), target=(r[2], c[2]))
+        _Tile(source=(r[0], c[0]), inner=(r[1], c[1]), target=(r[2], c[2]))
         for r in rows
         for c in columns
     ]  # fmt: skip

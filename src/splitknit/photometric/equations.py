@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.model import FloatArray
 
 RIDGE = np.float32(1e-6)
-"""Least pivot of M relative to its trace."""
+"""Minimum pivot of M relative to its trace."""
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 

@@ -32,7 +32,7 @@ class SkinFit:
 
     share: FloatArray
     """W of the epidermis: scattering over scattering and absorption, in (0, 1). Thickness, scattering and absorption
-    themselves cannot be told apart: the images depend on W and on the optical depth alone."""
+    themselves cannot be separated: the images depend on W and on the optical depth alone."""
     depth: FloatArray
     """Optical depth of the epidermis: its thickness times scattering and absorption."""
     misfit: FloatArray

@@ -94,7 +94,7 @@ def levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSetti
     cost = known.cost.copy()
     damping = np.full(pixels.size, _DAMPING, dtype=start.dtype)
     for turn in range(1, settings.iterations + 1):
-        trial = problem.moved(here, -solved(known.moments, known.gradient, damping))
+        trial = problem.moved(here, -_solved(known.moments, known.gradient, damping))
         new = problem.equations(trial)
         better = new.cost < known.cost
         moved = np.abs(trial - here).max(axis=0)
@@ -121,7 +121,7 @@ def levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSetti
     return Minimum(best, cost, count, done)
 
 
-def solved(moments: Array, gradient: Array, damping: Array) -> Array:
+def _solved(moments: Array, gradient: Array, damping: Array) -> Array:
     """(M + damping diag M)^-1 g for every column, by elimination without pivoting (M is positive definite)."""
     size = gradient.shape[0]
     matrix: dict[tuple[int, int], Array] = {}
@@ -170,7 +170,7 @@ class HanrahanKruegerSettings(Checked):
     layers: SkinLayers = field(default_factory=SkinLayers)
     """What all pixels have in common."""
     base_reflectance: Annotated[float, Limits(0.01, 1)] = 0.45
-    """Share of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
+    """Fraction of the light that the skin's matt base gives back, taken for the median pixel: it sets the images' scale
     against the layers' single scattering, which the exposure leaves unknown."""
     noise: Annotated[float, Limits(1e-4, 100)] = 0.02
     """Standard deviation of an image, relative to the albedo: how much a residual counts against the two spreads."""

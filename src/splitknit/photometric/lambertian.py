@@ -91,7 +91,7 @@ def store(  # noqa: PLR0917
 
 
 LEAST_REST = 1e-3
-"""Least share of a light's own direction that the other lights still determine; 1 minus its leverage."""
+"""Minimum fraction of a light's own direction that the other lights still determine; 1 minus its leverage."""
 
 
 def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatArray, FloatArray]]:

@@ -58,7 +58,7 @@ def strengths(lights: FloatArray) -> FloatArray:
     return np.asarray(length[:, None] if lights.ndim == 2 else length)
 
 
-def lit_weights(
+def _lit_weights(
     images: FloatArray, lights: FloatArray, shadow: float
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
@@ -85,7 +85,7 @@ def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings)
 
     `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel.
     """
-    weights, shadowed, weak = lit_weights(images, lights, _SHADOW)
+    weights, shadowed, weak = _lit_weights(images, lights, _SHADOW)
     if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
         g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
         if shadowed.size:

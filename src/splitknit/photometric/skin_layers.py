@@ -42,7 +42,7 @@ class SkinLayers:
     epidermis_thickness_mm: float = 0.08
     """See scattering; theirs is 0.001 to 0.15 mm."""
     dermis_scattering_per_mm: float = 21.7
-    """Only its share of scattering and absorption counts: the dermis has no end."""
+    """Only its fraction of scattering and absorption counts: the dermis has no end."""
     dermis_absorption_per_mm: float = 0.3
     """See scattering."""
 
@@ -86,14 +86,14 @@ class SkinLayers:
         return self.dermis_scattering_per_mm / (self.dermis_scattering_per_mm + self.dermis_absorption_per_mm)
 
 
-def refracted(cosine: Array, index: float) -> tuple[Array, Array]:
+def _refracted(cosine: Array, index: float) -> tuple[Array, Array]:
     """Cosine inside of a ray with `cosine` outside, and its derivative (Snell)."""
     inside = np.sqrt(1.0 - (1.0 - cosine * cosine) / index**2)
     return inside, cosine / (index**2 * inside)
 
 
-def transmitted(cosine: Array, inside: Array, index: float) -> tuple[Array, Array]:
-    """Share of unpolarised light that passes the surface, T, and dT / d cosine (Fresnel)."""
+def _transmitted(cosine: Array, inside: Array, index: float) -> tuple[Array, Array]:
+    """Fraction of unpolarised light that passes the surface, T, and dT / d cosine (Fresnel)."""
     across, along = cosine + index * inside, index * cosine + inside
     across2, along2 = 1.0 / (across * across), 1.0 / (along * along)
     share = (2.0 * index) * cosine * inside * (across2 + along2)
@@ -103,7 +103,7 @@ def transmitted(cosine: Array, inside: Array, index: float) -> tuple[Array, Arra
     return share, change
 
 
-def scattered(cosine: Array, asymmetry: float) -> tuple[Array, Array]:
+def _scattered(cosine: Array, asymmetry: float) -> tuple[Array, Array]:
     """Phase function back towards the viewer per steradian, and its derivative.
 
     `cosine` is that between the rays *towards* light and viewer: the light turns by the angle whose cosine is minus it.
@@ -159,16 +159,16 @@ def reflected(  # noqa: PLR0917 - the model's own variables
     index = layers.refractive_index
     lit = to_light > 0
     mu = np.where(lit, to_light, np.ones((), dtype=to_light.dtype))
-    inside, inside_by = refracted(mu, index)
-    outside, outside_by = refracted(to_view, index)
-    enters, enters_by = transmitted(mu, inside, index)
+    inside, inside_by = _refracted(mu, index)
+    outside, outside_by = _refracted(to_view, index)
+    enters, enters_by = _transmitted(mu, inside, index)
     facing = (4.0 * index / (1.0 + index) ** 2) ** 2
-    leaves, leaves_by = transmitted(to_view, outside, index)
+    leaves, leaves_by = _transmitted(to_view, outside, index)
     leaves, leaves_by = leaves / facing, leaves_by / facing
 
     turn = (between - mu * to_view) / index**2 + inside * outside
-    upper, upper_by = scattered(turn, layers.epidermis_asymmetry)
-    lower, lower_by = scattered(turn, layers.dermis_asymmetry)
+    upper, upper_by = _scattered(turn, layers.epidermis_asymmetry)
+    lower, lower_by = _scattered(turn, layers.dermis_asymmetry)
     lower, lower_by = lower * layers.dermis_share, lower_by * layers.dermis_share
     passed = np.exp(-depth * (1.0 / inside + 1.0 / outside))
     spread = 1.0 / (inside + outside)

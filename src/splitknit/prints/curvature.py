@@ -38,7 +38,7 @@ class CurvatureSettings(Checked):
     degree: Literal[2, 3] = 2
     """2 (quadratic) or 3 (cubic)."""
     least_share: Annotated[float, Limits(0.3, 1)] = 0.75
-    """Share of the window that must lie on the finger; elsewhere nothing is known."""
+    """Fraction of the window that must lie on the finger; elsewhere nothing is known."""
 
     def side(self, px_per_mm: float) -> int:
         """Odd number of pixels of the window at this scale."""

@@ -60,7 +60,7 @@ def _catmull_rom_slope(t: Array) -> list[Array]:
     ]  # fmt: skip
 
 
-def cubic(values: Array, places: Array, slopes: bool = False) -> tuple[Array, Array]:
+def _cubic(values: Array, places: Array, slopes: bool = False) -> tuple[Array, Array]:
     """Values (N, 2) of a grid (n, m, 2) at `places` (N, 2; column, row), and their slopes (N, 2, 2); NaN outside."""
     n, m = values.shape[:2]
     result = np.full((len(places), 2), np.nan)
@@ -87,13 +87,13 @@ def cubic(values: Array, places: Array, slopes: bool = False) -> tuple[Array, Ar
     return result, slope
 
 
-def inverted(values: Array, targets: Array, start: Array, rounds: int = 8) -> Array:
+def _inverted(values: Array, targets: Array, start: Array, rounds: int = 8) -> Array:
     """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN where none is."""
     places = start.copy()
     error = np.full(len(targets), np.inf)
     live = np.flatnonzero(np.isfinite(places).all(axis=1))
     for _ in range(rounds):
-        here, slope = cubic(values, places[live], slopes=True)
+        here, slope = _cubic(values, places[live], slopes=True)
         miss = targets[live] - here
         error[live] = np.abs(miss).max(axis=1)
         keep = error[live] > 1e-5  # NaN is dropped too
@@ -105,7 +105,7 @@ def inverted(values: Array, targets: Array, start: Array, rounds: int = 8) -> Ar
         right = (miss[:, 0] * slope[:, 1, 1] - miss[:, 1] * slope[:, 0, 1]) / determinant
         down = (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
         places[live] += np.clip(np.stack([right, down], axis=1), -1.5, 1.5)
-    here, _ = cubic(values, places)
+    here, _ = _cubic(values, places)
     with np.errstate(invalid="ignore"):
         good = np.abs(here - targets).max(axis=1) < 1e-3
     places[~good] = np.nan
@@ -143,7 +143,7 @@ class PrintMap:
     def print_from_input(self, points: Array) -> Array:
         """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
         nodes = _moved(_inverse(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
-        return cubic(self.print_of_grid, nodes)[0]
+        return _cubic(self.print_of_grid, nodes)[0]
 
     def input_from_print(self, points: Array) -> Array:
         """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows nothing."""
@@ -155,7 +155,7 @@ class PrintMap:
         start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(np.float64)
         start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
         nodes[there] = _moved(_inverse(self.input_from_grid), start)
-        return _moved(self.input_from_grid, inverted(self.print_of_grid, points, nodes))
+        return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
 
     def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
         """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
@@ -254,7 +254,7 @@ def _dense_inverse(
     distance, nearest = cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
     gaps = _gaps(print_of_grid)[near]
     start = np.where((distance < gaps[nearest])[:, None], places[nearest], np.nan)
-    nodes = inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)
+    nodes = _inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)
     found = np.isfinite(nodes).all(axis=2)
     filled = extrapolated(nodes, 3)
     holes = ~np.isfinite(filled).all(axis=2)
@@ -332,7 +332,7 @@ def resample(
     -------
     values : (h, w) float32
     weight : (h, w) float32
-        Share of the pixel that lies on the finger, 0 to 1.
+        Fraction of the pixel that lies on the finger, 0 to 1.
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm

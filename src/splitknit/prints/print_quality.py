@@ -17,8 +17,8 @@ from splitknit.prints.ridges import MM_PER_INCH
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
 # Everything is measured on the values that are inked (the relief in micrometres, or light), not on the print's grey
-# values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its share of all
-# that varies around it, and its second harmonic, which tells how sharp the ridges' edges are.
+# values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
+# all that varies around it, and its second harmonic, which tells how sharp the ridges' edges are.
 
 
 _SIGMA_PERIODS = 0.75
@@ -34,13 +34,13 @@ class QualityFigures:
     """What was measured; ``docs/prints.md`` has ranges."""
 
     ridge_share: float
-    """0 to 1: share of the finger's area on the print that has ridges, pure and high enough."""
+    """0 to 1: fraction of the finger's area on the print that has ridges, pure and high enough."""
     ridge_height_um: float | None
     """um, 0 or more: median height of ridges above their valleys, wherever waves were found; None where not in um."""
     coherence: float
     """0 to 1: median agreement of the directions, wherever waves were found."""
     plausible_share: float
-    """0 to 1: share of the ridges whose period is near the median."""
+    """0 to 1: fraction of the ridges whose period is near the median."""
     period_mm: float
     """mm: median ridge period."""
     sharpness: float
@@ -73,9 +73,9 @@ def quality_figures(
     ----------
     values, weight, found, ppi : as in :func:`splitknit.prints.print_quality.print_quality`
     least_purity : float
-        Share of what varies around a place that one wave must explain.
+        Fraction of what varies around a place that one wave must explain.
     least_height_um : float, optional
-        Least height of ridges above their valleys; None where `values` are not in um.
+        Minimum height of ridges above their valleys; None where `values` are not in um.
     period_tolerance : float
         How far a period may lie from the median, relative.
 
@@ -126,7 +126,7 @@ def quality_figures(
 def _waves(
     values: FloatArray, weight: FloatArray, looked: RidgeField, px: float
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
-    """Waves at the nodes (n, m), their second harmonics, and the share of the variance that a wave explains."""
+    """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
     around = np.maximum(_blur(inside, _SMOOTH_MM * px), np.float32(1e-3))
     centred = np.where(inside > 0, values, np.float32(0.0)).astype(np.float32)
@@ -163,7 +163,7 @@ def _length(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
 
 
 def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
-    """Share of the closed area of the ridges (cells) that has none."""
+    """Fraction of the closed area of the ridges (cells) that has none."""
     if not bool(strong.any()):
         return 1.0
     reach = max(1, round(_CLOSE_MM / cell_mm))
@@ -213,7 +213,7 @@ class Part:
 
 
 _MIN_PURITY = 0.3
-"""Share of what varies around a place that one wave must explain, or there are no ridges."""
+"""Fraction of what varies around a place that one wave must explain, or there are no ridges."""
 _MIN_HEIGHT_UM = 10.0
 """Ridges that rise less above their valleys count as none (prints of the relief)."""
 _PERIOD_TOLERANCE = 0.35
@@ -225,13 +225,13 @@ class PrintQualitySettings:
     """What counts as ridges, and how the figures make the score."""
 
     ridge_share: Part = field(default_factory=lambda: Part(0.2, 1.0, 0.3))
-    """Share of the finger's area on the print that has ridges."""
+    """Fraction of the finger's area on the print that has ridges."""
     ridge_height_um: Part = field(default_factory=lambda: Part(5.0, 50.0, 0.3))
     """Height of the ridges above their valleys in um (prints of the relief)."""
     coherence: Part = field(default_factory=lambda: Part(0.5, 1.0, 0.15))
     """How much ridges agree in their direction, 0 to 1."""
     plausible_share: Part = field(default_factory=lambda: Part(0.5, 1.0, 0.15))
-    """Share of the ridges whose period is plausible."""
+    """Fraction of the ridges whose period is plausible."""
     sharpness: Part = field(default_factory=lambda: Part(0.02, 0.11, 0.15))
     """Second harmonic of the ridges over the first."""
     ridge_area_mm2: Part = field(default_factory=lambda: Part(20.0, 300.0, 0.15))
@@ -278,7 +278,7 @@ def print_quality(
     values : (h, w) float32
         What is inked: the relief in um, or anything else that is high on ridges (`in_um` false: no heights then).
     weight : (h, w) float32
-        Share of the pixel that lies on the finger, 0 to 1; the tip is at row 0.
+        Fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0.
     found : RidgeField
         Of the print.
     ppi : float

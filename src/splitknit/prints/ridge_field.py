@@ -32,7 +32,7 @@ _SHORTEST_MM = 0.25
 _LONGEST_MM = 0.9
 """Longest ridge period that is believed."""
 _MIN_STRENGTH = 0.2
-"""Contrast below this share of the print's strong parts is background."""
+"""Contrast below this fraction of the print's strong parts is background."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

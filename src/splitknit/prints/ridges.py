@@ -23,7 +23,7 @@ _PAPER = 255.0
 
 
 CONTRAST_FLOOR = 0.3
-"""Contrast below this share of the finger's median is not raised further, so flat skin stays flat."""
+"""Contrast below this fraction of the finger's median is not raised further, so flat skin stays flat."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +166,9 @@ def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDAr
 
 
 _EMPTY, _FULL = 0.1, 0.3
-"""Local contrast, as a share of the finger's median, below which skin is paper and above which it is all ink."""
+"""Local contrast, as a fraction of the finger's median, below which skin is paper and above which it is all ink."""
 _NARROW = 0.4
-"""The window of that contrast, as a share of the other: blank skin at the outline is paper up to the last ridge."""
+"""The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to the last ridge."""
 
 
 def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None = None) -> NDArray[np.uint8]:
@@ -182,7 +182,7 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     values : (h, w) float32
         Such as the relief; any unit.
     weight : (h, w) float32
-        Share of the pixel that lies on the finger, 0 to 1.
+        Fraction of the pixel that lies on the finger, 0 to 1.
     settings : PrintSettings, optional
 
     Returns

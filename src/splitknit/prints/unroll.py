@@ -124,7 +124,7 @@ _ENDS = ((1, 2), (2, 0), (0, 1))
 """Edge k of a triangle lies opposite corner k."""
 
 
-def arc_lengths(grid: SurfaceGrid) -> Array:
+def _arc_lengths(grid: SurfaceGrid) -> Array:
     """Return (n, m, 2) u to the right and v to the tip, mm along the skin; NaN where nothing is known.
 
     u is the length of a cross-section (a row of nodes) from the central line, v the length of the central line. The
@@ -173,7 +173,7 @@ def _lengths(points: Array, known: NDArray[np.bool_], axis: int) -> Array:
     return np.moveaxis(result, 1, axis)
 
 
-def relaxed(
+def _relaxed(
     grid: SurfaceGrid, start: Array, iterations: int, centre_weight: float, tolerance_mm: float = 2e-4
 ) -> Array:
     """As-rigid-as-possible flattening of the sheet of nodes, from `start` (n, m, 2).
@@ -298,7 +298,7 @@ def _turned_back(flat: Array, start: Array, inside: NDArray[np.bool_]) -> Array:
 # images (parametric: the cylinder). The tube is the same with one circle a cross-section.
 
 
-def on_cylinder(grid: SurfaceGrid) -> Array:
+def _on_cylinder(grid: SurfaceGrid) -> Array:
     """Lay the skin on the best-fit circular cylinder and roll that out: (n, m, 2) u to the right, v to the tip, mm.
 
     Five parameters: where the axis passes (x, z), its two slopes over y, and the radius; least squares of the distances
@@ -333,7 +333,7 @@ def _from_axis(points: Array, p: Array) -> tuple[Array, Array, Array]:
     return np.hypot(x, z), np.arctan2(x, z), rest @ axis
 
 
-def on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
+def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
     """Lay each cross-section on its own circle: (n, m, 2) u to the right, v to the tip, mm.
 
     A circle is fitted to every row of nodes (least squares of x^2 + z^2 = a x + b z + c), and middles and radii are
@@ -428,13 +428,13 @@ def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolle
     """
     settings = settings or UnrollSettings()
     if settings.kind == "cylinder":
-        flat = on_cylinder(grid)
+        flat = _on_cylinder(grid)
     elif settings.kind == "tube":
-        flat = on_tube(grid, _SMOOTH_MM)
+        flat = _on_tube(grid, _SMOOTH_MM)
     else:
-        flat = arc_lengths(grid)
+        flat = _arc_lengths(grid)
         if settings.kind == "free":
-            flat = relaxed(grid, flat, settings.iterations, settings.centre_weight)
+            flat = _relaxed(grid, flat, settings.iterations, settings.centre_weight)
     # what the map does not reach is not known
     reached = np.isfinite(flat).all(axis=2)
     grid = replace(grid, inside=grid.inside & reached)

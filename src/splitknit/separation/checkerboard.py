@@ -63,7 +63,7 @@ def checkerboard(
     ----------
     stack : (N, H, W) or (N, H, W, C), two images at least
         Linear light, black level removed. All patterns have the same `alpha`.
-    alpha : share of the source that is lit, in (0, 1]
+    alpha : fraction of the source that is lit, in (0, 1]
     dark : brightness of the unlit part relative to the lit one, in [0, 1)
         Zero where an image of the "black" source was subtracted.
     patterns : (N, H, W) in [0, 1], optional

@@ -77,7 +77,7 @@ def direct_light(
     -------
     Array of the shape of `images`, float32
         Direct light in the images' units, between zero and the image. For enhanced images it is what enhancement makes
-        of the image times the direct share of its light.
+        of the image times the direct fraction of its light.
 
     Raises
     ------
@@ -119,10 +119,10 @@ def direct_of_enhanced(
     tile: int = TILE,
     workers: int = 2,
 ) -> FloatArray:
-    """Direct part of enhanced grey images, by the direct share of the colour images they were made of.
+    """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
 
     A grey image has lost the colours that tell how much of skin's light is direct. Here the network is given the
-    colours, and the enhanced image is multiplied by the share of direct light that it finds; the thesis gives the
+    colours, and the enhanced image is multiplied by the fraction of direct light that it finds; the thesis gives the
     network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
 
     Parameters

@@ -39,17 +39,18 @@ def occluder(
     the share `alpha` of the light through takes the rest of the global light with it in *every* image:
     direct = greatest - least, global = least / alpha.
 
-    Minimum and maximum over noisy images are biased outwards. Two remedies: `shadow_percent`, the share of the images
-    in which every pixel is surely in full shadow; the median of that many darkest images is its shadow, and the median
-    of the upper half its light (robust against a passing fly, less biased, not unbiased). Or `patterns`, known or from
-    :func:`splitknit.separation.patterns.estimate_patterns`: the means over a pixel's lit and shadowed images, unbiased.
+    Minimum and maximum over noisy images are biased outwards. Two remedies: `shadow_percent`, the fraction of the
+    images in which every pixel is surely in full shadow; the median of that many darkest images is its shadow, and the
+    median of the upper half its light (robust against a passing fly, less biased, not unbiased). Or `patterns`, known
+    or from :func:`splitknit.separation.states.estimate_patterns`: the means over a pixel's lit and shadowed images,
+    unbiased.
 
     Parameters
     ----------
     sequence : (N, H, W) or (N, H, W, C), or an iterable of images; two at least
         Linear light, black level removed, lamp and camera fixed.
     kind : ``line`` or ``mesh``
-    alpha : share of the light that passes, in (0, 1]; 1 for a line, to be given for a mesh
+    alpha : fraction of the light that passes, in (0, 1]; 1 for a line, to be given for a mesh
     shadow_percent : 0 (plain extremes) to 50
     patterns : (N, H, W) in [0, 1], optional
         1 where a pixel is lit, 0 where it lies in the shadow; between them it is left out.

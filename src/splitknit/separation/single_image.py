@@ -46,7 +46,7 @@ def single_image(
         Linear light, black level removed.
     block : side of a block in pixels; at least twice the check
     check_px : side of a check in the image, pixels; needed without `pattern`
-    alpha, dark : as for :func:`splitknit.separation.patterns.checkerboard`
+    alpha, dark : as for :func:`splitknit.separation.checkerboard.checkerboard`
     pattern : (H, W) in [0, 1], optional
         State of the pattern at each pixel.
     settings : StackSettings

@@ -1,6 +1,6 @@
 """Stacks of one scene under changing patterns: what comes in is checked here, what comes out is named here.
 
-All methods of :mod:`splitknit.separation.patterns` share one model. A pixel whose surface point the pattern lights with
+All methods of :mod:`splitknit.separation` share one model. A pixel whose surface point the pattern lights with
 brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light follows the pattern, global
 light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
 checks. With a share `alpha` of the source lit, k = alpha + dark (1 - alpha).
@@ -130,7 +130,7 @@ def light_stack(
 
 def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings, name: str) -> None:
     """Refuse black images, and a stack that clips in too many pixels."""
-    peaks = np.array([np.quantile(thinned(image.max(axis=-1), mask), 0.999) for image in light])
+    peaks = np.array([np.quantile(_thinned(image.max(axis=-1), mask), 0.999) for image in light])
     usual = float(np.median(peaks))
     require(float(peaks.max()) > 0, f"every {name} is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
@@ -190,7 +190,7 @@ def by_rows(count: int, height: int, work: Callable[[slice], None], budget: int 
         work(slice(top, min(top + step, height)))
 
 
-def thinned(values: NDArray[Any], mask: BoolArray, most: int = 200_000) -> NDArray[Any]:
+def _thinned(values: NDArray[Any], mask: BoolArray, most: int = 200_000) -> NDArray[Any]:
     """Values inside the mask, thinned to about `most` of them."""
     inside = values[mask]
     return np.asarray(inside[:: max(1, inside.size // most)])
@@ -212,7 +212,7 @@ def check_contrast(
     Parameters
     ----------
     low, high : (H, W, C)
-        Least and greatest light.
+        Minimum and greatest light.
     words : what they have never been, and the remedy
 
     Raises
@@ -221,7 +221,7 @@ def check_contrast(
         Naming their share and where the first of them is.
     """
     dark, bright = low.max(axis=-1), high.max(axis=-1)
-    looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(thinned(bright, mask), 0.999)))
+    looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
     constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
     share = float(constant.sum()) / max(1.0, float(looked_at.sum()))
     if share <= settings.constant_share:

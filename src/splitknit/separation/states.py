@@ -16,7 +16,7 @@ from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSetting
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
     """States (N, H, W) in [0, 1] of a checkerboard whose rows and columns run along the camera's.
 
-    Each value is the lit share of the pixel's area, so that shifts and checks need not be whole pixels.
+    Each value is the lit fraction of the pixel's area, so that shifts and checks need not be whole pixels.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def by_symmetry(
     BadInput
         If the number of images is no odd square, shifts are missing, repeated, unequal or do not fill the period,
         neighbouring phases contradict each other (order, period, noise), the white image does not belong to the stack,
-        checks are too small, or the stack is unusable as for :func:`splitknit.separation.patterns.checkerboard`.
+        checks are too small, or the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
 
     References
     ----------

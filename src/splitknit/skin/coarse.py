@@ -135,10 +135,10 @@ def compare(  # noqa: PLR0917
             brightness[name] = _median_ratio(band.stack[c], expected[c], dull)
             expected[c] *= np.float32(brightness[name])
         if len(band.channels) > 1:
-            gloss = glare_by_colour(band, expected, brightness, reached, light, shape_normals, facets)
+            gloss = _glare_by_colour(band, expected, brightness, reached, light, shape_normals, facets)
             scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
         elif gloss is None:
-            gloss = glare_by_lights(band, light, reached, shape_normals, facets)
+            gloss = _glare_by_lights(band, light, reached, shape_normals, facets)
             scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
         gloss = replace(gloss, strength=min(gloss.strength, MOST_GLARE * float(np.pi) * scale))
         # the same surface mirrors both bands: their glare differs by exposure only, as their diffuse light shows
@@ -230,7 +230,7 @@ told by its colour; what is predicted in excess draws relief that is not there."
 ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
 
 
-def glare_by_colour(  # noqa: PLR0917
+def _glare_by_colour(  # noqa: PLR0917
     band: BandImages,
     expected: FloatArray,
     brightness: Mapping[str, float],
@@ -263,7 +263,7 @@ def glare_by_colour(  # noqa: PLR0917
     return best
 
 
-def glare_by_lights(
+def _glare_by_lights(
     band: BandImages, light: Lighting, reached: BoolArray, normals: FloatArray, facets: Facets | None
 ) -> GlareFit:
     """Glare of a grey band: what no matt surface explains."""

@@ -91,11 +91,11 @@ def spread_of(relief_mm: FloatArray, grid: Grid, fit: SpectralFit, region: Float
     x, y = height_gradients(relief_mm, grid.pitch_mm)
     weight = region * region
     recovered = float((weight * (x * x + y * y)).sum(dtype=np.float64)) / float(weight.sum(dtype=np.float64))
-    scale = np.sqrt(max(ridge_power(fit, grid.pitch_mm), 0.0) / max(recovered, 1e-9))
+    scale = np.sqrt(max(_ridge_power(fit, grid.pitch_mm), 0.0) / max(recovered, 1e-9))
     return min(float(scale), MOST_SPREAD)
 
 
-def ridge_power(fit: SpectralFit, pitch_mm: float) -> float:
+def _ridge_power(fit: SpectralFit, pitch_mm: float) -> float:
     """Mean square slope of the ridges, from the spectrum of the relief."""
     omega = fit.omega_per_mm
     ratio = float(omega[1] / omega[0])
@@ -130,13 +130,13 @@ def facet_normals(x: FloatArray, y: FloatArray, facets: Facets) -> FloatArray:
     """Mean normals (h, w, 3) of the visible facets on a shape with the slopes `x` and `y` (y up)."""
     total = np.zeros((*x.shape, 3), dtype=np.float32)
     weight = np.zeros_like(x)
-    for normal, seen in each_facet(normals_from_gradients(x, y), facets):
+    for normal, seen in _each_facet(normals_from_gradients(x, y), facets):
         total += normal * seen[..., None]
         weight += seen
     return np.asarray(total / np.maximum(weight, np.float32(1e-6))[..., None], dtype=np.float32)
 
 
-def each_facet(normals: FloatArray, facets: Facets, step: int = 1) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _each_facet(normals: FloatArray, facets: Facets, step: int = 1) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield unit normals (h, w, 3) of every `step`-th facet on a shape with these normals, and what is seen of it."""
     nx, ny, nz = normals[..., 0], normals[..., 1], normals[..., 2]
     # along the ridge in the image, lifted to the surface; across it in the surface
@@ -161,7 +161,7 @@ def mean_glare(normals: FloatArray, facets: Facets | None, lights: FloatArray, r
         return microfacet_glare(normals, lights, roughness)
     total = np.zeros((lights.shape[0], *normals.shape[:-1]), dtype=np.float32)
     weight = np.zeros(normals.shape[:-1], dtype=np.float32)
-    for normal, seen in each_facet(normals, facets, step=2):
+    for normal, seen in _each_facet(normals, facets, step=2):
         total += microfacet_glare(normal, lights, roughness) * seen
         weight += seen
     return np.asarray(total / np.maximum(weight, np.float32(1e-6)), dtype=np.float32)

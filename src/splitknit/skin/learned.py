@@ -59,7 +59,7 @@ def features(
     surface_mm : (h, w) the smooth shape, finite
     light : of `band.rig` on that surface
     found : (C, h, w, 3) brightness times normal of ``band.stack / light.entering``, optional
-        Least squares over the lights where it is not given.
+        Minimum squares over the lights where it is not given.
     """
     weights = light.trust * light.entering * light.entering
     stack = band.stack / light.entering
@@ -68,7 +68,7 @@ def features(
     normals = normals_from_gradients(slope_x, slope_y)
     nz = normals[..., 2]
     mask = grid.mask.astype(np.float32)
-    to_harmonics = beyond_matt(band.rig)
+    to_harmonics = _beyond_matt(band.rig)
     size = np.sqrt((light.vectors * light.vectors).sum(axis=1))  # (L, h, w)
     bright: list[FloatArray] = []
     slopes: list[FloatArray] = []
@@ -133,7 +133,7 @@ def azimuth_waves(rig: Rig, most: int) -> FloatArray:
     return np.stack(waves, axis=1).astype(np.float32)
 
 
-def beyond_matt(rig: Rig) -> FloatArray:
+def _beyond_matt(rig: Rig) -> FloatArray:
     """(4, L) what turns an image's remainders into the second and third waves of the light's azimuth."""
     return np.asarray(np.linalg.pinv(azimuth_waves(rig, 3)[:, 3:], rcond=0.2), dtype=np.float32)
 
@@ -155,7 +155,7 @@ class Networks:
 
     relief: Network
     shape: Network | None = None
-    """From (32, h, w) of :func:`splitknit.skin.learned.shape_features` to two slopes."""
+    """From (32, h, w) of :func:`_shape_features` to two slopes."""
 
 
 MOST_UNEVEN = 10.0
@@ -224,8 +224,8 @@ def slopes_by_network(  # noqa: PLR0917
     facets: Facets,
     network: Network,
 ) -> tuple[FloatArray, FloatArray]:
-    """Slopes (h, w) along x and y that the shape lacks. Parameters as for :func:`shape_features`."""
-    drawn = network(shape_features(bands, grid, height_mm, skin, facets)) * SHAPE_SLOPE * grid.mask
+    """Slopes (h, w) along x and y that the shape lacks. Parameters as for :func:`_shape_features`."""
+    drawn = network(_shape_features(bands, grid, height_mm, skin, facets)) * SHAPE_SLOPE * grid.mask
     return drawn[0], drawn[1]
 
 
@@ -237,13 +237,13 @@ def slopes_by_network(  # noqa: PLR0917
 # bands have in common, which a network that has seen many fingers reads.
 
 SHAPE_COUNT = 32
-"""Fields of :func:`shape_features`."""
+"""Fields of :func:`_shape_features`."""
 CHANNELS = ("red", "green", "blue", "nir")
 WITH_WAVES = ("green", "nir")
 """Channels whose second and third waves are given."""
 
 
-def shape_features(
+def _shape_features(
     bands: tuple[BandImages, ...],
     grid: Grid,
     height_mm: FloatArray,
@@ -274,7 +274,7 @@ def shape_features(
         trusted = light.trust.mean(axis=0)
         reached = reached_by_all(light, grid)
         predicted_all = predict(light, grid, normals, [grid.sampled(skin[name]) for name in band.channels])
-        waves = beyond_matt(band.rig)
+        waves = _beyond_matt(band.rig)
         size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
         for c, name in enumerate(band.channels):
             expected = predicted_all[c]

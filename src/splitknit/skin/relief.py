@@ -221,7 +221,7 @@ def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> La
     """Slopes that the measurement has beyond the current surface's.
 
     The expectation is the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with
-    it the darkening of valleys (1 + k h), drops out; the share of the glare in the brightness is found by colour.
+    it the darkening of valleys (1 + k h), drops out; the fraction of the glare in the brightness is found by colour.
     """
     normals = grid.forward(np.moveaxis(mean_normals(surface_mm, grid), -1, 0), extend=True)
     expected = [
@@ -272,7 +272,7 @@ def unmixing(
     wx = np.asarray(grid.omega[0][0], dtype=np.float64)
     rows = [np.asarray(t[0], dtype=np.float64) for t in measured.transfer]
     transfer = np.stack([np.interp(centres, wx, row) for row in rows])
-    fit = plausible(fit_spectra(centres, along, across, transfer, glare))
+    fit = _plausible(fit_spectra(centres, along, across, transfer, glare))
     # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth features
     signal = np.array([fit.signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
     signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
@@ -288,7 +288,7 @@ def unmixing(
     return Unmixing([grid.radial(omega, w) for w in weights], fit, glare)
 
 
-def plausible(fit: SpectralFit) -> SpectralFit:
+def _plausible(fit: SpectralFit) -> SpectralFit:
     """The fit with the relief's power above the ridges' own frequency limited to the fall of a ridge's harmonics.
 
     Where skin passes next to nothing, an error in the glare's colour looks like relief. The slopes of flat ridges with
@@ -302,7 +302,7 @@ def plausible(fit: SpectralFit) -> SpectralFit:
 
 
 def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
-    """Share of the fine grid at each frequency; the coarse grid has the rest."""
+    """Fraction of the fine grid at each frequency; the coarse grid has the rest."""
     return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * np.float32(sigma_mm)) ** 2), dtype=np.float32)
 
 

@@ -150,7 +150,7 @@ _SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class ColourSettings(Checked):
-    """Relief and glare told apart by their colours."""
+    """Relief and glare separated by their colours."""
 
     _group = "metric.by_colour"
     steps: Annotated[int, Limits(1)] = 2
@@ -191,7 +191,7 @@ def relief_by_colour(  # noqa: PLR0917
     measured = fine.measure(white, grid, smooth_mm, light, optics, brightness)
     for _ in range(settings.steps):
         lacking = fine.lacking_slopes(measured, grid, smooth_mm + relief)
-        mix = fine.unmixing(measured, grid, with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
+        mix = fine.unmixing(measured, grid, _with_relief(lacking.slopes, measured, grid, relief), lacking.glare)
         raw = fine.update(measured, grid, lacking.slopes, mix, relief)
         relief, noise = fine.denoise(raw, grid, mix, settings.denoise, _SEED)
     sensitivity = abs(fine.scattering_sensitivity(measured, grid, mix, other, relief))
@@ -207,7 +207,7 @@ def relief_by_colour(  # noqa: PLR0917
     )
 
 
-def with_relief(
+def _with_relief(
     slopes: list[tuple[FloatArray, FloatArray]], measured: fine.Measured, grid: Grid, relief: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """The slopes that the channels would lack without the current relief."""
@@ -238,7 +238,7 @@ class MetricSettings(Checked):
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
-    """``network``, or ``colour``: relief and glare told apart by their colours alone. Grey images, and rigs with too
+    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
     few lights for the network, take the second way whatever is said here."""
     network: str = "relief"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""

@@ -30,7 +30,7 @@ def ridge_band(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: 
     return np.where(known, filled - mean, np.float32(0.0)).astype(np.float32)
 
 
-def evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
+def _evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
     """(n, m) ridge band over its local standard deviation."""
     size = sigma_mm / pitch_mm
     share = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
@@ -197,7 +197,7 @@ class _Part:
         self.rows, self.columns = np.nonzero(seen.both)
         self.modes = _modes(chart, radius_mm, (front, seen.sight), (self.rows, self.columns))
         self.spread = _hats(self.columns / every, self.rows / every, knots)
-        one, other = (evened(band, seen.both, chart.pitch_mm) for band in (first, seen.band))
+        one, other = (_evened(band, seen.both, chart.pitch_mm) for band in (first, seen.band))
         self.fields = other, np.gradient(other, axis=1), np.gradient(other, axis=0)
         self.target = one[self.rows, self.columns]
 
