@@ -163,7 +163,7 @@ _PROXIMAL_MM = 6.0
 def _view_truth(views: Sequence[View], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
     """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
 
-    `masks` (H, W) tell what of each is visible.
+    `masks` (H, W): what of each is visible.
     """
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):

@@ -34,7 +34,7 @@ STEER = 0.16
 """Standard deviation of the direction (its x and y) in which a scattered walk looks for a light through the skin."""
 
 STEERED = 0.85
-"""Share of those looks that are steered towards a light; the others go anywhere upwards."""
+"""Fraction of those looks that are steered towards a light; the others go anywhere upwards."""
 
 
 def walk(
@@ -290,7 +290,7 @@ class ReferenceImage:
     batches: FloatArray
     """(B, L, h, w)."""
     left: float
-    """Share of the light that passes the boundary which comes out again, wherever: the albedo of flat skin."""
+    """Fraction of the light that passes the boundary which comes out again, wherever: the albedo of flat skin."""
     steps: float
     """Mean number of steps of a walk."""
 
@@ -368,8 +368,8 @@ def render_glare(
 ) -> ReferenceImage:
     """Light that the surface alone reflects (GGX of `roughness`), with shadows and inter-reflection.
 
-    `samples` rays a pixel are sent, ``settings.samples`` unless it is given. `left` of the result is the share of this
-    light that had more than one reflection.
+    `samples` rays a pixel are sent, ``settings.samples`` unless it is given. `left` of the result is the fraction of
+    this light that had more than one reflection.
     """
     require(0.01 <= roughness <= 1, f"roughness must lie in [0.01, 1], but it is {roughness}.")
     rays = (samples or settings.samples) // BATCHES

@@ -160,7 +160,7 @@ def _normal(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
 
 
 CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
-"""Intensities by which light skin fills the three channels about alike."""
+"""Intensities by which light skin fills the three channels about equally."""
 
 
 def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:

@@ -39,7 +39,7 @@ class Scene(Protocol):
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """Time that passes only when asked to."""
 
     def __init__(self) -> None:
         """Start at zero."""
@@ -78,7 +78,7 @@ class TwinDeviceSettings(Checked):
     _group = "device"
 
     sensitivity_per_s: Annotated[float, Limits(0.0, above=True)] = 500.0
-    """Share of full scale that light of radiance one (rig's units) gives in a second at gain one."""
+    """Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
     settle_s: Annotated[float, Limits(0.0, 10.0)] = 0.02
     """Until an LED has its full brightness."""
 
@@ -94,7 +94,7 @@ class TwinLightBank(GuardedLights):
         super().__init__(len(scene.leds), settings.settle_s)
 
     def brightness(self, at_s: float) -> float:
-        """Share of its full light that the last LED that was switched on gives at a time: it rises evenly."""
+        """Fraction of its full light that the last LED that was switched on gives at a time: it rises evenly."""
         if not self._since or self.settle_s == 0:
             return 1.0
         return float(np.clip((at_s - max(self._since.values())) / self.settle_s, 0.0, 1.0))

@@ -64,7 +64,7 @@ def px_per_mm_at(camera: Camera, z_mm: float) -> float:
 
 
 def fall_off(camera: Camera) -> FloatArray:
-    """(H, W) share of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of `camera.shading`.
+    """(H, W) fraction of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of `camera.shading`.
 
     r is the distance from the picture's centre over half its diagonal.
     """

@@ -165,7 +165,7 @@ class _Water:
     levelled_mm: float
     """Standard deviation over which the film has levelled out; 0 where none closes over the ridges."""
     share: float
-    """Share of the skin that is wet."""
+    """Fraction of the skin that is wet."""
 
 
 def _water_of(severity: float) -> _Water:

@@ -42,7 +42,7 @@ _SLIP_SMOOTH_MM = 5.0
 
 @dataclass(frozen=True, slots=True)
 class HandMotion(Checked):
-    """How far and how a finger moves during a capture. Every number is ours unless a source is named."""
+    """How far and how a finger moves during a capture. Numbers are our choice where no source is named."""
 
     _group = "motion"
 
@@ -125,7 +125,7 @@ def _spread(path: Array) -> float:
 
 
 TRUTH_STEP_MM = 0.5
-"""Pitch of the grid on which the truth tells where the skin went."""
+"""Pitch of the grid on which the truth records where the skin went."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +138,7 @@ class MovingFinger:
     master: MasterPrint
     path: _MotionPath
     slips: tuple[Deformation, Deformation]
-    """Fields of slip whose shares `path.slip` tells; their largest shift is 1 mm."""
+    """Fields of slip whose weights are in `path.slip`; their largest shift is 1 mm."""
     workers: int = 2
 
     def pose_of(self, shot: int) -> Pose:

@@ -442,7 +442,7 @@ class PalmSettings(Checked):
     ridge_depth_um: Annotated[tuple[float, float], Limits(0.0, 200.0)] = (20.0, 60.0)
     """Mean height of ridges over valleys: flatter than on fingers."""
     delta_share: Annotated[float, Limits(0.0, 1.0)] = 0.15
-    """Share of the patches that hold a triradius."""
+    """Fraction of the patches that hold a triradius."""
     principal: Annotated[tuple[int, int], Limits(0, 10)] = (0, 3)
     """Principal lines in the patch, inclusive."""
     wrinkles: Annotated[tuple[int, int], Limits(0, 400)] = (10, 60)

@@ -43,7 +43,7 @@ def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camer
     mask, nz : (H, W)
         The finger, and the z component of its shape's normals: a pixel on a slant shows more skin.
     severity : 0 to 1
-        Share of `MOST_MG_PER_CM2`.
+        Fraction of `MOST_MG_PER_CM2`.
     """
     spread = float(np.log(SPREAD))
     volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
@@ -139,7 +139,7 @@ class CoatedPatch:
         self.leaving = self._leaving()
 
     def _leaving(self) -> FloatArray:
-        """(h, w) share of the diffuse light that reaches the camera, over that of bare skin."""
+        """(h, w) fraction of the diffuse light that reaches the camera, over that of bare skin."""
         share = 1.0 - self.hidden
         if self.scales is not None:
             share = share * (1.0 - self.scales)
@@ -215,7 +215,7 @@ class CoatedPatch:
         return np.asarray(within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER)))
 
     def _shadow(self, light: Vectors) -> FloatArray:
-        """(h, w) share of the skin's light that the grains take: a ball on the ground shades a disc beside its foot."""
+        """(h, w) fraction of the skin's light that grains take: a ball on the ground shades a disc beside its foot."""
         assert self.grains is not None
         g, shape = self.grains, self.patch.mask.shape
         i = np.clip(np.rint(g.row).astype(np.intp), 0, shape[0] - 1)
