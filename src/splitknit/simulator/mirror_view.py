@@ -21,6 +21,7 @@ from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
 
+
 Numbers = NDArray[np.floating]
 
 
@@ -165,6 +166,9 @@ PROXIMAL_MM = 32.0
 """What lies further than this from the first crease towards the palm is not shown: the hand's sleeve is there."""
 
 _FINE = 8
+
+
+# What a camera sees in a mirror: the surface of the reflected finger.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,9 +1,13 @@
-"""Random walks below the skin's triangles: the kernel of the reference.
+"""A slow reference for the twin: random walks in the skin's volume under its true, ridged surface.
 
-Mitsuba and Dr.Jit come in with the scene; only :mod:`splitknit.simulator.reference` imports them. A walk starts
-where the camera sees the skin and looks for the lights. Between boundaries it takes exponential steps of the mean free
-path and turns isotropically; absorption weighs it by exp(-a length); roulette ends it. Every lane of the computation
-walks for one pixel, one walk after the other, with random numbers of its own: the result depends on the seed alone.
+It shares no code with :mod:`splitknit.simulator.light.renderer`: a patch of skin becomes triangles, Mitsuba 3 finds
+where rays meet them, and every image is an average of random walks with a standard error. Needs the extra ``reference``
+and Debian's ``libllvm19`` (other versions may abort). See ``docs/twin-reference.md``.
+
+A walk starts where the camera sees the skin and looks for the lights. Between boundaries it takes exponential steps of
+the mean free path and turns isotropically; absorption weighs it by exp(-a length); roulette ends it. Every lane of the
+computation walks for one pixel, one walk after the other, with random numbers of its own: the result depends on the
+seed alone.
 """
 
 from __future__ import annotations
@@ -35,6 +39,9 @@ STEER = 0.16
 
 STEERED = 0.85
 """Fraction of those looks that are steered towards a light; the others go anywhere upwards."""
+
+
+# Random walks below the skin's triangles: the kernel. Mitsuba and Dr.Jit come in with the scene.
 
 
 def walk(

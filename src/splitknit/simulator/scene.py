@@ -97,6 +97,9 @@ def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng:
     np.maximum(patch, value * np.exp(-0.5 * (u * u + v * v) ** 2), out=patch, casting="same_kind")
 
 
+# One simulated capture.
+
+
 @dataclass(frozen=True, slots=True)
 class TwinSettings(Checked):
     """One simulated capture."""
@@ -143,6 +146,9 @@ class TwinSettings(Checked):
     def between_mirrors(self) -> bool:
         """Whether the finger lies between mirrors."""
         return bool(self.mirrors.names) or (self.rig is not None and bool(self.rig.mirrors))
+
+
+# What is known about a capture, as plain arrays by name.
 
 
 def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:

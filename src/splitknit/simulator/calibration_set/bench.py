@@ -161,6 +161,9 @@ Window = tuple[slice, slice]
 """Rows and columns."""
 
 
+# What all scenes share: LEDs, ambient light, focus, and a flat ground that they light.
+
+
 @dataclass(frozen=True, slots=True)
 class BenchSettings(Checked):
     """What surrounds the things that are photographed."""

@@ -212,6 +212,9 @@ class TwinCamera(Closing):
         return light
 
 
+# What goes wrong in front of a real camera, on purpose.
+
+
 @dataclass(frozen=True, slots=True)
 class Faults:
     """Faults by the number of the full-size photograph (from 0, previews not counted) from which on they hold."""

@@ -15,6 +15,7 @@ from splitknit.model import Camera, FloatArray
 
 Array = NDArray[np.float64]
 
+
 Numbers = NDArray[np.float64] | NDArray[np.intp]
 
 
@@ -110,6 +111,9 @@ def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 LEVELS_PER_DOUBLING = 2
+
+
+# Depth of field of a thin lens, as blur that grows with the distance from the plane in focus.
 
 
 def blur_sigma_px(

@@ -27,6 +27,7 @@ from splitknit.simulator.finger.skin_map import skin_map
 
 Array = NDArray[np.float64]
 
+
 SAMPLES_PER_SMOOTH = 4
 """Grid points per length of smoothing: a cubic spline of them misses less than a thousandth."""
 

@@ -21,6 +21,7 @@ from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
 
+
 FREQUENCIES = {
     "arch": 0.037,
     "tented_arch": 0.029,
@@ -327,6 +328,9 @@ def _tip(mask: BoolArray, pose: Pose) -> Array:
     best = columns[along > along.max() - 0.75]
     column = float(best.mean())
     return np.array([column, float(top[best].mean())])
+
+
+# How people lay their fingers down.
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,7 @@ from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
 
+
 _SHOT_S = 0.5
 """Time from shot to shot; the thesis takes 14 in 7 s."""
 EXPOSURE_S = 0.02
@@ -126,6 +127,9 @@ def _spread(path: Array) -> float:
 
 TRUTH_STEP_MM = 0.5
 """Pitch of the grid on which the truth records where the skin went."""
+
+
+# The surfaces of a moving finger, one for each shot, and where its skin goes in the pictures.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,8 +17,13 @@ from splitknit.simulator.finger.skin_map import SkinMap
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
 
 Triple = tuple[Array, Array, Array]
+
+
+# Lines of sight: parallel ones of an orthographic camera, spreading ones of a perspective camera.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,9 +173,6 @@ def _polish(gap: Gap, depth: Array, facing: Array, met: NDArray[np.bool_]) -> tu
         fall = (before_gap - now) / np.where(trial == before, 1.0, trial - before)
         state = np.stack([trial, now, np.where(fall > 0.05 * slope, fall, slope)])
     return result, close
-
-
-Array32 = NDArray[np.float32]
 
 
 _NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the image size."

@@ -1,4 +1,4 @@
-"""Dust on the skin: how many grains of what size, and where they and their shadows lie in the picture."""
+"""Light on coated skin: through water, between grains of dust, off scales, along a gloss; noise-free, linear."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ DENSITY_MG_PER_MM3 = 2.0
 
 ALBEDO = (0.08, 0.6)
 """Of single grains, even between them: soot and soil to flour and skin scales."""
+
+
+# Dust: how many grains of what size, and where they and their shadows lie in the picture.
 
 
 def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camera: Camera, severity: float) -> Grains:
@@ -102,6 +105,9 @@ def _sphere_brightness(phase_rad: FloatArray) -> FloatArray:
     """
     cosine = np.cos(phase_rad)
     return np.asarray(2.0 / 3.0 * (np.sin(phase_rad) + (np.pi - phase_rad) * cosine) / np.pi, dtype=np.float32)
+
+
+# Coated skin under a light.
 
 
 class CoatedPatch:

@@ -29,6 +29,9 @@ from splitknit.simulator.surface import Surface
 Array = NDArray[np.float64]
 
 
+# Patterns that a projector throws on the skin, and where they fall.
+
+
 @dataclass(frozen=True, slots=True)
 class Checkerboard(Checked):
     """A checkerboard in all its shifts: `steps` x `steps` patterns, by a `steps`-th of the period each way."""
@@ -161,6 +164,9 @@ def pattern_states(surface: Surface, led: Led, pattern: Checkerboard) -> FloatAr
 
 
 Phases = Literal["all", "centred"]
+
+
+# Direct and global light under them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

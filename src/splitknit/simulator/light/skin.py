@@ -184,6 +184,9 @@ RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
 LENGTH_EDGES = np.concatenate([[0.0], np.geomspace(1e-2, LONGEST_WALK, 91)])
 
 
+# Where light that enters skin at one point leaves it.
+
+
 def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
     """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n before the surface.
 

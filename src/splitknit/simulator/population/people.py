@@ -1,4 +1,7 @@
-"""Classes of prints by digit and hand, in the frequencies that people have."""
+"""People: hands whose ten fingers are similar in size, shape and skin, each with a print of its own.
+
+Everything is drawn from a person's number, so that a person does not depend on how many others there are.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +41,9 @@ TENTED, TWIN = 0.44, 0.18
 """Tented ones among arches and twin loops among whorls, as in :data:`splitknit.simulator.finger.finger.FREQUENCIES`."""
 
 
+# Classes of prints by digit and hand, in the frequencies that people have.
+
+
 def class_shares(side: str, digit: str) -> dict[str, float]:
     """Fraction of every class among the prints of a digit; they sum to one."""
     k = DIGITS.index(digit)
@@ -73,6 +79,9 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
         return "twin_loop" if details[0] < TWIN else "whorl"
     radial = bool(details[1] < RADIAL[k])
     return "right_loop" if radial != (side == "right") else "left_loop"
+
+
+# From what hands are drawn.
 
 
 @dataclass(frozen=True, slots=True)
