@@ -33,7 +33,7 @@ def test_a_scarred_finger_is_written_with_its_truth(tmp_path: Path) -> None:
         (["--condition", "wet", "--bench"], "--bench and --condition do not go together"),
         (["--condition", "wet", "--motion", "0.3"], "lies still and without mirrors"),
         (["population", "--condition", "wet"], "--condition does not go with a population"),
-        (["--set", 'condition.kind="mud"'], "condition.kind must be one of none, wet, dry"),
+        (["--set", 'condition.kind="mud"'], "condition.kind' must be one of 'none', 'wet', 'dry'"),
     ],
 )
 def test_what_does_not_go_is_said_in_one_sentence(

@@ -36,6 +36,9 @@ from splitknit.simulator.scene import (
 )
 from splitknit.simulator.surface import Surface
 
+Array = NDArray[np.float64]
+
+
 # Light on a finger between mirrors: the LEDs, and their images through the mirrors' faces.
 
 
@@ -231,7 +234,6 @@ def _put(
 
 # What stands around the finger where there are mirrors: holders, glass, the tube behind it, dust.
 
-Array = NDArray[np.float64]
 
 _PLASTIC_ALBEDO = 0.04
 """Of holders and tube: black print."""

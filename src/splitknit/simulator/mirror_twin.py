@@ -22,6 +22,9 @@ from splitknit.simulator.mirror_view import View, as_built, mirror_view
 from splitknit.simulator.rigs import mirror_rig, stop_y_mm
 from splitknit.simulator.scene import TwinSettings, surface_truth, take_capture
 
+Array = NDArray[np.float64]
+
+
 _INSERTION_MM = (28.7, 30.3)
 """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
 _FADE_MM = 3.0
@@ -155,7 +158,6 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
 
 # What the twin knows of a finger between mirrors: the views, the true mirrors, the skin all around.
 
-Array = NDArray[np.float64]
 
 _PROXIMAL_MM = 6.0
 
@@ -163,7 +165,7 @@ _PROXIMAL_MM = 6.0
 def _view_truth(views: Sequence[View], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
     """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
 
-    `masks` (H, W) tell what of each is visible.
+    `masks` (H, W): what of each is visible.
     """
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror
 from splitknit.simulator.camera.lens import pixels_of_points
-from splitknit.simulator.finger.raycast import EMPTY, Placement, cast_rays, meets, rays_of
+from splitknit.simulator.finger.raycast import Placement, cast_rays, fill_surface, meets, rays_of
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
+
 
 Numbers = NDArray[np.floating]
 
@@ -74,7 +75,7 @@ class _Gate:
         return _Gate(reflection.points(self.corners))
 
     def share(self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float) -> NDArray[np.float32]:
-        """Share of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1, their shape."""
+        """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1, their shape."""
         middle, normal, inwards = self._frame()
         source = np.asarray(led.position_mm if led.position_mm is not None else led.direction, dtype=np.float64)
         px, py, pz = x - middle[0], y - middle[1], z - middle[2]
@@ -165,6 +166,9 @@ PROXIMAL_MM = 32.0
 """What lies further than this from the first crease towards the palm is not shown: the hand's sleeve is there."""
 
 _FINE = 8
+
+
+# What a camera sees in a mirror: the surface of the reflected finger.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,40 +270,21 @@ def _surface(
 ) -> Surface:
     """The first points of a placed finger on the rays of a part of the camera's pixels."""
     camera, box = part
-    rows, columns = camera.image_size
-    perspective = camera.model == "perspective"
-    shapes: list[tuple[int, ...]] = [(), (), (3,), (3,), (), (), (2,), *([()] * (2 * perspective))]
-    arrays = [
-        np.full((rows, columns, *shape), empty, dtype=np.float32) for shape, empty in zip(shapes, EMPTY, strict=False)
-    ]
     bottom, top = _reach_in_height(body, placement)
     near = _near(body, placement, camera, box, top)
-    tall = max(4, 24000 // (box[1].stop - box[1].start))
     across = np.arange(box[1].start, box[1].stop)
 
-    def fill(first: int) -> None:
-        down = np.arange(first, min(first + tall, box[0].stop))
-        rays = rays_of(camera, down, across)
+    def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[Any]]:
         wanted = np.flatnonzero(near[down[0] - box[0].start : down[-1] + 1 - box[0].start].ravel())
         if wanted.size == 0:
-            return
-        rays = rays.some(wanted)
+            return wanted, []
+        rays = rays_of(camera, down, across).some(wanted)
         index, values = cast_rays(body, skin, placement, rays, np.full(wanted.size, top), bottom=bottom)
         _, along, _ = placement.to_finger(*rays.some(index).at(np.asarray(values[0], dtype=np.float64)))
         bare = along > -PROXIMAL_MM
-        flat = wanted[index[bare]]
-        i, j = down[flat // across.size], across[flat % across.size]
-        for array, value in zip(arrays, values, strict=True):
-            array[i, j] = value[bare]
+        return wanted[index[bare]], [value[bare] for value in values]
 
-    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
-        list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
-    height, shape_height, normals, shape_normals, relief, pigment, chart, *places = arrays
-    x_mm, y_mm = places or (None, None)
-    return Surface(
-        camera, height, shape_height, normals, shape_normals, relief, np.isfinite(height), pigment,
-        x_mm=x_mm, y_mm=y_mm, chart=chart,
-    )  # fmt: skip
+    return fill_surface(camera, box, cast, workers)
 
 
 def _near(body: FingerBody, placement: Placement, camera: Camera, box: tuple[slice, slice], top: float) -> BoolArray:

@@ -1,9 +1,13 @@
-"""Random walks below the skin's triangles: the kernel of the reference.
+"""A slow reference for the twin: random walks in the skin's volume under its true, ridged surface.
 
-Mitsuba and Dr.Jit come in with the scene; only :mod:`splitknit.simulator.reference` imports them. A walk starts
-where the camera sees the skin and looks for the lights. Between boundaries it takes exponential steps of the mean free
-path and turns isotropically; absorption weighs it by exp(-a length); roulette ends it. Every lane of the computation
-walks for one pixel, one walk after the other, with random numbers of its own: the result depends on the seed alone.
+It shares no code with :mod:`splitknit.simulator.light.renderer`: a patch of skin becomes triangles, Mitsuba 3 finds
+where rays meet them, and every image is an average of random walks with a standard error. Needs the extra ``reference``
+and Debian's ``libllvm19`` (other versions may abort). See ``docs/twin-reference.md``.
+
+A walk starts where the camera sees the skin and looks for the lights. Between boundaries it takes exponential steps of
+the mean free path and turns isotropically; absorption weighs it by exp(-a length); roulette ends it. Every lane of the
+computation walks for one pixel, one walk after the other, with random numbers of its own: the result depends on the
+seed alone.
 """
 
 from __future__ import annotations
@@ -34,7 +38,10 @@ STEER = 0.16
 """Standard deviation of the direction (its x and y) in which a scattered walk looks for a light through the skin."""
 
 STEERED = 0.85
-"""Share of those looks that are steered towards a light; the others go anywhere upwards."""
+"""Fraction of those looks that are steered towards a light; the others go anywhere upwards."""
+
+
+# Random walks below the skin's triangles: the kernel. Mitsuba and Dr.Jit come in with the scene.
 
 
 def walk(
@@ -290,7 +297,7 @@ class ReferenceImage:
     batches: FloatArray
     """(B, L, h, w)."""
     left: float
-    """Share of the light that passes the boundary which comes out again, wherever: the albedo of flat skin."""
+    """Fraction of the light that passes the boundary which comes out again, wherever: the albedo of flat skin."""
     steps: float
     """Mean number of steps of a walk."""
 
@@ -368,8 +375,8 @@ def render_glare(
 ) -> ReferenceImage:
     """Light that the surface alone reflects (GGX of `roughness`), with shadows and inter-reflection.
 
-    `samples` rays a pixel are sent, ``settings.samples`` unless it is given. `left` of the result is the share of this
-    light that had more than one reflection.
+    `samples` rays a pixel are sent, ``settings.samples`` unless it is given. `left` of the result is the fraction of
+    this light that had more than one reflection.
     """
     require(0.01 <= roughness <= 1, f"roughness must lie in [0.01, 1], but it is {roughness}.")
     rays = (samples or settings.samples) // BATCHES

@@ -14,6 +14,9 @@ from splitknit.model import Led
 from splitknit.simulator.light.skin import fresnel
 from splitknit.simulator.surface import Surface
 
+Array = NDArray[np.float64]
+
+
 # The skin as triangles: what the reference's walks wander under.
 #
 # A patch that fills the picture goes on beyond it: the map is mirrored over a margin, and a flat ledge leads further
@@ -110,8 +113,6 @@ def _closed(surface: Surface, x: Array, y: Array) -> _Mesh:
     used, compact = np.unique(faces, return_inverse=True)
     return _Mesh(vertices[used], compact.reshape(-1, 3).astype(np.uint32), closed=True)
 
-
-Array = NDArray[np.float64]
 
 UNIT = 1e4
 """Irradiance of an LED of intensity one at 100 mm, as everywhere in the twin."""

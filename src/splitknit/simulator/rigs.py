@@ -29,6 +29,11 @@ from splitknit.model import (
 )
 from splitknit.settings import Checked, Limits, check_fields
 
+Array = NDArray[np.float64]
+
+
+# As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
+
 
 @dataclass(frozen=True, slots=True)
 class Tolerances(Checked):
@@ -160,7 +165,10 @@ def _normal(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
 
 
 CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
-"""Intensities by which light skin fills the three channels about alike."""
+"""Intensities by which light skin fills the three channels about equally."""
+
+
+# With coloured LEDs.
 
 
 def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:
@@ -282,8 +290,6 @@ class MirrorViews(Checked):
         require(known, f"mirrors.names are some of left, right and tip, each once, but they are {list(self.names)}.")
 
 
-Array = NDArray[np.float64]
-
 _HALF = math.sqrt(0.5)
 
 _LIP_WALL_MM = 1.2
@@ -291,6 +297,9 @@ _LIP_WALL_MM = 1.2
 _GROOVE_IN_FLOOR_MM = 0.4
 
 _POCKET_MM = 1.0
+
+
+# With mirrors, as it is drawn.
 
 
 def mirror_rig(views: MirrorViews, scale: float, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:

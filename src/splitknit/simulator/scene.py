@@ -50,7 +50,7 @@ class BackgroundSettings(Checked):
     dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
     """Bright specks on the background."""
     hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
-    """Share of the light that the hand takes away at the finger's base, 0 to 1."""
+    """Fraction of the light that the hand takes away at the finger's base, 0 to 1."""
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
     """Room light: radiance of a white card relative to the same card under one LED."""
 
@@ -71,7 +71,7 @@ def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.rand
 
 
 def _hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
-    """(H, 1) share of the light that reaches each row: the hand's shadow has a soft edge."""
+    """(H, 1) fraction of the light that reaches each row: the hand's shadow has a soft edge."""
     height = camera.image_size[0]
     below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
     share = np.clip(below, 0.0, 1.0)
@@ -97,6 +97,9 @@ def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng:
     np.maximum(patch, value * np.exp(-0.5 * (u * u + v * v) ** 2), out=patch, casting="same_kind")
 
 
+# One simulated capture.
+
+
 @dataclass(frozen=True, slots=True)
 class TwinSettings(Checked):
     """One simulated capture."""
@@ -119,7 +122,7 @@ class TwinSettings(Checked):
     `scale`, `rig_seed` and `intensity_spread`."""
     sensor_scale: Annotated[float | None, Limits(0.0, 1.0, above=True)] = None
     """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
-    binned. None: as :func:`splitknit.simulator.camera.sensor.binning_scale` tells it of the camera."""
+    binned. None: as :func:`splitknit.simulator.camera.sensor.binning_scale` finds it from the camera."""
     motion: HandMotion = field(default_factory=HandMotion)
     """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""
     mirrors: MirrorViews = field(default_factory=MirrorViews)
@@ -143,6 +146,9 @@ class TwinSettings(Checked):
     def between_mirrors(self) -> bool:
         """Whether the finger lies between mirrors."""
         return bool(self.mirrors.names) or (self.rig is not None and bool(self.rig.mirrors))
+
+
+# What is known about a capture, as plain arrays by name.
 
 
 def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:

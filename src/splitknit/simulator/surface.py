@@ -21,7 +21,7 @@ class Film:
     """Water on the skin, seen from above."""
 
     share: FloatArray
-    """(H, W) share of the pixel that is under water."""
+    """(H, W) fraction of the pixel that is under water."""
     normals: FloatArray
     """(H, W, 3) unit normals of the water's surface, those of the skin where there is none."""
     roughness: FloatArray
@@ -45,7 +45,7 @@ class Coat:
     kind: str
     severity: float
     share: FloatArray
-    """(H, W) share of each pixel that is affected."""
+    """(H, W) fraction of each pixel that is affected."""
     roughness: FloatArray | None = None
     """(H, W) GGX alpha of the skin across its ridges; None: the skin's own everywhere."""
     roughness_along: FloatArray | None = None
@@ -93,7 +93,7 @@ class Surface:
     landmarks: Mapping[str, Any] = field(default_factory=dict)
     """What the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in pixels."""
     x_mm: FloatArray | None = None
-    """(H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera, whose grid tells."""
+    """(H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera: the grid gives it."""
     y_mm: FloatArray | None = None
     """(H, W) y of the same points."""
     chart: FloatArray | None = None

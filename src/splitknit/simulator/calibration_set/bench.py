@@ -121,7 +121,7 @@ def steps(length: Array) -> Steps:
 
 
 def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
-    """Share of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
+    """Fraction of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
 
     Parameters
     ----------
@@ -161,6 +161,9 @@ Window = tuple[slice, slice]
 """Rows and columns."""
 
 
+# What all scenes share: LEDs, ambient light, focus, and a flat ground that they light.
+
+
 @dataclass(frozen=True, slots=True)
 class BenchSettings(Checked):
     """What surrounds the things that are photographed."""
@@ -196,7 +199,7 @@ class GroundScene(ABC):
         """Reflectance (h, w) at u and v (mm on the plane), averaged over a pixel."""
 
     def share_lit(self, led: Led) -> Array | float:
-        """Share (H, W) of the LED that the ground sees past what stands on it."""
+        """Fraction (H, W) of the LED that the ground sees past what stands on it."""
         return 1.0
 
     def light(self, lit: Sequence[int]) -> FloatArray:
@@ -351,7 +354,7 @@ def well_exposed(scene: Scene, lit: Sequence[Sequence[int]], level: float = 0.7)
     ----------
     scene : photographed
     lit : the LEDs of each image
-    level : share of full scale
+    level : fraction of full scale
     """
     require(len(lit) > 0, "exposing needs at least one image.")
     brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)

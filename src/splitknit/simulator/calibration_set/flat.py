@@ -221,6 +221,9 @@ _EDGE = 0.02
 """Fraction of the picture's height that stays free around the outer squares."""
 
 
+# How a person holds a checkerboard under the rig.
+
+
 @dataclass(frozen=True, slots=True)
 class BoardPose:
     """One pose of a board."""

@@ -99,7 +99,7 @@ class NailScene(GroundScene):
         return np.full(u.shape, self.ground)
 
     def share_lit(self, led: Led) -> Array:
-        """Share (H, W) of the LED's face that the base sees past the nail: 0 in the core shadow, soft at its rim."""
+        """Fraction (H, W) of the LED's face that the base sees past the nail: 0 in the core shadow, soft at its rim."""
         share = np.ones(self.camera.image_size)
         places = self.plane.own(disc_points(led, self.bench.led_radius_mm))
         casts = [self._cast(place) for place in places]
@@ -158,7 +158,7 @@ class NailScene(GroundScene):
         return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[NDArray[np.float64], float]) -> Array:
-        """Share of each pixel of the window inside the hull of the nail's foot and of its tip's shadow.
+        """Fraction of each pixel of the window inside the hull of the nail's foot and of its tip's shadow.
 
         The shadow of a cone on the plane on which it stands is that hull, and the shadow of its flat tip a circle.
         """
@@ -212,7 +212,7 @@ def _hull_distance(u: Array, v: Array, radius: float, other: NDArray[np.float64]
     return np.asarray(np.where(place < 0.0, near, np.where(place > across * length, far, straight)))
 
 
-# A ball on the rig's base: chrome, in which the LEDs are mirrored, or grey and matt, whose shading tells of them.
+# A ball on the rig's base: chrome, in which the LEDs are seen reflected, or grey and matt, which they shade.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -284,7 +284,7 @@ class SphereScene(GroundScene):
         return np.full(u.shape, self.ground)
 
     def share_lit(self, led: Led) -> Array:
-        """Share (H, W) of the LED's face that the base sees past the ball."""
+        """Fraction (H, W) of the LED's face that the base sees past the ball."""
         share = np.ones(self.camera.image_size)
         places = disc_points(led, self.bench.led_radius_mm)
         window = self._shadow(places)
@@ -459,7 +459,7 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     """By how much (mm) rays pass inside the rim of the LED's face, and the radiance of that face towards them.
 
     A face of radius r that sends the intensity I straight ahead has the radiance I / (pi r^2) there; seen from beside
-    its axis, its lobe's share over the cosine of its own foreshortening.
+    its axis, its lobe's fraction over the cosine of its own foreshortening.
     """
     start, way = rays
     middle = np.asarray(led.position_mm, dtype=np.float64)

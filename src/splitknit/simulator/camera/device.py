@@ -38,7 +38,7 @@ class Scene(Protocol):
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """Time that passes only when asked to."""
 
     def __init__(self) -> None:
         """Start at zero."""
@@ -77,7 +77,7 @@ class TwinDeviceSettings(Checked):
     _group = "device"
 
     sensitivity_per_s: Annotated[float, Limits(0.0, above=True)] = 500.0
-    """Share of full scale that light of radiance one (rig's units) gives in a second at gain one."""
+    """Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
     settle_s: Annotated[float, Limits(0.0, 10.0)] = 0.02
     """Until an LED has its full brightness."""
 
@@ -93,7 +93,7 @@ class TwinLightBank(GuardedLights):
         super().__init__(len(scene.leds), settings.settle_s)
 
     def brightness(self, at_s: float) -> float:
-        """Share of its full light that the last LED that was switched on gives at a time: it rises evenly."""
+        """Fraction of its full light that the last LED that was switched on gives at a time: it rises evenly."""
         if not self._since or self.settle_s == 0:
             return 1.0
         return float(np.clip((at_s - max(self._since.values())) / self.settle_s, 0.0, 1.0))
@@ -209,6 +209,9 @@ class TwinCamera(Closing):
             dark = self._scene.light(())
             light = dark + np.float32(share) * (light - dark)
         return light
+
+
+# What goes wrong in front of a real camera, on purpose.
 
 
 @dataclass(frozen=True, slots=True)

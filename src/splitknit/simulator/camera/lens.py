@@ -15,6 +15,7 @@ from splitknit.model import Camera, FloatArray
 
 Array = NDArray[np.float64]
 
+
 Numbers = NDArray[np.float64] | NDArray[np.intp]
 
 
@@ -64,7 +65,7 @@ def px_per_mm_at(camera: Camera, z_mm: float) -> float:
 
 
 def fall_off(camera: Camera) -> FloatArray:
-    """(H, W) share of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of `camera.shading`.
+    """(H, W) fraction of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of `camera.shading`.
 
     r is the distance from the picture's centre over half its diagonal.
     """
@@ -110,6 +111,9 @@ def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 LEVELS_PER_DOUBLING = 2
+
+
+# Depth of field of a thin lens, as blur that grows with the distance from the plane in focus.
 
 
 def blur_sigma_px(

@@ -37,7 +37,7 @@ class SensorSettings(Checked):
     """How light becomes stored integers."""
 
     exposure: Annotated[float, Limits(0.05, 1.0)] = 0.7
-    """Share of full scale that the brightest diffusely lit skin reaches; glare may clip."""
+    """Fraction of full scale that the brightest diffusely lit skin reaches; glare may clip."""
     full_well_e: Annotated[float, Limits(100.0)] = 4700.0
     """Electrons at full scale, a pixel of the full frame."""
     read_noise_e: Annotated[float, Limits(0.0)] = 2.5
@@ -59,8 +59,8 @@ class SensorSettings(Checked):
 def binning_scale(camera: Camera) -> float:
     """Side of the sensor's pixels over side of a picture's pixels: 1 = full resolution, 0.5 = 2 x 2 binned.
 
-    A picture of the full frame's form (2200 x 3200) is the whole frame: its columns tell, whatever the lens and the
-    distance. Any other picture is a cut-out, and its px_per_mm tells, as though the lens were the thesis's; a camera
+    A picture of the full frame's form (2200 x 3200) is the whole frame: its columns decide, whatever the lens and the
+    distance. Any other picture is a cut-out, and its px_per_mm decides, as though the lens were the thesis's; a camera
     that shows more detail than that is not binned.
     """
     rows, columns = camera.image_size

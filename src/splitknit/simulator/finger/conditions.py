@@ -1,4 +1,4 @@
-"""Skin that is dry or scarred: what becomes of its relief, its pigment and its roughness, on the map of the skin."""
+"""The state of a finger's skin when it is photographed: wet, dry, dusty, scarred, glossy; ``docs/conditions.md``."""
 
 from __future__ import annotations
 
@@ -23,11 +23,15 @@ from splitknit.simulator.surface import Coat, Film, Surface
 
 Array = NDArray[np.float64]
 
+
 KERATIN = 1.55
 """Refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)."""
 
 MOST_PLATES = 4
 """Horny plates with air between them in the thickest scale."""
+
+
+# Dry and scarred skin: what becomes of its relief, its pigment and its roughness, on the map of the skin.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +169,7 @@ class _Water:
     levelled_mm: float
     """Standard deviation over which the film has levelled out; 0 where none closes over the ridges."""
     share: float
-    """Share of the skin that is wet."""
+    """Fraction of the skin that is wet."""
 
 
 def _water_of(severity: float) -> _Water:

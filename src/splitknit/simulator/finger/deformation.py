@@ -27,6 +27,7 @@ from splitknit.simulator.finger.skin_map import skin_map
 
 Array = NDArray[np.float64]
 
+
 SAMPLES_PER_SMOOTH = 4
 """Grid points per length of smoothing: a cubic spline of them misses less than a thousandth."""
 
@@ -182,7 +183,7 @@ _MARGIN_MM = 1.0
 
 @dataclass(frozen=True, slots=True)
 class PressSettings(Checked):
-    """How a finger is pressed, and what the sensor makes of it. Every number is ours unless a source is named."""
+    """How a finger is pressed, and what the sensor makes of it. Numbers are our choice where no source is named."""
 
     force_n: Annotated[float, Limits(0.1, 20.0)] = 1.5
     """Normal force; sensors are touched with 0.5 to 5 N."""
@@ -195,7 +196,7 @@ class PressSettings(Checked):
     shift_mm: Annotated[float, Limits(0.0, 0.75)] = 0.35
     """Largest smooth shift of the skin on the glass."""
     stretch: Annotated[float, Limits(0.0, 0.1)] = 0.015
-    """Skin that is pressed spreads by this share."""
+    """Skin that is pressed spreads by this fraction."""
     patches: Annotated[float, Limits(0.0, 0.3)] = 0.06
     """Standard deviation of the level over a print, over distances of 2.5 mm: moisture."""
     noise_grey: Annotated[float, Limits(0.0, 60.0)] = 5.0

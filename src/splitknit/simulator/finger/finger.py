@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,12 +14,13 @@ from splitknit.model import BoolArray, Camera
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulator.finger.raycast import NOTHING_SEEN, Placement, above, cast_block, hits
+from splitknit.simulator.finger.raycast import Placement, above, finger_in_view
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 from splitknit.simulator.finger.skin_map import Crease, SkinMap, SkinSettings, skin_map
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
+
 
 FREQUENCIES = {
     "arch": 0.037,
@@ -182,7 +182,7 @@ def finger_surface(
     skin
         Laid over the body instead of the finger's own.
     keep_chart
-        Whether the surface tells where on the skin's map its points lie.
+        Whether the surface records where on the skin's map its points lie.
 
     Raises
     ------
@@ -199,36 +199,12 @@ def finger_surface(
         f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs {top + 5.0:.1f} mm; "
         "raise camera.height_mm.",
     )
-    box = hits(body, placement, camera)
-    rows, columns = camera.image_size
-    empty = np.full((rows, columns), np.nan, dtype=np.float32)
-    height, shape_height = empty, empty.copy()
-    normals = np.zeros((rows, columns, 3), dtype=np.float32)
-    shape_normals = np.zeros_like(normals)
-    relief = np.zeros((rows, columns), dtype=np.float32)
-    pigment = np.ones((rows, columns), dtype=np.float32)
-    chart = np.full((rows, columns, 2), np.nan, dtype=np.float32)
-    targets = [height, shape_height, normals, shape_normals, relief, pigment, chart]
-    places = [np.full((rows, columns), np.nan, dtype=np.float32) for _ in range(2 * (camera.model == "perspective"))]
-    targets += places
-
-    tall = 4 * max(4, 6000 // (box[1].stop - box[1].start))  # about 24000 pixels fit the cache
-
-    def fill(top: int) -> None:
-        part = slice(top, min(top + tall, box[0].stop))
-        for target, values in zip(targets, cast_block(body, skin, placement, camera, (part, box[1])), strict=True):
-            target[part, box[1]] = values
-
-    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
-        list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
-    mask = np.isfinite(height)
-    require(bool(mask.any()), NOTHING_SEEN)
-    x_mm, y_mm = places or (None, None)
-    return Surface(
-        camera, height, shape_height, normals, shape_normals, relief, mask, pigment,
-        _find_landmarks(finger, pose, mask=mask, chart=chart, skin=skin, master=master, camera=camera),
-        x_mm, y_mm, chart if keep_chart else None,
-    )  # fmt: skip
+    surface = finger_in_view(body, skin, placement, camera, workers)
+    assert surface.chart is not None
+    landmarks = _find_landmarks(
+        finger, pose, mask=surface.mask, chart=surface.chart, skin=skin, master=master, camera=camera
+    )
+    return replace(surface, landmarks=landmarks, chart=surface.chart if keep_chart else None)
 
 
 def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
@@ -352,6 +328,9 @@ def _tip(mask: BoolArray, pose: Pose) -> Array:
     best = columns[along > along.max() - 0.75]
     column = float(best.mean())
     return np.array([column, float(top[best].mean())])
+
+
+# How people lay their fingers down.
 
 
 @dataclass(frozen=True, slots=True)

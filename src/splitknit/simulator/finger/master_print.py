@@ -28,8 +28,10 @@ from splitknit.simulator.finger.ridges import (
 )
 
 Array = NDArray[np.float64]
-
 Array32 = NDArray[np.float32]
+
+
+# Sweat pores: small dips along the crests of the ridges.
 
 
 def scatter_pores(

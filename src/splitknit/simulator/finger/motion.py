@@ -26,6 +26,7 @@ from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
 
+
 _SHOT_S = 0.5
 """Time from shot to shot; the thesis takes 14 in 7 s."""
 EXPOSURE_S = 0.02
@@ -42,7 +43,7 @@ _SLIP_SMOOTH_MM = 5.0
 
 @dataclass(frozen=True, slots=True)
 class HandMotion(Checked):
-    """How far and how a finger moves during a capture. Every number is ours unless a source is named."""
+    """How far and how a finger moves during a capture. Numbers are our choice where no source is named."""
 
     _group = "motion"
 
@@ -125,7 +126,10 @@ def _spread(path: Array) -> float:
 
 
 TRUTH_STEP_MM = 0.5
-"""Pitch of the grid on which the truth tells where the skin went."""
+"""Pitch of the grid on which the truth records where the skin went."""
+
+
+# The surfaces of a moving finger, one for each shot, and where its skin goes in the pictures.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +142,7 @@ class MovingFinger:
     master: MasterPrint
     path: _MotionPath
     slips: tuple[Deformation, Deformation]
-    """Fields of slip whose shares `path.slip` tells; their largest shift is 1 mm."""
+    """Fields of slip whose weights are in `path.slip`; their largest shift is 1 mm."""
     workers: int = 2
 
     def pose_of(self, shot: int) -> Pose:

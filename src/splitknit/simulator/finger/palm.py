@@ -1,4 +1,9 @@
-"""Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a map."""
+"""A patch of a palm: the skin of fingers with flatter relief, coarser ridges and lines, gently curved.
+
+The thesis trains its separation on palms, whose skin is that of fingers and which fill the picture. A palm here is a
+patch under an orthographic camera, its ridges displaced along the shape's normal; where the camera sees more than the
+patch, there is nothing.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +24,17 @@ from splitknit.simulator.finger.ridges import grow_ridges, smooth_noise
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
 
 STEP_MM = 0.25
 """Distance between the points of a line."""
 
 TOGETHER = 3.0
 """Exponent of the norm that joins grooves: deeper than each where they cross, less than their sum."""
+
+
+# Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a map.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,8 +245,6 @@ def _draw_shape(
     return _PalmShape(shape.tilt, shape.curvature_per_mm, shape.axis_rad, shape.pads, top)
 
 
-Array32 = NDArray[np.float32]
-
 _PERIOD_VARIATION = 0.06
 """Relative standard deviation of the ridge period within a palm, over distances of about 5 mm."""
 _TURN_PER_MM = 0.02
@@ -442,7 +450,7 @@ class PalmSettings(Checked):
     ridge_depth_um: Annotated[tuple[float, float], Limits(0.0, 200.0)] = (20.0, 60.0)
     """Mean height of ridges over valleys: flatter than on fingers."""
     delta_share: Annotated[float, Limits(0.0, 1.0)] = 0.15
-    """Share of the patches that hold a triradius."""
+    """Fraction of the patches that hold a triradius."""
     principal: Annotated[tuple[int, int], Limits(0, 10)] = (0, 3)
     """Principal lines in the patch, inclusive."""
     wrinkles: Annotated[tuple[int, int], Limits(0, 400)] = (10, 60)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,15 +14,21 @@ from splitknit.model import Camera
 from splitknit.simulator.camera.lens import slopes_of_pixels
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap
+from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
 
 Triple = tuple[Array, Array, Array]
 
 
+# Lines of sight: parallel ones of an orthographic camera, spreading ones of a perspective camera.
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """Lines of sight, told by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
+    """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
 
     x: Array
     """(N,) where they meet the finger plane."""
@@ -168,10 +175,7 @@ def _polish(gap: Gap, depth: Array, facing: Array, met: NDArray[np.bool_]) -> tu
     return result, close
 
 
-Array32 = NDArray[np.float32]
-
-
-NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the image size."
+_NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the image size."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +203,7 @@ class Placement:
         return np.stack([(r[i, 0] * x + r[i, 1] * y + r[i, 2] * z) * scale for i in range(3)], -1)
 
 
-def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice, slice]:
+def _hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice, slice]:
     """Rows and columns of the image that can show the finger."""
     rows, columns = camera.image_size
     step = max(1, int(0.4 * camera.px_per_mm))
@@ -207,7 +211,7 @@ def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice,
     rays = rays_of(camera, some_rows, some_columns)
     _, hit = _meet_body(body, placement, rays, np.full(rays.x.size, above(body, placement)))
     seen = hit.reshape(some_rows.size, some_columns.size)
-    require(bool(seen.any()), NOTHING_SEEN)
+    require(bool(seen.any()), _NOTHING_SEEN)
     margin = 2 * step
     first_row, last_row = some_rows[seen.any(axis=1)][[0, -1]]
     first_column, last_column = some_columns[seen.any(axis=0)][[0, -1]]
@@ -217,33 +221,72 @@ def hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice,
     )
 
 
-def cast_block(
-    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, block: tuple[slice, slice]
-) -> tuple[Array32, ...]:
-    """Height, shape height, normals, shape normals, relief (um), pigment and chart of a block of pixels.
+_SHAPES: tuple[tuple[int, ...], ...] = ((), (), (3,), (3,), (), (), (2,), (), ())
+_EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
+"""What :func:`cast_rays` returns: the shape of a ray's values, and what stands where a ray meets nothing."""
+Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | Array32]]]
 
-    A perspective camera's block also has x and y of the skin (mm): the grid does not tell them.
+
+def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int) -> Surface:
+    """Show what the rays of a part of the camera's pixels meet, with its chart.
+
+    Parameters
+    ----------
+    box : rows and columns
+    cast : takes rows; gives the places, among their pixels of the box, whose rays meet skin, and for those what
+        :func:`cast_rays` returns
+    workers : threads; the result does not depend on them
     """
-    shape = (block[0].stop - block[0].start, block[1].stop - block[1].start)
-    rays = rays_of(camera, _range(block[0]), _range(block[1]))
-    index, values = cast_rays(body, skin, placement, rays, _first_guess(body, placement, camera, block))
+    perspective = camera.model == "perspective"
+    arrays = [
+        np.full((*camera.image_size, *shape), empty, dtype=np.float32)
+        for shape, empty in list(zip(_SHAPES, _EMPTY, strict=True))[: 9 if perspective else 7]
+    ]
+    across = _range(box[1])
+    tall = 4 * max(4, 6000 // across.size)  # about 24000 pixels fit the cache
 
-    def spread(values: Array | Array32, empty: float) -> Array32:
-        full = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=np.float32)
-        full[index] = values
-        return full.reshape(*shape, *values.shape[1:])
+    def fill(first: int) -> None:
+        down = np.arange(first, min(first + tall, box[0].stop))
+        place, values = cast(down)
+        if place.size:
+            for array, value in zip(arrays, values, strict=True):
+                array[down[place // across.size], across[place % across.size]] = value
 
-    return tuple(spread(one, empty) for one, empty in zip(values, EMPTY, strict=False))
+    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
+        list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
+    height, shape_height, normals, shape_normals, relief, pigment, chart, *places = arrays
+    x_mm, y_mm = places or (None, None)
+    return Surface(
+        camera, height, shape_height, normals, shape_normals, relief, np.isfinite(height), pigment,
+        x_mm=x_mm, y_mm=y_mm, chart=chart,
+    )  # fmt: skip
 
 
-EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
-"""What :func:`cast_block` has where a ray meets nothing, in its order."""
+def finger_in_view(body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, workers: int) -> Surface:
+    """The first points of a placed finger on the rays of all pixels.
+
+    Raises
+    ------
+    BadInput
+        If the camera sees nothing of the finger.
+    """
+    box = _hits(body, placement, camera)
+
+    def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], Sequence[Array | Array32]]:
+        rays = rays_of(camera, down, _range(box[1]))
+        part = slice(int(down[0]), int(down[-1]) + 1)
+        return cast_rays(body, skin, placement, rays, _first_guess(body, placement, camera, (part, box[1])))
+
+    surface = fill_surface(camera, box, cast, workers)
+    require(bool(surface.mask.any()), _NOTHING_SEEN)
+    return surface
 
 
 def cast_rays(
     body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, start: Array, *, bottom: float | None = None
 ) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
-    """Which of the rays meet the skin, and for those what :func:`cast_block` tells, in its order.
+    """Which of the rays meet the skin, and for those height, shape height, normals, shape normals, relief (um), pigment
+    and chart; of a perspective camera also x and y of the skin (mm), which do not follow from the grid.
 
     The search goes down from the heights `start`, which must lie above the finger. The placement may be left-handed:
     a finger behind a mirror. Rays that run along the finger, where it is not convex, are followed down to `bottom`
@@ -358,7 +401,7 @@ def _meet_skin(  # noqa: PLR0917
 
     The search for the first intersection runs on a quadratic model of distance and chart along the ray; a last
     iteration uses the exact ones. Where the skin is steep, the first steps are too short to pass an intersection.
-    `z0` are the heights of the smooth skin; `facing` tells how fast the distance from it grows per mm of height.
+    `z0` are the heights of the smooth skin; `facing` is how fast the distance from it grows per mm of height.
     """
     model = _ray_model(body, placement, rays, z0, facing)
     length = rays.length()

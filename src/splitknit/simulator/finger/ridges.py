@@ -20,6 +20,8 @@ from scipy.sparse.linalg import spsolve
 from splitknit.errors import require
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
 
 Point = tuple[float, float]
 
@@ -231,7 +233,7 @@ def _difference_matrices(rows: int, columns: int, h: float) -> tuple[sparse.csr_
     )
 
 
-Array32 = NDArray[np.float32]
+# Ridges grown from noise: repeated filtering along a field of directions and periods.
 
 
 def grow_ridges(

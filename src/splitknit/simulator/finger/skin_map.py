@@ -14,7 +14,6 @@ from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
 
 Array = NDArray[np.float64]
-
 Array32 = NDArray[np.float32]
 
 

@@ -1,4 +1,4 @@
-"""Dust on the skin: how many grains of what size, and where they and their shadows lie in the picture."""
+"""Light on coated skin: through water, between grains of dust, off scales, along a gloss; noise-free, linear."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ ALBEDO = (0.08, 0.6)
 """Of single grains, even between them: soot and soil to flour and skin scales."""
 
 
+# Dust: how many grains of what size, and where they and their shadows lie in the picture.
+
+
 def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camera: Camera, severity: float) -> Grains:
     """Strew grains evenly over the skin that the camera sees.
 
@@ -43,7 +46,7 @@ def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camer
     mask, nz : (H, W)
         The finger, and the z component of its shape's normals: a pixel on a slant shows more skin.
     severity : 0 to 1
-        Share of `MOST_MG_PER_CM2`.
+        Fraction of `MOST_MG_PER_CM2`.
     """
     spread = float(np.log(SPREAD))
     volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
@@ -104,6 +107,9 @@ def _sphere_brightness(phase_rad: FloatArray) -> FloatArray:
     return np.asarray(2.0 / 3.0 * (np.sin(phase_rad) + (np.pi - phase_rad) * cosine) / np.pi, dtype=np.float32)
 
 
+# Coated skin under a light.
+
+
 class CoatedPatch:
     """Coated skin inside the finger's window.
 
@@ -139,7 +145,7 @@ class CoatedPatch:
         self.leaving = self._leaving()
 
     def _leaving(self) -> FloatArray:
-        """(h, w) share of the diffuse light that reaches the camera, over that of bare skin."""
+        """(h, w) fraction of the diffuse light that reaches the camera, over that of bare skin."""
         share = 1.0 - self.hidden
         if self.scales is not None:
             share = share * (1.0 - self.scales)
@@ -215,7 +221,7 @@ class CoatedPatch:
         return np.asarray(within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER)))
 
     def _shadow(self, light: Vectors) -> FloatArray:
-        """(h, w) share of the skin's light that the grains take: a ball on the ground shades a disc beside its foot."""
+        """(h, w) fraction of the skin's light that grains take: a ball on the ground shades a disc beside its foot."""
         assert self.grains is not None
         g, shape = self.grains, self.patch.mask.shape
         i = np.clip(np.rint(g.row).astype(np.intp), 0, shape[0] - 1)

@@ -180,6 +180,9 @@ def towards(
     return lx, ly, lz, strength
 
 
+# An opaque finger: matt as painted plaster, no light below the surface, no gloss.
+
+
 def render_opaque(surface: Surface, leds: Sequence[Led], albedo: float = 0.5) -> tuple[tuple[slice, slice], FloatArray]:
     """Photograph a Lambertian finger under each of `leds`, without noise.
 

@@ -48,8 +48,8 @@ class RenderSettings(Checked):
     """Depth of the plane in focus below the finger's highest point."""
     rim_exponent: Annotated[float, Limits(0, 1)] = 0.75
     """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by
-    the share inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random walk
-    in an elliptic cylinder best (``validation/twin/volume.py``)."""
+    the fraction inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random
+    walk in an elliptic cylinder best (``validation/twin/volume.py``)."""
     workers: Annotated[int, Limits(1)] = 2
     """Threads; the result does not depend on it."""
 

@@ -29,6 +29,9 @@ from splitknit.simulator.surface import Surface
 Array = NDArray[np.float64]
 
 
+# Patterns that a projector throws on the skin, and where they fall.
+
+
 @dataclass(frozen=True, slots=True)
 class Checkerboard(Checked):
     """A checkerboard in all its shifts: `steps` x `steps` patterns, by a `steps`-th of the period each way."""
@@ -39,8 +42,8 @@ class Checkerboard(Checked):
     """Shifts along each axis; 5 gives the thesis's 25 patterns. With an even number every checkerboard occurs twice,
     since a shift by one check along both axes changes nothing."""
     alpha: Annotated[float, Limits(0.05, 0.95)] = 0.5
-    """Share of the plane that is lit: 0.5 is the checkerboard; below it lit squares on dark, above it dark squares on
-    light, one a period of two checks."""
+    """Fraction of the plane that is lit: 0.5 is the checkerboard; below it lit squares on dark, above it dark squares
+    on light, one a period of two checks."""
     dark: Annotated[float, Limits(0.0, 0.9)] = 0.0
     """Light of the projector's dark checks, relative to its lit ones (b)."""
     edge_mm: Annotated[float, Limits(0.0)] = 0.0
@@ -161,6 +164,9 @@ def pattern_states(surface: Surface, led: Led, pattern: Checkerboard) -> FloatAr
 
 
 Phases = Literal["all", "centred"]
+
+
+# Direct and global light under them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -96,7 +96,7 @@ class SkinSettings(Checked):
     blood: Annotated[float, Limits(0.0, 0.1)] = 0.006
     """Volume fraction of whole blood (150 g/l haemoglobin)."""
     oxygenation: Annotated[float, Limits(0.0, 1.0)] = 0.75
-    """Oxygenated share of the haemoglobin."""
+    """Oxygenated fraction of the haemoglobin."""
     water: Annotated[float, Limits(0.0, 1.0)] = 0.65
     """Volume fraction of water."""
     baseline_per_mm: Annotated[float, Limits(0.004, 1.0)] = 0.008
@@ -139,7 +139,7 @@ class SkinRanges:
     blood: tuple[float, float] = (0.003, 0.012)
     """Log-uniform."""
     oxygenation: tuple[float, float] = (0.6, 0.85)
-    """Oxygenated share of the haemoglobin, 0 to 1; even."""
+    """Oxygenated fraction of the haemoglobin, 0 to 1; even."""
     roughness: tuple[float, float] = (0.18, 0.35)
     """GGX alpha of the skin's surface, 0.05 (polished) to 1 (matt); even."""
     glare: tuple[float, float] = (0.5, 1.3)
@@ -182,6 +182,9 @@ LONGEST_WALK = 3000.0
 RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
 
 LENGTH_EDGES = np.concatenate([[0.0], np.geomspace(1e-2, LONGEST_WALK, 91)])
+
+
+# Where light that enters skin at one point leaves it.
 
 
 def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
@@ -274,7 +277,7 @@ class Profile:
         return np.interp(index, np.arange(601), values).astype(np.float32)
 
     def kernel(self, pitch_mm: float, radius_mm: float) -> FloatArray:
-        """(2n + 1, 2n + 1) share of the light that leaves within each pixel, area-sampled; the sum is the albedo.
+        """(2n + 1, 2n + 1) fraction of the light that leaves within each pixel, area-sampled; the sum is the albedo.
 
         Light that leaves beyond the kernel is spread over the kernel in proportion. Each pixel is averaged over its
         area on a grid of sub-pixels, exactly in the ring that holds the centre.

@@ -1,4 +1,7 @@
-"""Classes of prints by digit and hand, in the frequencies that people have."""
+"""People: hands whose ten fingers are similar in size, shape and skin, each with a print of its own.
+
+Everything is drawn from a person's number, so that a person does not depend on how many others there are.
+"""
 
 from __future__ import annotations
 
@@ -26,20 +29,23 @@ DIGITS = ("thumb", "index", "middle", "ring", "little")
 SIDES = ("right", "left")
 
 ARCHES: Mapping[str, Five] = {"right": (0.03, 0.17, 0.07, 0.02, 0.01), "left": (0.05, 0.17, 0.08, 0.03, 0.02)}
-"""Share of arches by digit, thumb to little finger (Galton 1892, chapter VIII, 5000 digits of 500 persons)."""
+"""Fraction of arches by digit, thumb to little finger (Galton 1892, chapter VIII, 5000 digits of 500 persons)."""
 
 WHORLS: Mapping[str, Five] = {"right": (0.44, 0.30, 0.15, 0.45, 0.13), "left": (0.30, 0.28, 0.16, 0.31, 0.08)}
-"""Share of whorls; the rest are loops (the same table)."""
+"""Fraction of whorls; the rest are loops (the same table)."""
 
 RADIAL: Five = (0.01, 0.39, 0.04, 0.02, 0.01)
-"""Share of the loops that open to the thumb's side: 39 % on fore-fingers (Galton), rare elsewhere."""
+"""Fraction of the loops that open to the thumb's side: 39 % on fore-fingers (Galton), rare elsewhere."""
 
 TENTED, TWIN = 0.44, 0.18
 """Tented ones among arches and twin loops among whorls, as in :data:`splitknit.simulator.finger.finger.FREQUENCIES`."""
 
 
+# Classes of prints by digit and hand, in the frequencies that people have.
+
+
 def class_shares(side: str, digit: str) -> dict[str, float]:
-    """Share of every class among the prints of a digit; they sum to one."""
+    """Fraction of every class among the prints of a digit; they sum to one."""
     k = DIGITS.index(digit)
     arch, whorl = ARCHES[side][k], WHORLS[side][k]
     radial, ulnar = ("left_loop", "right_loop") if side == "right" else ("right_loop", "left_loop")
@@ -57,7 +63,7 @@ def class_shares(side: str, digit: str) -> dict[str, float]:
 def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str) -> str:
     """Class of a print in the digit's frequencies: arches where a standard normal `score` is low, whorls where high.
 
-    Scores that are alike in a person's fingers make their classes alike. On the print of a right hand the little
+    Scores that are similar in a person's fingers make their classes similar. On the print of a right hand the little
     finger's side is to the right: ulnar loops open there.
 
     References
@@ -75,6 +81,9 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
     return "right_loop" if radial != (side == "right") else "left_loop"
 
 
+# From what hands are drawn.
+
+
 @dataclass(frozen=True, slots=True)
 class PeopleRanges(Checked):
     """From what hands are drawn; sources and reasons: ``docs/population.md``."""
@@ -82,7 +91,7 @@ class PeopleRanges(Checked):
     _group = "people"
 
     men: Annotated[float, Limits(0.0, 1.0)] = 0.5
-    """Share of men."""
+    """Fraction of men."""
     width_mm: Annotated[Five, Limits(11.0, 23.0)] = (20.2, 16.8, 17.0, 16.0, 14.3)
     """Mean breadth of the pad by digit, thumb to little finger, both sexes."""
     length_mm: Annotated[Five, Limits(18.0, 34.0)] = (30.5, 25.0, 26.0, 25.5, 22.8)
@@ -96,7 +105,7 @@ class PeopleRanges(Checked):
     length_spread: Annotated[float, Limits(0.0, 0.12)] = 0.05
     """Relative standard deviation of that length between people of one sex; 0 to 0.12."""
     person_share: Annotated[float, Limits(0.0, 1.0)] = 0.8
-    """Share of the variance of breadth and length, within a sex, that all ten fingers have in common."""
+    """Fraction of the variance of breadth and length, within a sex, that all ten fingers have in common."""
     period_mm: Annotated[float, Limits(0.38, 0.5)] = 0.435
     """Mean ridge period, both sexes: 23 ridges per cm, as in the thesis."""
     period_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.10
@@ -108,7 +117,7 @@ class PeopleRanges(Checked):
     period_own_spread: Annotated[float, Limits(0.0, 0.12)] = 0.02
     """Between the fingers of a hand."""
     pattern_person_share: Annotated[float, Limits(0.0, 1.0)] = 0.35
-    """How far a person's fingers tend to one class of print: share of the latent variance."""
+    """How far a person's fingers tend to one class of print: fraction of the latent variance."""
     pattern_digit_share: Annotated[float, Limits(0.0, 1.0)] = 0.25
     """The same for the two fingers of one name."""
     optics: SkinRanges = field(default_factory=SkinRanges)
@@ -196,7 +205,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
 
 
 class _Hand:
-    """Standard normal scores that say how a person's fingers differ from the mean, alike among themselves."""
+    """Standard normal scores that say how a person's fingers differ from the mean, similar among themselves."""
 
     EXTRA = ("width", "length", "period", "pattern")
 

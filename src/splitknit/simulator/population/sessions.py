@@ -49,7 +49,7 @@ class SessionRanges(Checked):
     insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (26.0, 28.4)
     """From the lower image border to the tip; cut to what the picture holds."""
     partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
-    """Share of impressions that are laid down too short."""
+    """Fraction of impressions that are laid down too short."""
     partial_insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (18.0, 22.0)
     """From the lower image border to the tip of those; 12 to 40."""
     height_mm: Annotated[Range, Limits(-3.0, 3.0)] = (-0.5, 0.5)
@@ -57,7 +57,7 @@ class SessionRanges(Checked):
     swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
     """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
     swelling_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
-    """Share of its variance that all fingers of a person have in common."""
+    """Fraction of its variance that all fingers of a person have in common."""
     flattening: Annotated[Range, Limits(0.0, 0.1)] = (0.0, 0.02)
     """What a resting finger gains in breadth and loses in thickness."""
     deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
@@ -65,7 +65,7 @@ class SessionRanges(Checked):
     deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
     """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
     moisture_common: Annotated[float, Limits(0.0, 1.0)] = 0.6
-    """Share of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
+    """Fraction of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
     glare: Annotated[Range, Limits(0.0, 3.0)] = (0.5, 1.3)
     """Weight of the surface reflection of dry and of moist skin."""
     roughness: Annotated[Range, Limits(0.1, 0.6)] = (0.35, 0.18)
@@ -75,11 +75,11 @@ class SessionRanges(Checked):
     blood_sd: Annotated[float, Limits(0.0, 0.6)] = 0.25
     """Logarithmic standard deviation of the blood content (warmth, pressure)."""
     blood_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
-    """Share of its variance that a person's fingers have in common."""
+    """Fraction of its variance that a person's fingers have in common."""
     oxygenation: Annotated[Range, Limits(0.3, 1.0)] = (0.6, 0.85)
-    """Oxygenated share of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
+    """Oxygenated fraction of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
     exposure: Annotated[Range, Limits(0.1, 0.95)] = (0.5, 0.8)
-    """Share of full scale that the brightest skin reaches."""
+    """Fraction of full scale that the brightest skin reaches."""
     full_well_e: Annotated[Range, Limits(500.0, 100000.0)] = (2500.0, 4700.0)
     """Electrons at full scale: fewer with a higher gain."""
     read_noise_e: Annotated[Range, Limits(0.0, 50.0)] = (2.5, 4.0)
@@ -89,7 +89,7 @@ class SessionRanges(Checked):
     ambient: Annotated[Range, Limits(0.0, 0.2)] = (0.0005, 0.004)
     """Room light relative to one LED."""
     hand_shadow: Annotated[Range, Limits(0.0, 1.0)] = (0.0, 0.15)
-    """Share of the light that the hand takes away at the finger's base; 0 to 1."""
+    """Fraction of the light that the hand takes away at the finger's base; 0 to 1."""
     dust_per_cm2: Annotated[Range, Limits(0.0, 20.0)] = (0.0, 0.6)
     """Bright specks on the background, for each square centimetre; 0 to 20."""
 

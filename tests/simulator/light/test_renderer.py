@@ -7,7 +7,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from surfaces import plane, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, default_rig
@@ -23,6 +22,7 @@ from splitknit.simulator.light.skin import (
     fresnel,
     load_walks,
 )
+from surfaces import plane, ridged_egg
 
 OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
 CONTRAST = {"red": (0.013, 0.039), "green": (0.034, 0.067), "blue": (0.052, 0.087), "nir": (0.007, 0.033)}

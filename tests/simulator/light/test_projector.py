@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from surfaces import plane, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Led
 from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.separation import Checkerboard, _projected, pattern_states
+from surfaces import plane, ridged_egg
 
 ABOVE = Led("white", direction=(0.0, 0.0, 1.0))
 ASIDE = Led("white", position_mm=(52.5, -10.0, 140.0))

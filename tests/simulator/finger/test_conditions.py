@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from surfaces import ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, default_rig
@@ -33,6 +32,7 @@ from splitknit.simulator.light.coat import (
 from splitknit.simulator.light.renderer import RenderSettings, render_band
 from splitknit.simulator.light.skin import SkinSettings, fresnel, load_walks
 from splitknit.simulator.surface import WATER, Coat, Film, Grains
+from surfaces import ridged_egg
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)
 CAMERA = Camera(12.0, (260, 280))

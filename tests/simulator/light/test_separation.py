@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from surfaces import plane, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, default_rig
@@ -20,6 +19,7 @@ from splitknit.simulator.light.separation import (
     separate_truth,
 )
 from splitknit.simulator.light.skin import BAND_CHANNELS, ChannelOptics, SkinSettings, diffusion_profile, load_walks
+from surfaces import plane, ridged_egg
 
 LED = default_rig().leds[1]
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
