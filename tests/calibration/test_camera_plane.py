@@ -8,7 +8,7 @@ import pytest
 from camera_views import BOARD, MATRIX, seen, turned
 
 from splitknit.calibration.plane import mean_pose, plane_pose, plane_scale
-from splitknit.calibration.targets import find_disc, find_dots, number_dots
+from splitknit.calibration.targets import _find_dots, _number_dots, find_disc
 from splitknit.errors import BadInput
 
 MARKS = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
@@ -142,7 +142,7 @@ def test_what_is_no_dot_is_passed_over():
         image[40 + 3 * k, 150 + 5 * k] = 0.1
     cv2.circle(image, (330, 330), 14, 0.1, -1, cv2.LINE_AA)
     soiled, centres = find_disc(image, 10.0)
-    assert np.linalg.norm(find_dots(image) - (500, 250), axis=1).min() > 20  # the large spot is no dot at all
+    assert np.linalg.norm(_find_dots(image) - (500, 250), axis=1).min() > 20  # the large spot is no dot at all
     assert len(soiled) == len(plain)
     assert np.ptp(soiled, axis=0).tolist() == np.ptp(plain, axis=0).tolist()
     assert plane_pose(soiled, centres, MATRIX).rms_px < 0.1
@@ -150,13 +150,13 @@ def test_what_is_no_dot_is_passed_over():
 
 def test_pictures_without_a_disc():
     flat = 0.6 + np.random.default_rng(3).normal(0, 0.01, (300, 400))
-    assert len(find_dots(flat)) < 6
+    assert len(_find_dots(flat)) < 6
     with pytest.raises(BadInput, match="black dots on a grid were found, but six are needed"):
         find_disc(flat, 10.0)
     with pytest.raises(BadInput, match="no black dots"):
-        number_dots(np.zeros((0, 2)))
+        _number_dots(np.zeros((0, 2)))
     with pytest.raises(BadInput, match="on a grid"):
-        number_dots(np.random.default_rng(4).random((12, 2)) * 1000)
+        _number_dots(np.random.default_rng(4).random((12, 2)) * 1000)
     with pytest.raises(BadInput, match="spacing must be"):
         find_disc(flat, 0.0)
 
@@ -169,7 +169,7 @@ def test_dots_of_a_bent_grid_are_numbered():
     kept = np.ones(len(dots), dtype=bool)
     kept[[20, 60, 75]] = False
     order = np.random.default_rng(5).permutation(int(kept.sum()))
-    numbers, places = number_dots(bent[kept][order])
+    numbers, places = _number_dots(bent[kept][order])
     assert len(numbers) == kept.sum()
     nearest = np.linalg.norm(places[:, None] - bent, axis=2).argmin(axis=1)
     apart = numbers - np.round(dots[nearest] / 40).astype(int)

@@ -12,11 +12,11 @@ from splitknit.calibration.card_model import (
     Answer,
     CardModel,
     CardPlane,
+    _lens_fall_off,
+    _squared_radius,
     card_light,
-    lens_fall_off,
-    squared_radius,
 )
-from splitknit.calibration.flat_field import FlatFieldSettings, fit_flat_field, fit_order
+from splitknit.calibration.flat_field import FlatFieldSettings, _fit_order, fit_flat_field
 from splitknit.errors import BadInput
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Led, default_rig, nominal_rig
@@ -62,8 +62,8 @@ def test_the_model_is_the_twins_card(rig, card, model):
 def test_the_lens_is_that_of_the_images(rig):
     pixels = grid(rig.camera, 1)
     expected = lens_shading(rig.camera.shading, rig.camera.image_size)
-    assert np.abs(lens_fall_off(rig.camera, pixels).reshape(expected.shape) - expected).max() < 1e-6
-    assert squared_radius((3, 5), [[2, 1]])[0] == 0
+    assert np.abs(_lens_fall_off(rig.camera, pixels).reshape(expected.shape) - expected).max() < 1e-6
+    assert _squared_radius((3, 5), [[2, 1]])[0] == 0
 
 
 @pytest.mark.parametrize("error_mm", [0.0, 1.0])
@@ -171,12 +171,12 @@ def test_an_led_that_did_not_light_is_named(rig):
 
 
 def test_gloss_shows_where_a_mirror_would(rig):
-    from splitknit.calibration.flat_field import half_angles
+    from splitknit.calibration.flat_field import _half_angles
 
     pixels, light = grid(rig.camera), shown(rig)
     placed = as_placed(rig)
     matt = fit_flat_field(placed.camera, placed.leds, pixels, light)
-    angles = np.stack([half_angles(rig.camera, led, pixels, CardPlane()) for led in rig.leds])
+    angles = np.stack([_half_angles(rig.camera, led, pixels, CardPlane()) for led in rig.leds])
     shiny = fit_flat_field(placed.camera, placed.leds, pixels, light * (1 + 0.05 * np.exp(-0.5 * (angles / 5) ** 2)))
     assert abs(matt.gloss_percent) < 0.3
     assert shiny.gloss_percent > 3 and shiny.gloss_percent > 10 * shiny.gloss_error
@@ -206,6 +206,6 @@ def test_a_fit_of_what_it_is_does_not_move(rig):
     pixels = grid(rig.camera, 20)
     model = CardModel(rig.camera, as_placed(rig).leds, pixels, CardPlane())
     answer = Answer(np.full(14, 2.0), np.full(14, 3.0), np.zeros((14, 2)), np.array([-0.1, -0.1]))
-    fit = fit_order(model, answer, LADDER[-1], model.logarithm(answer), 0.005)
+    fit = _fit_order(model, answer, LADDER[-1], model.logarithm(answer), 0.005)
     assert np.abs(fit.answer.exponent - 3).max() < 0.05
     assert np.abs(fit.answer.brightness - 2).max() < 0.01

@@ -21,7 +21,7 @@ from splitknit.calibration.light_table import (
     refusal,
     write_tips,
 )
-from splitknit.calibration.lights import Circle, by_circle, largest_angle_deg
+from splitknit.calibration.lights import Circle, _largest_angle_deg, by_circle
 from splitknit.errors import BadInput
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera
@@ -118,8 +118,8 @@ def test_directions_are_the_thesiss(thesis):
 
 def test_largest_angle_of_several():
     directions = np.array([[0, 0, 1], [0, np.sin(0.1), np.cos(0.1)], [0, -np.sin(0.2), np.cos(0.2)]])
-    assert largest_angle_deg(directions) == pytest.approx(np.degrees(0.3))
-    assert largest_angle_deg(directions[:1]) is None
+    assert _largest_angle_deg(directions) == pytest.approx(np.degrees(0.3))
+    assert _largest_angle_deg(directions[:1]) is None
 
 
 def test_copies_scale_with_the_image():

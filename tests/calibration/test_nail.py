@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle
-from splitknit.calibration.nail import NailModel, NailSettings, by_joint_fit, radius_95
+from splitknit.calibration.nail import NailSettings, _NailModel, _radius_95, by_joint_fit
 from splitknit.errors import BadInput
 from splitknit.model import Camera
 from splitknit.simulator.camera.lens import pixels_of_points
@@ -125,7 +125,7 @@ def test_an_led_off_its_circle_is_named():
 def test_the_jacobian():
     leds = rig(4)
     for camera in (ORTHOGRAPHIC, PERSPECTIVE):
-        model = NailModel(seen(leds, camera), camera, CIRCLE, NailSettings(nail_height_mm=19.0))
+        model = _NailModel(seen(leds, camera), camera, CIRCLE, NailSettings(nail_height_mm=19.0))
         rng = np.random.default_rng(5)
         x = np.concatenate([in_order(leds).ravel(), np.ravel(FOUR), [19.5], rng.normal(0, 1, 4)]) + rng.normal(
             0, 0.5, model.size
@@ -162,5 +162,5 @@ def test_radius_of_95_percent():
     rng = np.random.default_rng(0)
     for spreads in ((1.0, 1.0, 1.0), (1.0, 0.3, 0.1), (1.0, 0.0, 0.0)):
         drawn = np.linalg.norm(rng.standard_normal((40_000, 3)) * spreads, axis=1)
-        assert radius_95(np.diag(np.square(spreads))) == pytest.approx(np.quantile(drawn, 0.95), rel=0.05)
-    assert radius_95(np.zeros((2, 2))) == 0.0
+        assert _radius_95(np.diag(np.square(spreads))) == pytest.approx(np.quantile(drawn, 0.95), rel=0.05)
+    assert _radius_95(np.zeros((2, 2))) == 0.0

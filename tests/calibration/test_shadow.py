@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.calibration.shadow import Shape, find_nail, hull_distance
+from splitknit.calibration.shadow import _hull_distance, _Shape, find_nail
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.simulator.calibration_set.bench import photograph_bench, well_exposed
@@ -101,12 +101,12 @@ def test_distance_to_the_hull_of_two_circles():
     t = np.linspace(0, 1, 4001)
     middles, radii = t[:, None] * other, 2.5 + t * (0.4 - 2.5)
     slow = (np.linalg.norm(places[:, None] - middles, axis=2) - radii).min(axis=1)
-    fast = hull_distance(places, other, 2.5, 0.4)
+    fast = _hull_distance(places, other, 2.5, 0.4)
     assert fast[slow > 0] == pytest.approx(slow[slow > 0], abs=1e-3)
     assert np.all(fast[slow < -0.01] < 0)
 
 
 def test_darkness_of_a_shape():
-    shape = Shape(np.array([60.0, 20.0]), 2.0, 3.0, np.array([20.0, 20.0]), 10.0, 0.9)
+    shape = _Shape(np.array([60.0, 20.0]), 2.0, 3.0, np.array([20.0, 20.0]), 10.0, 0.9)
     dark = shape.darkness(np.array([[30.0, 20.0], [20.0, 40.0], [70.0, 20.0]]))
     assert dark == pytest.approx([0.9, 0.0, 0.0], abs=1e-6)

@@ -18,10 +18,10 @@ from splitknit.capture.pi import (
     _WHITE_GAINS,
     PiCamera,
     PiCameraSettings,
-    developed,
-    linear_tuning,
-    open_camera,
-    open_lights,
+    _developed,
+    _linear_tuning,
+    _open_camera,
+    _open_lights,
     open_pi,
 )
 from splitknit.errors import BadInput
@@ -98,7 +98,7 @@ def test_a_digital_gain_is_not_accepted(world, digital):
 
 
 def test_the_tuning_becomes_linear():
-    straight = linear_tuning(tuning())
+    straight = _linear_tuning(tuning())
     algorithms = {name: values for entry in straight["algorithms"] for name, values in entry.items()}
     assert "rpi.alsc" not in algorithms
     assert algorithms["rpi.contrast"] == {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]}
@@ -106,7 +106,7 @@ def test_the_tuning_becomes_linear():
     assert algorithms["rpi.black_level"] == {"black_level": 4096}
     assert straight["target"] == "bcm2835"
     with pytest.raises(BadInput, match="unknown version"):
-        linear_tuning({"version": 1.0, "rpi.contrast": {}})
+        _linear_tuning({"version": 1.0, "rpi.contrast": {}})
 
 
 def test_raw_pictures_are_developed_in_the_right_colours():
@@ -115,15 +115,15 @@ def test_raw_pictures_are_developed_in_the_right_colours():
     raw[0::2, 1::2] += 200  # green
     raw[1::2, 0::2] += 200
     raw[1::2, 1::2] += 300  # red
-    colours = developed(raw, (1.5, 2.0))[4:-4, 4:-4]
+    colours = _developed(raw, (1.5, 2.0))[4:-4, 4:-4]
     assert colours.dtype == np.uint16
     black = 64 * 64
     np.testing.assert_allclose(colours[..., 0], black + 300 * 1.5 * 64, atol=1)
     np.testing.assert_allclose(colours[..., 1], black + 200 * 64, atol=1)
     np.testing.assert_allclose(colours[..., 2], black + 100 * 2.0 * 64, atol=1)
-    clipped = developed(np.full((8, 8), 1023, dtype=np.uint16), (0.5, 1.0))
+    clipped = _developed(np.full((8, 8), 1023, dtype=np.uint16), (0.5, 1.0))
     assert (clipped == 65535).all()
-    dark = developed(np.full((8, 8), 60, dtype=np.uint16), (2.0, 2.0))
+    dark = _developed(np.full((8, 8), 60, dtype=np.uint16), (2.0, 2.0))
     assert (dark < black).all()  # noise below black is kept
     assert (dark > 0).all()
 
@@ -152,16 +152,16 @@ def test_a_pi_without_a_camera_says_so_and_its_leds_are_off(world, pins: MockFac
 def test_a_camera_in_use_says_so(world, monkeypatch):
     monkeypatch.setattr(FakePicamera2, "broken", True)
     with pytest.raises(BadInput, match=r"could not be started .*resource busy.*close other programs"):
-        open_camera(SMALL)
+        _open_camera(SMALL)
 
 
 def test_missing_libraries_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "picamera2", None)
     with pytest.raises(BadInput, match=r"picamera2.*apt install"):
-        open_camera()
+        _open_camera()
     monkeypatch.setitem(sys.modules, "gpiozero", None)
     with pytest.raises(BadInput, match=r"gpiozero.*apt install"):
-        open_lights(default_rig())
+        _open_lights(default_rig())
 
 
 def test_a_computer_without_gpio_lines_says_so(monkeypatch):
@@ -173,15 +173,15 @@ def test_a_computer_without_gpio_lines_says_so(monkeypatch):
 
     monkeypatch.setattr(gpiozero.Device, "_default_pin_factory", none)
     with pytest.raises(BadInput, match=r"no GPIO lines.*--device twin"):
-        open_lights(default_rig())
+        _open_lights(default_rig())
 
 
 def test_a_line_in_use_is_named_and_the_others_are_given_back(pins: MockFactory):  # noqa: F811
     other = gpiozero.LED(PINS[5])
     with pytest.raises(BadInput, match=f"GPIO{PINS[5]}.*in use"):
-        open_lights(default_rig())
+        _open_lights(default_rig())
     other.close()
-    with open_lights(default_rig()) as lights:  # nothing was kept
+    with _open_lights(default_rig()) as lights:  # nothing was kept
         assert lights.count == 14
 
 

@@ -62,7 +62,7 @@ def hashes(folder):
 @pytest.mark.filterwarnings("default::DeprecationWarning")
 def test_the_folder_is_complete_and_the_same_every_time(tmp_path, capsys):
     from splitknit.rig.assembly import read_stl
-    from splitknit.rig.part_reports import check_soundness
+    from splitknit.rig.part_reports import _check_soundness
 
     rig = default_rig()
     six = replace(rig, leds=rig.leds[:6])
@@ -81,7 +81,7 @@ def test_the_folder_is_complete_and_the_same_every_time(tmp_path, capsys):
     for name, part in written["parts"].items():
         assert part["checks"]["watertight"]["ok"]
         assert (tmp_path / "a" / "step" / f"{name}.step").stat().st_size > 1000
-        sound = check_soundness(read_stl(tmp_path / "a" / "stl" / f"{name}.stl"))
+        sound = _check_soundness(read_stl(tmp_path / "a" / "stl" / f"{name}.stl"))
         assert sound.watertight
         assert sound.volume_mm3 / 1000 == pytest.approx(part["volume_cm3"], abs=1e-3)
         failed = [check for check, verdict in part["checks"].items() if not verdict["ok"]]

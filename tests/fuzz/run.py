@@ -56,8 +56,6 @@ GUARD_MB = 2500
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.image.decode_table": "makes a table, reads nothing",
-    "capture.pi.open_lights": "opens a device",
-    "capture.pi.open_camera": "opens a device",
     "capture.pi.open_pi": "opens devices",
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",

@@ -12,8 +12,8 @@ from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.rig import assembly
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
-from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, dimensions_of, holder_places, mirror_front
-from splitknit.rig.part_reports import check_soundness, first_hits, report_part
+from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, _mirror_front, dimensions_of, holder_places
+from splitknit.rig.part_reports import _check_soundness, _first_hits, report_part
 from splitknit.rig.part_settings import (
     CAMERA_LENS_TO_CONNECTOR_MM,
     MIRROR_LONG_MM,
@@ -66,7 +66,7 @@ def test_each_part_is_one_valid_solid_and_prints(rig):
         assert part.solid.is_valid, name
         assert len(part.solid.solids()) == 1
         triangles = assembly.as_printed(part, assembly.triangles_of(part))
-        sound = check_soundness(triangles)
+        sound = _check_soundness(triangles)
         assert sound.watertight, name
         assert sound.volume_mm3 == pytest.approx(part.solid.volume, rel=1e-2)
         assert triangles[..., 2].min() == 0
@@ -163,7 +163,6 @@ def test_only_one_turn_fits():
 
 def test_boards_and_cable_fit(rig):
     dimensions, parts = rig
-    _board, _camera = dimensions.settings.board, dimensions.settings.camera
     floor = dimensions.box_z_mm + dimensions.settings.joint.plate_mm
     low = floor + PI_POST_HEIGHT_MM
     pi = build123d.Pos(-42.5 - 3, -28, low) * build123d.Solid.make_box(3 + 85, 56, 1.5 + 16)
@@ -221,7 +220,7 @@ def test_mirrors_stand_beside_the_finger_at_45_deg(rig):
     for first, second in itertools.combinations(placed, 2):
         assert shared_volume(first, second) < 1e-6
     mirror = dimensions.settings.mirror
-    u, v = mirror_front(dimensions.settings)
+    u, v = _mirror_front(dimensions.settings)
     foot = dimensions.floor_z_mm - dimensions.pocket_mm
     glass = build123d.Solid.make_box(mirror.wide_mm, MIRROR_LONG_MM, MIRROR_THICK_MM)
     glass = (
@@ -267,7 +266,7 @@ def test_every_led_lights_the_whole_pad(rig):
         for hole in dimensions.holes:
             way = hole.light_mm - pad
             length = np.linalg.norm(way, axis=1)
-            distance, _ = first_hits(mesh, pad, way / length[:, None], 200.0)
+            distance, _ = _first_hits(mesh, pad, way / length[:, None], 200.0)
             assert np.all(distance > length - 0.1), (base, hole.index)
 
 

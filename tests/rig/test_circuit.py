@@ -20,9 +20,9 @@ from splitknit.rig.circuit import (
     RATINGS_W,
     CircuitSettings,
     Stage,
+    _preferred,
+    _rating_for,
     design_stage,
-    preferred,
-    rating_for,
 )
 from splitknit.rig.netlist import (
     GROUND_PINS,
@@ -161,15 +161,15 @@ def test_settings_are_checked() -> None:
 
 
 def test_preferred_values() -> None:
-    assert preferred(25.1) == 27.0
-    assert preferred(25.1, up=False) == 24.0
-    assert preferred(1000.0) == preferred(1000.0, up=False) == 1000.0
-    assert preferred(9.5) == 10.0
-    assert rating_for(0.3, 0.6) == 0.6
+    assert _preferred(25.1) == 27.0
+    assert _preferred(25.1, up=False) == 24.0
+    assert _preferred(1000.0) == _preferred(1000.0, up=False) == 1000.0
+    assert _preferred(9.5) == 10.0
+    assert _rating_for(0.3, 0.6) == 0.6
     with pytest.raises(BadInput, match="heat"):
-        rating_for(5.0, 0.6)
+        _rating_for(5.0, 0.6)
     with pytest.raises(BadInput, match="positive"):
-        preferred(0.0)
+        _preferred(0.0)
     assert [ohm_text(v) for v in (27.0, 4700.0, 100_000.0, 1.5, 0.47)] == ["27R", "4k7", "100k", "1R5", "0R47"]
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.rig.assembly import PartKind, read_stl, write_stl
-from splitknit.rig.part_reports import check_soundness, first_hits, overhang, report_part, slice_mask, thinnest_wall
+from splitknit.rig.part_reports import (
+    _check_soundness,
+    _first_hits,
+    _overhang,
+    _slice_mask,
+    _thinnest_wall,
+    report_part,
+)
 from splitknit.rig.part_settings import PrinterSettings
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)
@@ -40,7 +47,7 @@ def prism(outline, length):
 
 
 def test_a_block_is_watertight():
-    sound = check_soundness(block((1, 2, 3), (4, 6, 8)))
+    sound = _check_soundness(block((1, 2, 3), (4, 6, 8)))
     assert sound.watertight
     assert (sound.triangles, sound.edges, sound.flat_triangles) == (12, 18, 0)
     assert sound.volume_mm3 == pytest.approx(60)
@@ -49,33 +56,33 @@ def test_a_block_is_watertight():
 
 def test_holes_and_turned_triangles_are_found():
     mesh = block((0, 0, 0), (1, 1, 1))
-    assert check_soundness(mesh[1:]).open_edges == 3
-    assert not check_soundness(mesh[1:]).watertight
+    assert _check_soundness(mesh[1:]).open_edges == 3
+    assert not _check_soundness(mesh[1:]).watertight
     turned = mesh.copy()
     turned[0] = turned[0, ::-1]
-    assert check_soundness(turned).turned_edges == 3
-    assert not check_soundness(turned).watertight
-    assert not check_soundness(mesh[:, ::-1]).watertight  # inside out
-    assert check_soundness(np.concatenate([mesh, mesh])).open_edges == 18
-    assert not check_soundness(np.zeros((0, 3, 3), dtype=np.float32)).watertight
+    assert _check_soundness(turned).turned_edges == 3
+    assert not _check_soundness(turned).watertight
+    assert not _check_soundness(mesh[:, ::-1]).watertight  # inside out
+    assert _check_soundness(np.concatenate([mesh, mesh])).open_edges == 18
+    assert not _check_soundness(np.zeros((0, 3, 3), dtype=np.float32)).watertight
     with pytest.raises(BadInput, match="must be"):
-        check_soundness(np.zeros((3, 3)))
+        _check_soundness(np.zeros((3, 3)))
 
 
 def test_the_wall_of_a_box_is_measured():
-    wall = thinnest_wall(hollow((30, 20, 12), 1.5))
+    wall = _thinnest_wall(hollow((30, 20, 12), 1.5))
     assert wall.thickness_mm == pytest.approx(1.5, abs=1e-3)
     thin = hollow((30, 20, 12), 1.5)
     thin[12:][thin[12:] == 30 - 1.5] = 30 - 0.7
-    wall = thinnest_wall(thin)
+    wall = _thinnest_wall(thin)
     assert wall.thickness_mm == pytest.approx(0.7, abs=1e-3)
     assert wall.place_mm[0] > 29
 
 
 def test_an_edge_is_no_wall():
     wedge = prism([(0, 0), (6, 0), (0, 6)], 5.0)
-    assert check_soundness(wedge).watertight
-    assert thinnest_wall(wedge).thickness_mm > 4.9  # between its two ends, not at its 45 deg edges
+    assert _check_soundness(wedge).watertight
+    assert _thinnest_wall(wedge).thickness_mm > 4.9  # between its two ends, not at its 45 deg edges
 
 
 def test_rays_agree_with_solving_each_triangle():
@@ -90,7 +97,7 @@ def test_rays_agree_with_solving_each_triangle():
             t, u, v = np.linalg.solve(np.stack([-directions[ray], b - a, c - a], axis=1), origins[ray] - a)
             if t > 1e-6 and u >= 0 and v >= 0 and u + v <= 1 and t <= 6:
                 expected[ray] = min(expected[ray], t)
-    distance, triangle = first_hits(corners, origins, directions, 6.0)
+    distance, triangle = _first_hits(corners, origins, directions, 6.0)
     assert np.isfinite(expected).sum() > 20
     assert np.array_equal(np.isfinite(distance), np.isfinite(expected))
     assert np.allclose(distance[np.isfinite(distance)], expected[np.isfinite(expected)])
@@ -99,7 +106,7 @@ def test_rays_agree_with_solving_each_triangle():
 
 def test_a_slice_shows_the_inside():
     mesh = hollow((30, 20, 12), 2.0)
-    mask = slice_mask(mesh.astype(float), 6.05, np.array([-1.0, -1.0]), (44, 64), 0.5)
+    mask = _slice_mask(mesh.astype(float), 6.05, np.array([-1.0, -1.0]), (44, 64), 0.5)
     rows, columns = np.indices(mask.shape)
     x, y = columns * 0.5 - 1, rows * 0.5 - 1
     outside = (x > 0) & (x < 30) & (y > 0) & (y < 20)
@@ -110,30 +117,30 @@ def test_a_slice_shows_the_inside():
     for edge in (0, 2, 18, 20):
         clear &= np.abs(y - edge) > 0.01
     assert np.array_equal(mask[clear], (outside & ~inside)[clear])
-    assert not slice_mask(mesh.astype(float), 15.0, np.array([-1.0, -1.0]), (44, 64), 0.5).any()
+    assert not _slice_mask(mesh.astype(float), 15.0, np.array([-1.0, -1.0]), (44, 64), 0.5).any()
 
 
 def test_a_bridge_is_as_long_as_the_gap():
     """A table with two legs: its top spans 8 mm; a ledge that is held on one side counts twice."""
     legs = [block((0, 0, 0), (2, 10, 6)), block((10, 0, 0), (12, 10, 6))]
     table = np.concatenate([*legs, block((0, 0, 6), (12, 10, 8))])
-    found = overhang(table)
+    found = _overhang(table)
     assert found.bridge_mm == pytest.approx(8, abs=0.6)
     assert found.bridge_z_mm == pytest.approx(6, abs=0.21)
     ledge = np.concatenate([block((0, 0, 0), (4, 10, 6)), block((0, 0, 6), (7, 10, 8))])
-    assert overhang(ledge).bridge_mm == pytest.approx(6, abs=0.6)
-    assert overhang(block((0, 0, 0), (4, 4, 4))).bridge_mm == 0
+    assert _overhang(ledge).bridge_mm == pytest.approx(6, abs=0.6)
+    assert _overhang(block((0, 0, 0), (4, 4, 4))).bridge_mm == 0
 
 
 @pytest.mark.parametrize(("lean", "steep"), [(40.0, False), (45.0, False), (50.0, True)])
 def test_leaning_faces_are_judged_by_their_angle(lean, steep):
     shift = 10 * np.tan(np.deg2rad(lean))
     body = prism([(0, 0), (5, 0), (5 + shift, 10), (0, 10)], 20.0)
-    assert check_soundness(body).watertight
-    found = overhang(body)
+    assert _check_soundness(body).watertight
+    found = _overhang(body)
     expected = 20 * 10 / np.cos(np.deg2rad(lean)) if steep else 0.0
     assert found.steep_mm2 == pytest.approx(expected, rel=1e-5)
-    assert overhang(body, limit_deg=60.0).steep_mm2 == 0
+    assert _overhang(body, limit_deg=60.0).steep_mm2 == 0
 
 
 def test_stl_round_trip(tmp_path):

@@ -12,9 +12,9 @@ from splitknit.rig.candidates import (
     BuildSettings,
     Candidate,
     Print,
+    _glare_lobe_rad,
+    _glaring,
     examine,
-    glare_lobe_rad,
-    glaring,
     grid,
     rig_of,
 )
@@ -23,10 +23,10 @@ from splitknit.rig.photography import (
     LAMPS,
     TARGET_LEVEL,
     PhotonSettings,
+    _tremor_blur_mm,
     electrons_per_s,
     intensity_w_sr,
     plan_exposure,
-    tremor_blur_mm,
 )
 
 FLAT = Print(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
@@ -99,21 +99,21 @@ def test_beam_must_meet_the_finger():
 
 def test_glare_is_where_the_normal_halves_the_angle():
     # straight above a flat point, light from the angle t mirrors at t / 2
-    lobe = glare_lobe_rad(0.25)
+    lobe = _glare_lobe_rad(0.25)
     assert np.rad2deg(lobe) == pytest.approx(9.57, abs=0.01)
     radius = 140.0 * np.tan(2.0 * lobe)
     for factor, hit in ((0.98, True), (1.02, False)):
         candidate = replace(THESIS, radius_mm=radius * factor)
         leds = list(rig_of(candidate, ORTHOGRAPHIC, {"white": 1.0}).leds)
-        assert bool(glaring(leds, candidate, ORTHOGRAPHIC, 0.25, FLAT).all()) is hit
-        assert bool(glaring(leds, candidate, ORTHOGRAPHIC, 0.25, FLAT).any()) is hit
+        assert bool(_glaring(leds, candidate, ORTHOGRAPHIC, 0.25, FLAT).all()) is hit
+        assert bool(_glaring(leds, candidate, ORTHOGRAPHIC, 0.25, FLAT).any()) is hit
     found = _found(replace(THESIS, radius_mm=0.9 * radius), finger=FLAT)["glare"]
     assert not found.ok and found.value == 1.0 and "100 % of it" in found.words
     assert _found(replace(THESIS, radius_mm=1.1 * radius), finger=FLAT)["glare"].ok
 
 
 def test_glare_lobe_is_half_the_distribution():
-    alpha, angle = 0.3, glare_lobe_rad(0.3)
+    alpha, angle = 0.3, _glare_lobe_rad(0.3)
 
     def ggx(theta):
         return alpha**2 / (np.pi * (np.cos(theta) ** 2 * (alpha**2 - 1) + 1) ** 2)
@@ -169,14 +169,14 @@ def test_depth_of_field_drops_the_height_and_follows_the_stop():
 def test_tremor_blurs_more_the_longer_and_never_beyond_its_amplitude():
     photons = PhotonSettings()
     times = np.linspace(1e-4, 0.055, 20)
-    blurs = [tremor_blur_mm(float(t), photons) for t in times]
+    blurs = [_tremor_blur_mm(float(t), photons) for t in times]
     assert np.all(np.diff(blurs) > 0) and blurs[0] < 1e-4
-    assert max(tremor_blur_mm(float(t), photons) for t in np.linspace(0, 2, 200)) <= 0.030 / np.sqrt(2) + 1e-9
+    assert max(_tremor_blur_mm(float(t), photons) for t in np.linspace(0, 2, 200)) <= 0.030 / np.sqrt(2) + 1e-9
     # the mean of the variance over random phases, by sampling
     rng, t = np.random.default_rng(0), 0.03
     phases = rng.random(4000)[:, None] * 2 * np.pi
     places = 0.030 * np.sin(2 * np.pi * 9.0 * np.linspace(0, t, 400)[None] + phases)
-    assert tremor_blur_mm(t, photons) == pytest.approx(np.sqrt(places.var(axis=1).mean()), rel=0.03)
+    assert _tremor_blur_mm(t, photons) == pytest.approx(np.sqrt(places.var(axis=1).mean()), rel=0.03)
 
 
 def test_grid_names_and_bad_candidates():

@@ -10,15 +10,15 @@ import pytest
 from splitknit.model import Reconstruction
 from splitknit.rig.candidates import FIRST_SEED, BuildSettings, Candidate, Study, rig_of
 from splitknit.rig.evaluate_rig import (
-    compare_surfaces,
+    _compare_surfaces,
+    _measure,
+    _phalange,
+    _places,
+    _printed,
+    _truth,
+    _view_of,
     evaluate,
-    measure,
-    phalange,
-    places,
-    printed,
     rigs,
-    truth,
-    view_of,
 )
 from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph
 from splitknit.simulator.light.skin import load_walks
@@ -31,8 +31,8 @@ SEED = FIRST_SEED
 @pytest.fixture(scope="module")
 def seen():
     """Perspective view of the finger, and its phalange."""
-    surface = view_of(SEED, rigs(RIG, STUDY)[0].camera)
-    return surface, phalange(SEED, surface)
+    surface = _view_of(SEED, rigs(RIG, STUDY)[0].camera)
+    return surface, _phalange(SEED, surface)
 
 
 def _shot(seen, candidate=RIG, seed=1, photons=None, rendered=False):
@@ -74,8 +74,8 @@ def _result(height, surface, mask, **changes):
 def test_the_finger_lies_in_the_same_place_under_every_camera(seen):
     other = rig_of(replace(RIG, px_per_mm=9.3), BuildSettings(), {"white": 1.0}, "orthographic").camera
     edges = []
-    for one in (seen[0], view_of(SEED, other)):
-        x, y = places(one)
+    for one in (seen[0], _view_of(SEED, other)):
+        x, y = _places(one)
         assert np.nanmax(one.shape_mm) == pytest.approx(0.0, abs=0.01)
         high = one.mask & (one.shape_mm > -2.0)
         edges.append((y[high].max(), x[high].min(), x[high].max()))
@@ -85,29 +85,29 @@ def test_the_finger_lies_in_the_same_place_under_every_camera(seen):
 def test_a_perfect_surface_is_as_near_as_the_points_are_dense(seen):
     surface, mask = seen
     lifted = _result(surface.height_mm + 3.0, surface, mask, x_mm=surface.x_mm, y_mm=surface.y_mm)
-    found = compare_surfaces(lifted, surface, mask, SEED, 10.0)
+    found = _compare_surfaces(lifted, surface, mask, SEED, 10.0)
     assert found["rms_mm"] < 0.08 and found["hausdorff95_mm"] < 0.17 and found["hausdorff_mm"] < 0.3
     assert found["normals_deg"] < 0.1 and found["ridge_correlation"] == pytest.approx(1.0)
 
 
 def test_a_bent_surface_is_off_by_what_it_is_bent(seen):
     surface, mask = seen
-    x, _ = places(surface)
+    x, _ = _places(surface)
     bent = surface.height_mm + np.where(mask, 0.04 * x * x, 0.0)
     result = _result(bent, surface, mask, x_mm=surface.x_mm, y_mm=surface.y_mm)
-    found = compare_surfaces(result, surface, mask, SEED, 10.0)
-    flat = printed(surface, mask)
+    found = _compare_surfaces(result, surface, mask, SEED, 10.0)
+    flat = _printed(surface, mask)
     error = (0.04 * x * x)[flat]
     largest = np.abs(error - error.mean()).max()
     assert 0.6 * largest < found["hausdorff_mm"] < largest + 0.05, "the nearest point is nearer than the one above"
     # parallel rays misplace the sides: the same heights, read straight from above, are another surface
-    straight = compare_surfaces(_result(surface.height_mm, surface, mask), surface, mask, SEED, 10.0)
+    straight = _compare_surfaces(_result(surface.height_mm, surface, mask), surface, mask, SEED, 10.0)
     assert straight["rms_mm"] > 0.05
     assert straight["normals_deg"] < 0.1
 
 
 def test_truth_holds_the_print_within_the_phalange():
-    points = truth(SEED, 6.0)
+    points = _truth(SEED, 6.0)
     assert points.phalange.shape == (points.print.size, 3)
     assert 0.4 < points.print.mean() < 0.95
     assert np.isfinite(points.phalange).all()
@@ -145,10 +145,10 @@ def test_a_rendering_programs_exposure_is_fixed(seen):
 
 
 def test_measuring_again_gives_the_same_figures():
-    first, second = measure(RIG, STUDY, SEED), measure(RIG, STUDY, SEED)
+    first, second = _measure(RIG, STUDY, SEED), _measure(RIG, STUDY, SEED)
     assert first == second
     assert 0.2 < first["rms_mm"] < 2.0 and first["rms_mm"] < first["hausdorff95_mm"] < first["hausdorff_mm"]
-    masked = measure(RIG, replace(STUDY, method="ea-poisson"), SEED)
+    masked = _measure(RIG, replace(STUDY, method="ea-poisson"), SEED)
     assert masked["rms_mm"] < 0.7 * first["rms_mm"], "Frankot-Chellappa on a zero-filled rectangle bends the finger"
 
 

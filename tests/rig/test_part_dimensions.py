@@ -11,7 +11,14 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.rig.dimension_checks import check_dimensions
-from splitknit.rig.dimensions import dimensions_of, mirror_front, mirror_profile, mirror_view, nail_height, shadow_tips
+from splitknit.rig.dimensions import (
+    _mirror_front,
+    _nail_height,
+    dimensions_of,
+    mirror_profile,
+    mirror_view,
+    shadow_tips,
+)
 from splitknit.rig.part_reports import dimension_table
 from splitknit.rig.part_settings import JOINT_CLEARANCE_MM, MIRROR_THICK_MM, WIRE_ROOM_MM, PartSettings
 from splitknit.settings import override
@@ -123,7 +130,7 @@ def test_shadows_of_the_nail_stay_in_the_picture():
             assert np.all(np.abs(shadow_tips(rig, height, (x, y))) <= half - 2 + 1e-9)
     higher = np.array([np.abs(shadow_tips(rig, height + 0.5, (x, y))) for x in (-6, 6) for y in (-6, 6)])
     assert np.any(higher > half - 2)
-    assert nail_height(rig, 0.0, 2.0, 2.5) > height
+    assert _nail_height(rig, 0.0, 2.0, 2.5) > height
 
 
 def test_a_shadow_lies_on_the_line_from_the_led_through_the_tip():
@@ -137,7 +144,7 @@ def test_a_shadow_lies_on_the_line_from_the_led_through_the_tip():
 
 def test_a_mirror_leans_by_45_deg_and_fits_its_holder():
     parts = PartSettings()
-    front = np.array(mirror_front(parts))
+    front = np.array(_mirror_front(parts))
     profile = np.array(mirror_profile(parts))
     along, behind = np.array([1, 1]) / math.sqrt(2), np.array([1, -1]) / math.sqrt(2)
     shares = (profile - front) @ np.stack([along, behind], axis=1)

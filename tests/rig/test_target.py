@@ -17,8 +17,8 @@ from splitknit.rig.target import (
     _DISC_RADIUS_MM,
     POINTS_PER_MM,
     RULER_MM,
-    Page,
     TargetSettings,
+    _Page,
     dots_mm,
     target_pdf,
 )
@@ -137,7 +137,7 @@ def test_what_cannot_be_printed(tmp_path, capsys, options, words):
 
 
 def test_a_page_refuses_what_it_cannot_show():
-    page = Page()
+    page = _Page()
     with pytest.raises(BadInput, match="no shape 'Dot'"):
         page.place("Dot", 0, 0)
     with pytest.raises(BadInput, match="ASCII"):

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Mirror
 from splitknit.rig.dimensions import (
+    _mirror_front,
     dimensions_of,
     holder_depth,
     holder_places,
-    mirror_front,
     mirror_profile,
     mirror_view,
 )
@@ -99,7 +99,7 @@ def test_the_mirrors_stand_where_rig_cad_draws_them(parts, changes):
         assert corners[name][:, 1 - away].mean() == pytest.approx(place[1 - away], abs=1e-9)
         assert np.ptp(corners[name][:, 1 - away]) == pytest.approx(MIRROR_LONG_MM)
     profile, outline = HolderProfile(parts), np.array(mirror_profile(drawn.settings))
-    assert profile.front == pytest.approx(mirror_front(drawn.settings))
+    assert profile.front == pytest.approx(_mirror_front(drawn.settings))
     assert profile.back[1][0] == pytest.approx(holder_depth(drawn.settings))
     for corner in (*profile.lip, *profile.back):
         assert np.hypot(*(outline - corner).T).min() < 1e-9

@@ -20,14 +20,14 @@ SIDE = 180 - 2 * TRIM_PX
 def taken():
     """Pieces of a finger, and what each was assembled from."""
     seen = []
-    plain, surface, surfaces = relief_data.assembled, relief_data.finger_surface, []
+    plain, surface, surfaces = relief_data._assembled, relief_data.finger_surface, []
 
     def assembled(white, grid, surface_mm, light, truth):
         seen.append((white, grid, surface_mm, truth))
         return plain(white, grid, surface_mm, light, truth)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(relief_data, "assembled", assembled)
+        patch.setattr(relief_data, "_assembled", assembled)
         patch.setattr(relief_data, "finger_surface", lambda *a, **k: surfaces.append(surface(*a, **k)) or surfaces[-1])
         return training_crops(7000, SMALL), seen, surfaces[0]
 

@@ -22,10 +22,10 @@ from splitknit.training.relief_data import (
     RELIEF,
     WEIGHT,
     ReliefData,
-    assembled,
-    draw_scene,
-    light_on,
-    sample_of,
+    _assembled,
+    _draw_scene,
+    _light_on,
+    _sample_of,
 )
 from splitknit.training.scenes import TruthOnGrid, photograph_scene
 
@@ -45,7 +45,7 @@ class Scene:
     relief_mm: np.ndarray
 
     def sample(self) -> np.ndarray:
-        light = light_on(self.white.rig, self.grid, self.surface_mm, PITCH_MM)
+        light = _light_on(self.white.rig, self.grid, self.surface_mm, PITCH_MM)
         truth = {
             "mask": self.grid.mask,
             "height_mm": self.surface_mm + self.relief_mm,
@@ -53,7 +53,7 @@ class Scene:
             "glare_white": self.glare,
         }
         whole = TruthOnGrid(truth, (slice(None), slice(None)), self.grid, 1)
-        return assembled(self.white, self.grid, self.surface_mm, light, whole).astype(np.float32)
+        return _assembled(self.white, self.grid, self.surface_mm, light, whole).astype(np.float32)
 
     def moved(
         self, image: Callable[[np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, place: Callable[..., tuple]
@@ -113,7 +113,7 @@ def _same(one: np.ndarray, other: np.ndarray) -> None:
 
 def test_a_sample_holds_what_the_network_sees_and_shall_draw(scene) -> None:
     grid, white = scene.grid, scene.white
-    light = light_on(white.rig, grid, scene.surface_mm, PITCH_MM)
+    light = _light_on(white.rig, grid, scene.surface_mm, PITCH_MM)
     seen = features(white, grid, scene.surface_mm, light)
     size = np.linalg.norm(light.vectors, axis=1)
     azimuth = np.array([np.arctan2(*led.position_mm[1::-1]) for led in white.rig.leds])[:, None, None]
@@ -154,7 +154,7 @@ def test_truth_of_several_pixels_is_their_mean_and_counts_where_all_are_skin(sce
 
 @pytest.fixture(scope="module")
 def photographed():
-    scene = draw_scene(5000, SMALL)
+    scene = _draw_scene(5000, SMALL)
     return scene, *photograph_scene(scene)
 
 
@@ -172,7 +172,7 @@ def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -
     _, capture, truth = photographed
     settings = preset_settings("metric")
     settings = replace(settings, metric=replace(settings.metric, coarse_steps=(1,)))
-    true, found = (sample_of(capture, truth, settings, mix).astype(np.float32) for mix in (0.0, 1.0))
+    true, found = (_sample_of(capture, truth, settings, mix).astype(np.float32) for mix in (0.0, 1.0))
     assert true.shape == found.shape and np.isfinite(true).all() and np.isfinite(found).all()
     inner = (true[WEIGHT] > 0.9) & (found[WEIGHT] > 0.9)
     assert inner.sum() > 2500
@@ -187,8 +187,8 @@ def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -
 
 def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     data = ReliefData(other_scale_share=0.5)
-    scenes = [draw_scene(number, data) for number in range(5000, 5012)]
-    assert scenes[3].facts() == draw_scene(5003, data).facts() != scenes[4].facts()
+    scenes = [_draw_scene(number, data) for number in range(5000, 5012)]
+    assert scenes[3].facts() == _draw_scene(5003, data).facts() != scenes[4].facts()
     scales = [scene.settings.scale for scene in scenes]
     assert 0 < scales.count(0.5) < 12 and all(0.38 <= scale <= 0.62 for scale in scales)
     assert {scene.rig.camera.height_mm == 140.0 for scene in scenes} == {True, False}

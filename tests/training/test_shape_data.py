@@ -19,14 +19,14 @@ from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, _shape_features
 from splitknit.training import shape_data
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import photograph_scene
-from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, TURNS, WEIGHT, without_nir
+from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, TURNS, WEIGHT, _without_nir
 from splitknit.training.shape_data import (
     ShapeData,
-    assembled_shape,
-    draw_shape_scene,
-    drawn_relief,
+    _assembled_shape,
+    _draw_shape_scene,
+    _drawn_relief,
+    _shape_sample_of,
     shape_sample,
-    shape_sample_of,
 )
 
 PITCH_MM = 0.106
@@ -48,8 +48,13 @@ class Scene:
 
     def sample(self) -> np.ndarray:
         facets = Facets(np.linspace(-0.5, 0.5, 7), *self.across)
+<<<<<<< HEAD
         fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
         return assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
+=======
+        fields = shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
+        return _assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
+>>>>>>> train
 
     def moved(
         self, image: Callable[[np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, place: Callable[..., tuple]
@@ -114,7 +119,7 @@ def test_the_fields_of_near_infrared_are_those_that_vanish_without_it(scene) -> 
     vanished = [n for n in range(FIELDS) if with_nir[n].any() and not without[n].any()]
     assert tuple(vanished) == OF_NIR
     others = [n for n in range(CHANNELS) if n not in (*OF_NIR, 23)]  # 23 is the trust in the last band's lights
-    np.testing.assert_array_equal(without[others], without_nir(with_nir)[others])
+    np.testing.assert_array_equal(without[others], _without_nir(with_nir)[others])
 
 
 def test_a_sample_holds_the_slopes_that_are_missing(scene) -> None:
@@ -133,7 +138,7 @@ def test_slopes_are_of_the_mean_over_blocks_that_are_known(scene) -> None:
     fine = np.kron(scene.true_mm, np.ones((2, 2), dtype=np.float32))
     known = np.kron(scene.grid.mask, np.ones((2, 2))) > 0
     known[60, 60] = False
-    sample = assembled_shape(fields, fine, known, scene.grid, 2).astype(np.float32)
+    sample = _assembled_shape(fields, fine, known, scene.grid, 2).astype(np.float32)
     plain = scene.sample()
     lost = {(30, 30), (29, 30), (31, 30), (30, 29), (30, 31)}
     assert set(map(tuple, np.argwhere((plain[WEIGHT] > 0) & (sample[WEIGHT] == 0)))) == lost
@@ -145,14 +150,14 @@ def test_what_is_drawn_has_its_gain_and_says_what_it_misses() -> None:
     relief = np.random.default_rng(0).standard_normal((20, 30)).astype(np.float32) * 0.03
     inner = np.zeros((20, 30), dtype=bool)
     inner[5:15] = True
-    drawn = drawn_relief(relief, inner, 0.8)
+    drawn = _drawn_relief(relief, inner, 0.8)
     np.testing.assert_allclose(drawn[0] * RELIEF_MM, 0.8 * relief, rtol=1e-5)
     assert (drawn[1:8] == 0).all()
     power = (drawn[0][inner] ** 2).mean()
     assert np.sqrt(1 + np.exp(drawn[8, 0, 0]) / power) == pytest.approx(1 / 0.8, rel=1e-5)
-    assert (drawn_relief(relief, inner, 1.1)[8] == -8).all()
+    assert (_drawn_relief(relief, inner, 1.1)[8] == -8).all()
     with pytest.raises(BadInput, match="faces the camera"):
-        drawn_relief(relief, ~np.ones_like(inner), 0.8)
+        _drawn_relief(relief, ~np.ones_like(inner), 0.8)
 
 
 def test_a_finger_goes_through_a_reconstruction(monkeypatch) -> None:
@@ -175,20 +180,20 @@ def test_a_finger_goes_through_a_reconstruction(monkeypatch) -> None:
 @pytest.fixture(scope="module")
 def coarse():
     """A capture of too few pixels, with its truth and gain."""
-    scene, gain = draw_shape_scene(5000, replace(SMALL, scale=(0.12, 0.12)))
+    scene, gain = _draw_shape_scene(5000, replace(SMALL, scale=(0.12, 0.12)))
     return *photograph_scene(scene), gain
 
 
 def test_a_capture_that_no_network_reads_is_refused(coarse) -> None:
     capture, truth, gain = coarse
     with pytest.raises(BadInput, match="lights or pixels"):
-        shape_sample_of(capture, truth, preset_settings("metric"), gain)
+        _shape_sample_of(capture, truth, preset_settings("metric"), gain)
 
 
 def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     data = ShapeData()
-    drawn = [draw_shape_scene(number, data) for number in range(5000, 5016)]
-    again, gain = draw_shape_scene(5003, data)
+    drawn = [_draw_shape_scene(number, data) for number in range(5000, 5016)]
+    again, gain = _draw_shape_scene(5003, data)
     assert (again.facts(), gain) == (drawn[3][0].facts(), drawn[3][1]) != (drawn[4][0].facts(), drawn[4][1])
     scenes, gains = zip(*drawn, strict=True)
     scales, rims = ([read(scene) for scene in scenes] for read in (lambda s: s.settings.scale, _rim))
@@ -228,4 +233,4 @@ def test_one_round_mends_no_shape(coarse, monkeypatch) -> None:
     settings = replace(settings, metric=replace(settings.metric, rounds=1, coarse_steps=(1,)))
     capture, truth, gain = coarse
     with pytest.raises(BadInput, match="rounds"):
-        shape_sample_of(capture, truth, settings, gain)
+        _shape_sample_of(capture, truth, settings, gain)

@@ -14,10 +14,10 @@ from splitknit.training.relief import (
     PARTS,
     ReliefSettings,
     ReliefTrainer,
-    field_scale,
+    _field_scale,
+    _relief_losses,
+    _total_loss,
     packed,
-    relief_losses,
-    total_loss,
 )
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 
@@ -60,7 +60,7 @@ def test_each_part_of_the_loss_says_what_it_is_named_after() -> None:
     batch = rng.standard_normal((2, CHANNELS, 5, 6)).astype(np.float32)
     made = rng.standard_normal((2, 9, 5, 6)).astype(np.float32)
     weight = batch[:, WEIGHT] = rng.random((2, 5, 6))
-    parts = relief_losses(torch.from_numpy(made), torch.from_numpy(batch))
+    parts = _relief_losses(torch.from_numpy(made), torch.from_numpy(batch))
     error, count = made[:, 0] - batch[:, RELIEF], weight.sum() + 1
     across = (np.diff(error, axis=2) * weight[:, :, 1:]) ** 2
     down = (np.diff(error, axis=1) * weight[:, 1:]) ** 2
@@ -75,7 +75,7 @@ def test_each_part_of_the_loss_says_what_it_is_named_after() -> None:
         assert float(parts[name]) == pytest.approx(float(value), rel=1e-5), name
     settings = ReliefSettings(slope_share=2.0, likelihood_share=3.0, glare_share=5.0)
     total = wanted["relief"] + 2 * wanted["slope"] + 3 * wanted["likelihood"] + 5 * wanted["glare"]
-    assert float(total_loss(parts, settings)) == pytest.approx(float(total), rel=1e-5)
+    assert float(_total_loss(parts, settings)) == pytest.approx(float(total), rel=1e-5)
 
 
 def test_the_loss_looks_at_skin_alone_and_the_likelihood_changes_no_height() -> None:
@@ -84,10 +84,10 @@ def test_the_loss_looks_at_skin_alone_and_the_likelihood_changes_no_height() -> 
     batch[:, WEIGHT] = 0.0
     batch[:, WEIGHT, :2] = 1.0
     made = torch.from_numpy(rng.standard_normal((1, 9, 4, 4)).astype(np.float32)).requires_grad_()
-    total_loss(relief_losses(made, torch.from_numpy(batch)), ReliefSettings()).backward()
+    _total_loss(_relief_losses(made, torch.from_numpy(batch)), ReliefSettings()).backward()
     assert (made.grad[:, :, 2:] == 0).all() and (made.grad[:, :, :2] != 0).all()
     made.grad = None
-    relief_losses(made, torch.from_numpy(batch))["likelihood"].backward()
+    _relief_losses(made, torch.from_numpy(batch))["likelihood"].backward()
     assert (made.grad[:, :8] == 0).all() and (made.grad[:, 8, :2] != 0).all()
 
 
@@ -117,7 +117,7 @@ def test_every_iteration_has_its_learning_rate() -> None:
 
 def test_fields_are_brought_to_one_scale_inside_the_network() -> None:
     trainer = ReliefTrainer(SETTINGS, SAMPLES)
-    scale = field_scale(SAMPLES, SETTINGS)
+    scale = _field_scale(SAMPLES, SETTINGS)
     np.testing.assert_array_equal(trainer.network.scale.numpy(), scale)
     fields = np.asarray(SAMPLES[0][:32], dtype=np.float32)
     made = trainer.run(fields)

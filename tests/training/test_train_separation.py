@@ -16,7 +16,7 @@ from splitknit.separation.direct import direct_light
 from splitknit.simulator.light.skin import SkinRanges
 from splitknit.training import networks
 from splitknit.training.networks import load_torch, unet, unet_reach
-from splitknit.training.separation import SeparationSettings, SeparationTrainer, learning_factor
+from splitknit.training.separation import SeparationSettings, SeparationTrainer, _learning_factor
 from splitknit.training.separation_data import Patches, Photograph, SeparationData, levelled, photographs
 
 SMALL = SeparationData(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
@@ -136,10 +136,10 @@ def test_fixed_patches_are_as_stored() -> None:
 
 
 def test_the_learning_rate_falls_at_the_end_only() -> None:
-    assert [learning_factor(share, 0.0) for share in (0.0, 0.5, 1.0)] == [1.0, 1.0, 1.0]
-    assert learning_factor(0.59, 0.4) == 1.0
-    assert learning_factor(0.8, 0.4) == pytest.approx(0.5)
-    assert learning_factor(1.0, 0.4) == pytest.approx(0.0)
+    assert [_learning_factor(share, 0.0) for share in (0.0, 0.5, 1.0)] == [1.0, 1.0, 1.0]
+    assert _learning_factor(0.59, 0.4) == 1.0
+    assert _learning_factor(0.8, 0.4) == pytest.approx(0.5)
+    assert _learning_factor(1.0, 0.4) == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from splitknit.training.shape import (
     WEIGHT,
     ShapeSettings,
     ShapeTrainer,
-    field_scale,
+    _field_scale,
+    _shape_losses,
     packed,
-    shape_losses,
 )
 
 torch = pytest.importorskip("torch")
@@ -48,7 +48,7 @@ def test_each_part_of_the_loss_says_what_it_is_named_after() -> None:
     batch = rng.standard_normal((2, CHANNELS, 8, 12)).astype(np.float32)
     made = rng.standard_normal((2, 2, 8, 12)).astype(np.float32)
     weight = batch[:, WEIGHT] = rng.random((2, 8, 12))
-    parts = shape_losses(torch.from_numpy(made), torch.from_numpy(batch), 4)
+    parts = _shape_losses(torch.from_numpy(made), torch.from_numpy(batch), 4)
     error, count = made - batch[:, SLOPES], weight.sum() + 1
     blocks = (error * weight[:, None]).reshape(2, 2, 2, 4, 3, 4).mean(axis=(3, 5))
     shares = weight.reshape(2, 1, 2, 4, 3, 4).mean(axis=(3, 5))
@@ -66,7 +66,7 @@ def test_an_error_that_changes_from_pixel_to_pixel_is_not_wide() -> None:
     batch[:, WEIGHT] = 1.0
     ripple = torch.ones(1, 2, 16, 16)
     ripple[..., ::2] *= -1
-    fine, wide = (shape_losses(made, batch, 8) for made in (ripple, torch.ones(1, 2, 16, 16)))
+    fine, wide = (_shape_losses(made, batch, 8) for made in (ripple, torch.ones(1, 2, 16, 16)))
     assert float(fine["slope"]) == float(wide["slope"])
     assert float(fine["wide"]) == 0 and float(wide["wide"]) == pytest.approx(2 / 1.05, rel=0.01)
 
@@ -91,7 +91,7 @@ def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
         ShapeTrainer(ShapeSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES)
         for decay in (0.0, 100.0)
     )
-    np.testing.assert_array_equal(plain.network.scale.numpy(), field_scale(SAMPLES, plain.settings))
+    np.testing.assert_array_equal(plain.network.scale.numpy(), _field_scale(SAMPLES, plain.settings))
     first = plain.network.down[0][0].weight.detach().clone()
     plain.train(1)
     decaying.train(1)

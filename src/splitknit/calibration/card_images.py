@@ -22,7 +22,7 @@ _INNER = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cells:
+class _Cells:
     """The images of a band in cells."""
 
     pixels: Array
@@ -33,7 +33,7 @@ class Cells:
     """Rows and columns of cells; N is their product."""
 
 
-def cells_of(band: Band, encoding: str, across: int = _ACROSS) -> Cells:
+def _cells_of(band: Band, encoding: str, across: int = _ACROSS) -> _Cells:
     """Linear grey light of a band in cells: black level and ambient light removed, the lens's fall-off left in.
 
     Parameters
@@ -59,14 +59,14 @@ def cells_of(band: Band, encoding: str, across: int = _ACROSS) -> Cells:
     binning = max(1, round(max(size) / (across * _INNER)))
     stack = linear_stack(band, encoding, "grey", binning=binning)
     inner = min(_INNER, max(1, max(size) // (binning * across)))
-    light = median_blocks(stack, inner)
+    light = _median_blocks(stack, inner)
     rows, columns = light.shape[1:]
     side = binning * inner
     row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
-    return Cells(np.stack([column.ravel(), row.ravel()], axis=1), light.reshape(len(light), -1), (rows, columns))
+    return _Cells(np.stack([column.ravel(), row.ravel()], axis=1), light.reshape(len(light), -1), (rows, columns))
 
 
-def median_blocks(stack: FloatArray, side: int) -> Array:
+def _median_blocks(stack: FloatArray, side: int) -> Array:
     """Median (L, H // side, W // side) over blocks of `side` x `side`; what fills no block is dropped."""
     count, height, width = stack.shape
     rows, columns = height // side, width // side
@@ -133,7 +133,7 @@ def card_images(capture: Capture, rig: Rig, black_level: float | None = None) ->
     for band in bands:
         for k in range(len(band.pixels)):
             _check_image(band, k, rig)
-    cells = [cells_of(replace(band, shading=()), capture.encoding) for band in bands]
+    cells = [_cells_of(replace(band, shading=()), capture.encoding) for band in bands]
     stored = [
         [float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max for image in band.pixels]
         for band in bands

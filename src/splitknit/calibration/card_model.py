@@ -78,7 +78,7 @@ class CardPlane:
         return np.column_stack([places, self.height_mm - places @ (x, y) / z])
 
 
-def squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
+def _squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
     """(N,) squared distance of `pixels` from the image's centre over half its diagonal: r^2 of ``Camera.shading``."""
     places = np.asarray(pixels, dtype=np.float64)
     rows, columns = int(image_size[0]), int(image_size[1])
@@ -86,9 +86,9 @@ def squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
     return np.asarray((x * x + y * y) / (0.25 * (rows**2 + columns**2)))
 
 
-def lens_fall_off(camera: Camera, pixels: Any) -> Array:
+def _lens_fall_off(camera: Camera, pixels: Any) -> Array:
     """(N,) brightness of the lens at `pixels` relative to the image's centre."""
-    return shading_at(camera.shading, squared_radius(camera.image_size, pixels))
+    return shading_at(camera.shading, _squared_radius(camera.image_size, pixels))
 
 
 def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
@@ -105,7 +105,7 @@ def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
     return away / distance[:, None], distance
 
 
-def facing_light(led: Led, points_mm: Any) -> Array:
+def _facing_light(led: Led, points_mm: Any) -> Array:
     """(N,) irradiance of a surface at points (N, 3) that faces the LED."""
     towards, distance = rays_to_led(led, points_mm)
     along = np.maximum(-(towards @ led.axis), 1e-12)
@@ -130,7 +130,7 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     plane = card or CardPlane()
     points = plane.points(camera, pixels)
     towards, _ = rays_to_led(led, points)
-    return np.asarray(facing_light(led, points) * (towards @ plane.normal) * lens_fall_off(camera, pixels) / np.pi)
+    return np.asarray(_facing_light(led, points) * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
 # --- parameters, residuals and slopes ---------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ class CardModel:
     def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, card: CardPlane) -> None:  # noqa: D107
         points = card.points(camera, pixels)
         self.count = len(leds)
-        self.squared = squared_radius(camera.image_size, pixels)
+        self.squared = _squared_radius(camera.image_size, pixels)
         names = sorted({led.band for led in leds})
         self.band = np.array([names.index(led.band) for led in leds])
         self.frames = np.stack([_frame(led) for led in leds])  # (L, 3, 3): axis, across, across

@@ -32,7 +32,7 @@ _STEPS, _STAGES = 30, 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CardFit:
+class _CardFit:
     """Best parameters of one order."""
 
     order: Order
@@ -41,7 +41,7 @@ class CardFit:
     """(P, P) weighted normal matrix, in units of the robust scale."""
 
 
-def fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> CardFit:
+def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
     """Fit `order` to ln of the images.
 
     Parameters
@@ -62,7 +62,7 @@ def fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, s
         last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
         if float(np.abs(weight - last).max()) < 0.01:
             break
-    return CardFit(order, model.answer(vector, order), problem.equations(vector)[0])
+    return _CardFit(order, model.answer(vector, order), problem.equations(vector)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ WIDTHS_DEG = (3.0, 6.0)
 """Of the spot, as the deviation of the angle between the card's normal and half way from LED to camera."""
 
 
-def half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
+def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
     """(N,) angle in deg between the card's normal and the direction half way between LED and camera."""
     points = card.points(camera, pixels)
     towards, _ = rays_to_led(led, points)
@@ -134,7 +134,7 @@ def half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Arr
     return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def card_gloss(  # noqa: PLR0917
+def _card_gloss(  # noqa: PLR0917
     camera: Camera,
     leds: Sequence[Led],
     pixels: Array,
@@ -156,7 +156,7 @@ def card_gloss(  # noqa: PLR0917
     well is not counted. The greatest of a narrow and a wide spot, in its errors, is returned.
     """
     model, answer, order = fit
-    angles = np.stack([half_angles(camera, led, pixels, card) for led in leds])
+    angles = np.stack([_half_angles(camera, led, pixels, card) for led in leds])
     used = np.isfinite(rest)
     left = np.where(used, rest, 0.0)
     size = model.size(order)
@@ -298,9 +298,9 @@ def fit_flat_field(  # noqa: PLR0917
     start = _start(model, logarithm)
     _check_lit(leds, start)
     scale = 0.01 * _ROBUST_PERCENT
-    fits: list[CardFit] = []
+    fits: list[_CardFit] = []
     for order in LADDER:
-        fits.append(fit_order(model, start, order, logarithm, scale))
+        fits.append(_fit_order(model, start, order, logarithm, scale))
         start = fits[-1].answer
         if order.lens and not order.aims:
             _check_field(np.exp(logarithm - model.logarithm(start)))
@@ -312,7 +312,7 @@ def fit_flat_field(  # noqa: PLR0917
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
     rest = np.where(dust, np.nan, residuals[-1])
-    gloss, gloss_error = card_gloss(camera, leds, places, plane, (model, fits[-1].answer, fits[-1].order), rest)
+    gloss, gloss_error = _card_gloss(camera, leds, places, plane, (model, fits[-1].answer, fits[-1].order), rest)
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
     return FlatField(
         camera=lens,
@@ -397,7 +397,7 @@ def _result(
     return replace(camera, shading=shading), tuple(lit)
 
 
-def _exponent_errors(model: CardModel, fit: CardFit, scale: float, rms_percent: float) -> Array:
+def _exponent_errors(model: CardModel, fit: _CardFit, scale: float, rms_percent: float) -> Array:
     """Standard errors (L,) of the exponents, the residuals taken as independent between cells."""
     errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms_percent / scale)
     return model.exponents(errors, fit.order)

@@ -48,10 +48,10 @@ class Tip:
     @property
     def name(self) -> str:
         """Such as ``white 3, nail 2``, for messages."""
-        return f"{led_name(self.band, self.led)}, nail {self.nail}"
+        return f"{_led_name(self.band, self.led)}, nail {self.nail}"
 
 
-def led_name(band: str, led: int) -> str:
+def _led_name(band: str, led: int) -> str:
     """Such as ``white 3`` or ``NIR 0``."""
     return f"{'NIR' if band == 'nir' else band} {led}"
 
@@ -142,7 +142,7 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
         absent = [led for led in range(LEDS_PER_BAND) if not any(led == one for one, _ in present)]
         require(
             not absent,
-            f"{name} has no row for {' and '.join(led_name(band, led) for led in absent)}; every LED from 0 to "
+            f"{name} has no row for {' and '.join(_led_name(band, led) for led in absent)}; every LED from 0 to "
             f"{LEDS_PER_BAND - 1} of a band that occurs needs its rows.",
         )
         for led in range(LEDS_PER_BAND):
@@ -150,7 +150,7 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
             lost = [str(nail) for nail in nails if nail not in seen]
             require(
                 len(seen) >= min(2, len(nails)),
-                f"{name} has {led_name(band, led)} at nail {seen[0]} only, and not at nail {' and '.join(lost)}; add "
+                f"{name} has {_led_name(band, led)} at nail {seen[0]} only, and not at nail {' and '.join(lost)}; add "
                 f"the row, because one position cannot be checked.",
             )
 
@@ -297,7 +297,7 @@ class Judged:
     @property
     def name(self) -> str:
         """Such as ``white 3``."""
-        return led_name(self.band, self.led)
+        return _led_name(self.band, self.led)
 
 
 def judge(

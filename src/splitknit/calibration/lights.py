@@ -66,7 +66,7 @@ class LedEstimate:
     """(K, 3) positions, one for each of the nail's."""
 
 
-def circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Points:
+def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Points:
     """Where the rays from shadow tips through nails meet the LED circle, beyond the nail.
 
     Parameters
@@ -147,7 +147,7 @@ def by_circle(
     for _ in range(12):  # the height matters to where a perspective camera sees the nail, and follows from it
         nails = nail_points(camera, nail_px, height, seen)
         _check_shadows(tips, nails, ends, circle)
-        positions = circle_positions(nails, ends, circle)
+        positions = _circle_positions(nails, ends, circle)
         found = nail_height_mm(nails, ends, positions)
         if camera.model != "perspective" or known_height_mm is not None or abs(found - height) < 1e-6:
             break
@@ -166,10 +166,10 @@ def combine(band: str, led: int, singles: Points, nails: tuple[int, ...], circle
     mean = units.mean(axis=0)
     # at the mean height, in the mean direction: for arms of one length, the mean position
     position = circle.foot_mm + mean * (arms[:, 2].mean() / mean[2])
-    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), largest_angle_deg(units), nails, singles)
+    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), _largest_angle_deg(units), nails, singles)
 
 
-def largest_angle_deg(units: Points) -> float | None:
+def _largest_angle_deg(units: Points) -> float | None:
     """Largest angle in degrees between two of the unit vectors (K, 3), None for a single one."""
     if len(units) < 2:
         return None

@@ -76,12 +76,10 @@ class NailSettings(Checked):
     """What the nail's pixel is: its ``tip``, which a perspective camera sees further out than the ``base``."""
 
 
-class NailModel:
+class _NailModel:
     """The rows of a table as equations."""
 
-    def __init__(  # noqa: D107 - the class says it
-        self, tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings
-    ) -> None:
+    def __init__(self, tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings) -> None:
         self.tips, self.camera, self.circle, self.settings = tuple(tips), camera, circle, settings
         nail_px, self.tip_px = pixels(tips)
         self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
@@ -271,13 +269,13 @@ def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: 
     BadInput
         If there is one nail position only, a row shows no shadow, or a nail stands outside the circle.
     """
-    model = NailModel(tips, camera, circle, settings or NailSettings())
+    model = _NailModel(tips, camera, circle, settings or NailSettings())
     require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
     solution, weights = _solve(model)
     return _result(model, solution, weights)
 
 
-def _solve(model: NailModel) -> tuple[Points, Points]:
+def _solve(model: _NailModel) -> tuple[Points, Points]:
     """Return the unknowns and the weight (N,) of every tip."""
     settings = model.settings
     first, height = by_circle(
@@ -297,7 +295,7 @@ def _solve(model: NailModel) -> tuple[Points, Points]:
     return x, weights
 
 
-def _least_squares(model: NailModel, x: Points, weights: Points) -> Points:
+def _least_squares(model: _NailModel, x: Points, weights: Points) -> Points:
     """Gauss-Newton from `x`, every step shortened until it helps."""
     residuals = model.residuals(x, weights)
     for _ in range(30):
@@ -316,11 +314,11 @@ def _least_squares(model: NailModel, x: Points, weights: Points) -> Points:
     return x
 
 
-def _highest(model: NailModel) -> float:
+def _highest(model: _NailModel) -> float:
     return HIGHEST * min(model.circle.height_mm, model.camera.height_mm)
 
 
-def _within(model: NailModel, x: Points) -> Points:
+def _within(model: _NailModel, x: Points) -> Points:
     """Keep the nail above the plane and below the LEDs, and the LEDs above it."""
     top = _highest(model)
     x = x.copy()
@@ -329,7 +327,7 @@ def _within(model: NailModel, x: Points) -> Points:
     return x
 
 
-def _result(model: NailModel, x: Points, weights: Points) -> JointFit:
+def _result(model: _NailModel, x: Points, weights: Points) -> JointFit:
     """Name what was found."""
     settings, circle = model.settings, model.circle
     leds, places, height, offsets = model.parts(x)
@@ -349,8 +347,8 @@ def _result(model: NailModel, x: Points, weights: Points) -> JointFit:
         estimates.append(LedEstimate(band, led, leds[k], unit, alone.disagreement_deg, alone.nails, singles))
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
-        degrees.append(np.degrees(radius_95(turn @ block @ turn.T)))
-        sizes.append(radius_95(block))
+        degrees.append(np.degrees(_radius_95(turn @ block @ turn.T)))
+        sizes.append(_radius_95(block))
     x0, y0 = circle.centre_mm
     centre = (x0 + float(offsets[0]), y0 + float(offsets[1]))
     fitted = Circle(circle.radius_mm + float(offsets[2]), circle.height_mm + float(offsets[3]), centre)
@@ -369,7 +367,7 @@ def _result(model: NailModel, x: Points, weights: Points) -> JointFit:
     )
 
 
-def _covariance(model: NailModel, x: Points, weights: Points) -> Points:
+def _covariance(model: _NailModel, x: Points, weights: Points) -> Points:
     """Of all unknowns; wider where the residuals are larger than they were said to be."""
     jacobian, residuals = model.jacobian(x, weights), model.residuals(x, weights)
     freedom = max(residuals.size - x.size, 1)
@@ -380,7 +378,7 @@ def _covariance(model: NailModel, x: Points, weights: Points) -> Points:
 # How far from the truth an estimate may be: from a covariance to one number.
 
 
-def radius_95(covariance: NDArray[np.float64]) -> float:
+def _radius_95(covariance: NDArray[np.float64]) -> float:
     """Radius about the estimate within which the truth lies with 95 % probability.
 
     Parameters

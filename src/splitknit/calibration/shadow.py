@@ -30,7 +30,7 @@ _EDGE_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class _Scale:
     """How large the picture is."""
 
     px_per_mm: float
@@ -39,7 +39,7 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class _Shape:
     """Everything in pixels."""
 
     tip: Points
@@ -60,12 +60,12 @@ class Shape:
         for offset in _LIGHT:
             tip = self.tip + self.penumbra * offset
             total += ndtr(
-                -hull_distance(places - self.base, tip - self.base, self.base_radius, self.tip_radius) / _EDGE_PX
+                -_hull_distance(places - self.base, tip - self.base, self.base_radius, self.tip_radius) / _EDGE_PX
             )
         return np.asarray(self.depth * total / len(_LIGHT))
 
 
-def hull_distance(places: Points, other: Points, radius: float, other_radius: float) -> Points:
+def _hull_distance(places: Points, other: Points, radius: float, other_radius: float) -> Points:
     """Distance (N,), negative inside, to the hull of a circle about the origin and one about `other` (2,)."""
     length = max(float(np.linalg.norm(other)), 1e-9)
     along = places @ other / length
@@ -80,13 +80,13 @@ def hull_distance(places: Points, other: Points, radius: float, other_radius: fl
     return np.asarray(np.where(foot < 0, near, np.where(foot > across * length, far, side)))
 
 
-def fit_shape(
+def _fit_shape(
     darkness: FloatArray,
     usable: BoolArray,
-    start: Shape,
-    scale: Scale,
+    start: _Shape,
+    scale: _Scale,
     common: tuple[float, float] | None = None,
-) -> Shape:
+) -> _Shape:
     """Fit the shape to the darkness (H, W) about its outer part, by least squares.
 
     Parameters
@@ -107,13 +107,13 @@ def fit_shape(
 
 
 def _fit(
-    seen: tuple[Points, Points], first: Shape, start: Shape, px_per_mm: float, common: tuple[float, float] | None
-) -> Shape:
+    seen: tuple[Points, Points], first: _Shape, start: _Shape, px_per_mm: float, common: tuple[float, float] | None
+) -> _Shape:
     places, values = seen
 
-    def shape_of(v: Points) -> Shape:
+    def shape_of(v: Points) -> _Shape:
         radius, penumbra = common if common is not None else (abs(v[6]), abs(v[7]))
-        return Shape(v[0:2], radius, penumbra, v[2:4], abs(v[4]), v[5])
+        return _Shape(v[0:2], radius, penumbra, v[2:4], abs(v[4]), v[5])
 
     def residuals(v: Points) -> Points:
         # the base is seldom seen; its place is known from the nail, loosely
@@ -130,7 +130,7 @@ def _fit(
     return shape_of(np.asarray(fit.x))
 
 
-def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: Shape, scale: Scale) -> tuple[Points, Points]:
+def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: _Shape, scale: _Scale) -> tuple[Points, Points]:
     """Columns and rows (N, 2) of pixels near the outline of the outer shadow, and their darkness (N,)."""
     px_per_mm, most = scale.px_per_mm, scale.max_pixels
     arm = shape.tip - shape.base
@@ -144,7 +144,7 @@ def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: Shape, scale: 
         return np.empty((0, 2)), np.empty(0)
     columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
     places = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
-    distance = hull_distance(places - shape.base, arm, shape.base_radius, shape.tip_radius)
+    distance = _hull_distance(places - shape.base, arm, shape.base_radius, shape.tip_radius)
     along = (places - shape.base) @ arm / length
     chosen = (np.abs(distance) < margin) & (along > 0.25 * length) & usable[rows.ravel(), columns.ravel()]
     index = np.flatnonzero(chosen)
@@ -186,7 +186,7 @@ class NailView:
     """(2,) the nail's tip."""
     tips_px: Points
     """(L, 2) the shadows' tips; NaN where a shadow leaves the picture."""
-    shapes: tuple[Shape | None, ...]
+    shapes: tuple[_Shape | None, ...]
     """The shadows' outlines as fitted."""
     nail: BoolArray
     """(H, W)."""
@@ -231,30 +231,30 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
             f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail stands in "
             f"the picture.",
         )
-    scale = Scale(px_per_mm, _MAX_PIXELS)
-    first: list[Shape | None] = []
+    scale = _Scale(px_per_mm, _MAX_PIXELS)
+    first: list[_Shape | None] = []
     for ratio, part, end in zip(ratios, parts, ends, strict=True):
         if end is None or _leaves(part, _BORDER_MM * px_per_mm):
             first.append(None)
             continue
-        start = Shape(
+        start = _Shape(
             tip=end, tip_radius=0.1 * px_per_mm, penumbra=0.1 * px_per_mm, base=middle, base_radius=size, depth=0.95
         )
-        first.append(fit_shape(1.0 - ratio, ~near, start, scale))
+        first.append(_fit_shape(1.0 - ratio, ~near, start, scale))
     shapes = _second_fit(first, [1.0 - ratio for ratio in ratios], ~near, scale)
     tips = np.array([(np.nan, np.nan) if shape is None else shape.tip for shape in shapes])
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to the base
     blunt = float(np.median([shape.tip_radius for shape in shapes if shape is not None] or [0.0])) / _STRETCH
-    tip = middle + (nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
+    tip = middle + (_nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
     return NailView(tip, tips, shapes, nail)
 
 
 def _second_fit(
-    first: Sequence[Shape | None],
+    first: Sequence[_Shape | None],
     darkness: Sequence[FloatArray],
     usable: BoolArray,
-    scale: Scale,
-) -> tuple[Shape | None, ...]:
+    scale: _Scale,
+) -> tuple[_Shape | None, ...]:
     """All shadows again with one bluntness of tip and one penumbra, for it is one nail."""
     found = [shape for shape in first if shape is not None]
     if len(found) < 3:
@@ -264,7 +264,7 @@ def _second_fit(
         float(np.median([shape.penumbra for shape in found])),
     )
     return tuple(
-        None if shape is None else fit_shape(dark, usable, shape, scale, common)
+        None if shape is None else _fit_shape(dark, usable, shape, scale, common)
         for shape, dark in zip(first, darkness, strict=True)
     )
 
@@ -353,7 +353,7 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 # The tip of a cone seen from above, from how its faces are lit.
 
 
-def nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
+def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
     """Find the image of a cone's tip.
 
     The straight lines on a cone from its tip to its base are each lit alike along their whole length, and all their

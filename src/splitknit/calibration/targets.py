@@ -84,7 +84,7 @@ _CONTRAST = 0.4
 """Contrast, relative to the board's corners, from which a place one square further is a corner of the board too."""
 
 
-def grey(pixels: Any) -> FloatArray:
+def _grey(pixels: Any) -> FloatArray:
     """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off.
 
     Raises
@@ -121,7 +121,7 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Points
     (``findChessboardCornersSB``); W. Foerstner, E. Guelch, "A fast operator for detection and precise location of
     distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
     """
-    image = grey(pixels)
+    image = _grey(pixels)
     for small, factor in _reduced(image, search_px):
         for search in (_by_quads, _by_sector):  # the quick one first; what either finds is checked and refined
             grid = search(small, board)
@@ -135,7 +135,7 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Points
 
 def size_in_view(pixels: Any) -> tuple[int, int] | None:
     """Inner corners (more, fewer) of the checkerboard in an image, whatever its size, or None where there is none."""
-    image = grey(pixels)
+    image = _grey(pixels)
     for small, factor in _reduced(image, _SEARCH_PX):
         seeds = [_sector_of_any_size(small)]
         for columns, rows in ((6, 5), (5, 4), (4, 3)):
@@ -251,7 +251,7 @@ _MAX_MISS = 0.25
 """How far from its expected place, in spacings, a dot of the grid may lie."""
 
 
-def find_dots(pixels: Any) -> Points:
+def _find_dots(pixels: Any) -> Points:
     """Centres (N, 2), column and row, of black round dots on a bright ground, in no order.
 
     Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and
@@ -262,7 +262,7 @@ def find_dots(pixels: Any) -> Points:
     ----------
     pixels : (H, W) or (H, W, C) image
     """
-    image = grey(pixels)
+    image = _grey(pixels)
     side = min(image.shape)
     ground = _ground(image, _MAX_DOT * side)
     darkness = np.clip(1 - image / np.maximum(ground, 1e-3), 0, 1)
@@ -289,7 +289,7 @@ def find_dots(pixels: Any) -> Points:
     return found[alike, :2]
 
 
-def number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
+def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
     """Assign dots to the places of a square grid.
 
     A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
@@ -298,7 +298,7 @@ def number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
 
     Parameters
     ----------
-    centres : (N, 2) from :func:`find_dots`
+    centres : (N, 2) from :func:`_find_dots`
 
     Returns
     -------
@@ -359,7 +359,7 @@ def find_disc(pixels: Any, spacing_mm: float) -> tuple[Points, Points]:
         If `spacing_mm` cannot be, or no grid of dots is in view.
     """
     require(0.1 <= spacing_mm <= 1000, f"the dots' spacing must be from 0.1 to 1000 mm, but it is {spacing_mm:g}.")
-    numbers, places = number_dots(find_dots(pixels))
+    numbers, places = _number_dots(_find_dots(pixels))
     return np.asarray(numbers * float(spacing_mm), dtype=np.float64), places
 
 

@@ -80,7 +80,7 @@ def split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -
     return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
 
 
-def level_of(frame: Frame, region: BoolArray | None, percentile: float) -> float:
+def _level_of(frame: Frame, region: BoolArray | None, percentile: float) -> float:
     """Percentile of the finger's pixels in the brightest channel, as a share of full scale above the black level."""
     full = float(np.iinfo(frame.pixels.dtype).max)
     pixels = frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
@@ -102,9 +102,9 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
         frames = {}
         for led in leds:
             frames[led] = look(led, time_s, gain)
-            if level_of(frames[led], None, _PERCENTILE) >= _CLIPPED:
+            if _level_of(frames[led], None, _PERCENTILE) >= _CLIPPED:
                 break
-        levels = [level_of(frame, None, _PERCENTILE) for frame in frames.values()]
+        levels = [_level_of(frame, None, _PERCENTILE) for frame in frames.values()]
         if max(levels) >= _CLIPPED:
             shorter = product / 4
             require(
@@ -155,7 +155,7 @@ def find_exposure(
     BadInput
         If the finger stays too dark or too bright.
     """
-    levels = {led: level_of(frame, region, _PERCENTILE) for led, frame in seen.frames.items()}
+    levels = {led: _level_of(frame, region, _PERCENTILE) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
     for _ in range(_STEPS):
@@ -168,7 +168,7 @@ def find_exposure(
         time_s, gain = wanted
         frame = look(brightest, time_s, gain)
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
-        level = level_of(frame, region, _PERCENTILE)
+        level = _level_of(frame, region, _PERCENTILE)
     if level < _MIN_LEVEL * settings.target:
         raise BadInput(
             f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED brings it to "

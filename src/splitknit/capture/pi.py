@@ -151,7 +151,7 @@ class PiCamera(Closing):
             "'rpicam-hello --list-cameras'.",
         )
         try:
-            tuning = linear_tuning(picamera2.load_tuning_file(_TUNING_FILE))
+            tuning = _linear_tuning(picamera2.load_tuning_file(_TUNING_FILE))
             self._camera = picamera2(tuning=tuning)
             self._camera.configure(self._configuration())
             self._camera.start()
@@ -272,7 +272,7 @@ class PiCamera(Closing):
     def _read(self, request: Any, metadata: Mapping[str, Any], discarded: int, *, whole: bool) -> Frame:
         if self._settings.raw:
             assert self._wanted is not None
-            pixels: Any = developed(self._raw(request), self._wanted[2])
+            pixels: Any = _developed(self._raw(request), self._wanted[2])
             black = float(RAW_BLACK << (16 - RAW_BITS))
         else:
             pixels, black = np.ascontiguousarray(request.make_array("main")), 0.0
@@ -309,7 +309,7 @@ RAW_BLACK = 64
 RAW_BITS = 10
 
 
-def linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
+def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
     """Return a tuning of the Pi's image processor without what bends light: tone curve, colour mixing, shading.
 
     Tuning files are lists of algorithms (version 2). The tone curve becomes the identity, the colour matrix the unit
@@ -336,7 +336,7 @@ def linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
     return {**tuning, "algorithms": algorithms}
 
 
-def developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[np.uint16]:
+def _developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[np.uint16]:
     """White-balanced colours from raw values.
 
     Parameters
@@ -366,7 +366,7 @@ INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpioz
 INSTALL += "with --system-site-packages"
 
 
-def open_lights(rig: Rig) -> PiLightBank:
+def _open_lights(rig: Rig) -> PiLightBank:
     """Take the GPIO lines of the rig's LEDs, all off.
 
     Raises
@@ -393,7 +393,7 @@ def open_lights(rig: Rig) -> PiLightBank:
         raise BadInput(f"the LEDs cannot be switched ({reason}); close other programs that use GPIO lines.") from error
 
 
-def open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
+def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
     """Open and start the camera.
 
     Raises
@@ -417,5 +417,5 @@ def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None
     BadInput
         In one sentence, with all LEDs off.
     """
-    lights = stack.enter_context(open_lights(rig))
-    return stack.enter_context(open_camera(settings)), lights
+    lights = stack.enter_context(_open_lights(rig))
+    return stack.enter_context(_open_camera(settings)), lights

@@ -143,7 +143,7 @@ def run_session(
     try:
         lights.off()
         progress("finding the exposure", 0.0)
-        metering = meter(
+        metering = _meter(
             camera,
             lights,
             bands,
@@ -185,7 +185,7 @@ def run_session(
 def _focus(
     camera: Camera,
     lights: LightBank,
-    metering: Metering,
+    metering: _Metering,
     settings: SessionSettings,
     *,
     px_per_mm: float,
@@ -221,7 +221,7 @@ def _focus(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Metering:
+class _Metering:
     """What the previews tell."""
 
     region: BoolArray
@@ -230,7 +230,7 @@ class Metering:
     """By band."""
 
 
-def meter(
+def _meter(
     camera: Camera,
     lights: LightBank,
     bands: Mapping[str, Sequence[int]],
@@ -240,7 +240,7 @@ def meter(
     px_per_mm: float,
     find_finger: bool = True,
     progress: Callable[[float], None] = lambda share: None,
-) -> Metering:
+) -> _Metering:
     """Preview the finger under every LED and find the exposure of every band.
 
     Parameters
@@ -291,7 +291,7 @@ def meter(
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None
-    return Metering(region, exposures)
+    return _Metering(region, exposures)
 
 
 def _region(seen: Survey, room: Frame, px_per_mm: float, full_columns: int, *, find_finger: bool) -> BoolArray:

@@ -44,7 +44,7 @@ _ROUNDS = 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class _Samples:
     """Pixels that are looked at."""
 
     light: Array
@@ -58,7 +58,7 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceState:
+class _SurfaceState:
     """Surface and information at some gains."""
 
     matt: Array
@@ -73,7 +73,7 @@ class SurfaceState:
     """(L,) diagonal of the information if the surface were known."""
 
 
-def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any) -> Samples:
+def _drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any) -> _Samples:
     """Choose pixels that enough LEDs light; see :func:`splitknit.finger.led_drift.led_drift`."""
     images = check_stack(stack, least=5)
     count, height, width = images.shape
@@ -108,10 +108,10 @@ def drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any) -> Sa
         own = np.maximum(np.einsum("pld,pd->pl", own, surface[rows, columns]), 0.0)[..., None]
     side = _BLOCK_PX
     block = rows // side * (width // side + 1) + columns // side
-    return Samples(light, np.ascontiguousarray(own), lit, np.unique(block, return_inverse=True)[1])
+    return _Samples(light, np.ascontiguousarray(own), lit, np.unique(block, return_inverse=True)[1])
 
 
-def project_surface(samples: Samples, gain: Array, weight: Array) -> SurfaceState:
+def _project_surface(samples: _Samples, gain: Array, weight: Array) -> _SurfaceState:
     """Best surface of every pixel, and what it leaves."""
     scaled = samples.vectors * gain[None, :, None]  # (P, L, D)
     trust = weight.T
@@ -124,24 +124,24 @@ def project_surface(samples: Samples, gain: Array, weight: Array) -> SurfaceStat
     residual = samples.light.T - predicted
     lean = weighted * predicted[..., None]  # (P, L, D)
     information = np.diag((predicted**2 * trust).sum(axis=0)) - np.einsum("pld,pde,pme->lm", lean, inverse, lean)
-    return SurfaceState(
+    return _SurfaceState(
         predicted, residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0)
     )
 
 
-def robust_weights(samples: Samples, state: SurfaceState) -> Array:
+def _robust_weights(samples: _Samples, state: _SurfaceState) -> Array:
     """(L, P) Cauchy's weights by the residuals, as long as an image lights the pixel."""
     lit = samples.lit.T
-    scale = robust_deviation(state.residual[lit])
+    scale = _robust_deviation(state.residual[lit])
     return np.asarray((lit / (1 + (state.residual / (_ROBUST_SIGMAS * scale)) ** 2)).T)
 
 
-def robust_deviation(residual: Array) -> float:
+def _robust_deviation(residual: Array) -> float:
     """Standard deviation by the median, never zero."""
     return max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
 
 
-def gain_patterns(state: SurfaceState) -> tuple[Array, Array]:
+def _gain_patterns(state: _SurfaceState) -> tuple[Array, Array]:
     """Eigenpatterns of relative gains in the rows of (L, L), and the share of information that each keeps, ascending.
 
     Patterns p obey M p = share M_0 p and p^T M_0 p = 1.
@@ -151,7 +151,7 @@ def gain_patterns(state: SurfaceState) -> tuple[Array, Array]:
     return (vectors * root[:, None]).T, np.clip(shares, 0.0, 1.0)
 
 
-def gain_solver(patterns: Array, shares: Array) -> Array:
+def _gain_solver(patterns: Array, shares: Array) -> Array:
     """(L, L) from the score to relative gains, what cannot be told left as it is."""
     kept = shares >= _MIN_INFORMATION
     return np.asarray(patterns[kept].T @ (patterns[kept] / shares[kept, None]))
@@ -224,15 +224,15 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
     (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999), for what
     lights of unknown strength leave open.
     """
-    samples = drift_samples(stack, light_vectors, mask, normals)
+    samples = _drift_samples(stack, light_vectors, mask, normals)
     gain = np.ones(len(samples.light))
     weight = samples.lit.astype(np.float64)
     for _ in range(_ROUNDS):
-        state = project_surface(samples, gain, weight)
-        weight = robust_weights(samples, state)
-        state = project_surface(samples, gain, weight)
-        patterns, shares = gain_patterns(state)
-        step = gain_solver(patterns, shares) @ state.score.sum(axis=0)
+        state = _project_surface(samples, gain, weight)
+        weight = _robust_weights(samples, state)
+        state = _project_surface(samples, gain, weight)
+        patterns, shares = _gain_patterns(state)
+        step = _gain_solver(patterns, shares) @ state.score.sum(axis=0)
         gain = gain * (1 + np.clip(step, -0.3, 0.3))
         gain /= gain.mean()
         if float(np.abs(step).max()) < 1e-4:
@@ -266,10 +266,10 @@ def drift_words(drift: LedDrift, names: Sequence[str]) -> list[str]:
     ]
 
 
-def _judge(samples: Samples, gain: Array, weight: Array) -> LedDrift:
-    state = project_surface(samples, gain, weight)
-    patterns, shares = gain_patterns(state)
-    solver = gain_solver(patterns, shares)
+def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
+    state = _project_surface(samples, gain, weight)
+    patterns, shares = _gain_patterns(state)
+    solver = _gain_solver(patterns, shares)
     hidden = np.linalg.qr(patterns[shares < _MIN_INFORMATION].T)[0]  # (L, L - R)
     shown = np.linalg.svd(np.eye(len(gain)) - hidden @ hidden.T)[0][:, : len(gain) - hidden.shape[1]].T
     scores = np.zeros((int(samples.block.max()) + 1, len(gain)))
@@ -288,7 +288,7 @@ def _judge(samples: Samples, gain: Array, weight: Array) -> LedDrift:
         suspect_gain=float(np.exp(value)),
         suspect_error=error,
         explained=explained,
-        residual_percent=100 * robust_deviation(state.residual[samples.lit.T]),
+        residual_percent=100 * _robust_deviation(state.residual[samples.lit.T]),
     )
 
 

@@ -120,7 +120,7 @@ def grid(
     return tuple(dict.fromkeys(found))
 
 
-def camera_of(candidate: Candidate, build: BuildSettings, view: str | None = None) -> Camera:
+def _camera_of(candidate: Candidate, build: BuildSettings, view: str | None = None) -> Camera:
     """The candidate's camera: the field of `build`, seen from the candidate's height."""
     rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in _FIELD_MM)
     matrix = None
@@ -167,7 +167,7 @@ def rig_of(
                     aim=(-float(np.sin(tilt)) * x, -float(np.sin(tilt)) * y, -float(np.cos(tilt))),
                 )
             )
-    return Rig(camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
+    return Rig(_camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
 
 
 # --- constraints, by geometry alone -----------------------------------------------------------------------------------
@@ -256,7 +256,7 @@ def examine(
     )
 
 
-def glare_lobe_rad(roughness: float) -> float:
+def _glare_lobe_rad(roughness: float) -> float:
     """Angle between normal and half vector at which a GGX surface's glare has fallen to half.
 
     References
@@ -267,13 +267,13 @@ def glare_lobe_rad(roughness: float) -> float:
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
 
 
-def glaring(leds: list[Led], candidate: Candidate, build: BuildSettings, roughness: float, finger: Print) -> Array:
+def _glaring(leds: list[Led], candidate: Candidate, build: BuildSettings, roughness: float, finger: Print) -> Array:
     """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
     points = finger.points_mm
     view = np.array([0.0, 0.0, 1.0])
     if build.view == "perspective":
         view = _unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
-    limit = np.cos(glare_lobe_rad(roughness))
+    limit = np.cos(_glare_lobe_rad(roughness))
     rows = []
     for led in leds:
         half = _unit(_unit(np.asarray(led.position_mm) - points) + view)
@@ -366,7 +366,7 @@ def _beam(candidate: Candidate, exponent: float) -> Finding:
 
 
 def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: Print) -> Finding:
-    glare = glaring(leds, candidate, build, _ROUGHNESS, finger)
+    glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
     free = (~glare.astype(bool)).sum(axis=0)
     blind = float(np.mean(free < 3))
     ok = blind <= _MAX_BLIND

@@ -101,7 +101,7 @@ RASPBERRY_PI = Gpio((3.15, 3.40), 0.008)
 """3.3 V +-3 %, less what a driver of 8 mA drops (about 40 ohms at a few mA)."""
 
 
-def preferred(ohm: float, *, up: bool = True) -> float:
+def _preferred(ohm: float, *, up: bool = True) -> float:
     """Return the nearest E24 value that is not below (`up`), or not above, `ohm`.
 
     Raises
@@ -121,7 +121,7 @@ def preferred(ohm: float, *, up: bool = True) -> float:
     return min(fitting) if up else max(fitting)
 
 
-def rating_for(power_w: float, margin: float) -> float:
+def _rating_for(power_w: float, margin: float) -> float:
     """Return the smallest rating that `power_w` uses no more than the share `margin` of.
 
     Raises
@@ -238,8 +238,8 @@ def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     # with the supply missing, the base feeds the emitter resistor: the base resistor limits what the line gives
     typical_drop = sum(high) / 2 - sum(t.base_v) / 2
     least_total = (high[1] - t.base_v[0]) / (0.9 * RASPBERRY_PI.limit_a)
-    base = preferred(max(least_total - typical_drop / led.current_a, 47.0))
-    emitter = preferred(typical_drop / led.current_a - base / (sum(t.gain) / 2))
+    base = _preferred(max(least_total - typical_drop / led.current_a, 47.0))
+    emitter = _preferred(typical_drop / led.current_a - base / (sum(t.gain) / 2))
     least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
 
     def current(high_v: float, base_v: float, gain: float, spread: float) -> float:
@@ -258,7 +258,7 @@ def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
         "circuit.topology to switch.",
     )
     # what is to spare heats a resistor rather than the transistor
-    series = preferred(spare / top, up=False) if spare / top >= 1.0 else 0.0
+    series = _preferred(spare / top, up=False) if spare / top >= 1.0 else 0.0
     over_led = led.forward_v - led.spread_v
     heat = max(i * (most_v - over_led - i * (emitter + series)) for i in (low, middle, top))
     resistors = [_resistor("base", base, 0.0, s), _resistor("emitter", emitter, top * top * emitter, s)]
@@ -279,8 +279,8 @@ def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
         least_v - led.forward_v - led.spread_v - t.saturation_v[1] > 0,
         f"{s.supply_v:g} V are too little for the {band} LEDs of {led.forward_v:g} V; set circuit.supply_v higher.",
     )
-    series = preferred(headroom / led.current_a)
-    base = preferred((high[0] - t.base_v[1]) / (led.current_a / FORCED_GAIN), up=False)
+    series = _preferred(headroom / led.current_a)
+    base = _preferred((high[0] - t.base_v[1]) / (led.current_a / FORCED_GAIN), up=False)
 
     def current(supply_v: float, forward_v: float, saturation_v: float, spread: float) -> float:
         return (supply_v - forward_v - saturation_v) / (series * (1 + spread))
@@ -300,7 +300,7 @@ def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
 
 
 def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> Resistor:
-    return Resistor(role, ohm, rating_for(heat_w, _MAX_HEAT), heat_w)
+    return Resistor(role, ohm, _rating_for(heat_w, _MAX_HEAT), heat_w)
 
 
 def _check(stage: Stage, s: CircuitSettings) -> None:

@@ -74,7 +74,7 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
     return np.asarray(place + (place - leds[:, :2]) * stretch[:, None])
 
 
-def nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
+def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
     """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
 
     Parameters
@@ -169,7 +169,7 @@ class LedHole:
         return max(outside, float(np.hypot(*self.light_mm[:2])) + self.radius_mm)
 
 
-def led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
+def _led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
     """Return the hole of one LED.
 
     Raises
@@ -350,7 +350,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     camera, finger, joint = rig.camera, settings.finger, settings.joint
     rows, columns = camera.image_size
     field = (columns / camera.px_per_mm, rows / camera.px_per_mm)
-    holes = tuple(led_hole(index, led, settings.led) for index, led in enumerate(rig.leds))
+    holes = tuple(_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds))
     require(len(holes) > 0, "the rig has no LEDs; parts cannot be drawn for it.")
     frame_z = min(  # the lowest LED's dome stands free below the frame, those of higher ones in funnels
         float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + LED_TIP_FREE_MM
@@ -377,7 +377,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         stop_y_mm=stop_y,
         niche_y_mm=stop_y - finger.reach_mm,
         opening_radius_mm=_opening(settings),
-        nail_mm=nail_height(rig, NAIL_OFFSET_MM, NAIL_MARGIN_MM, NAIL_RADIUS_MM),
+        nail_mm=_nail_height(rig, NAIL_OFFSET_MM, NAIL_MARGIN_MM, NAIL_RADIUS_MM),
     )
 
 
@@ -416,7 +416,7 @@ def _boards_high(settings: PartSettings) -> float:
 _LIP_WALL_MM = 1.2
 
 
-def mirror_front(settings: PartSettings) -> tuple[float, float]:
+def _mirror_front(settings: PartSettings) -> tuple[float, float]:
     """Return the lower front edge of a mirror: distance from its holder's front, height over the holder's foot, mm."""
     slack = JOINT_CLEARANCE_MM
     return (slack + _LIP_WALL_MM) * _HALF + 0.2, (MIRROR_THICK_MM + slack) * _HALF + _LIP_WALL_MM
@@ -425,11 +425,11 @@ def mirror_front(settings: PartSettings) -> tuple[float, float]:
 def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
     """Return the outline of a mirror holder: distance from its front, height over its foot, mm.
 
-    The mirror's reflecting face starts at :func:`mirror_front` and leans by 45 deg away from the finger; a lip holds
+    The mirror's reflecting face starts at :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds
     its lower edge.
     """
     mirror, slack, wall = settings.mirror, JOINT_CLEARANCE_MM, settings.joint.wall_mm
-    front = np.array(mirror_front(settings))
+    front = np.array(_mirror_front(settings))
     along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
     low = front + (MIRROR_THICK_MM + slack) * behind
     high = low + mirror.wide_mm * along
@@ -461,7 +461,7 @@ def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
     A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
     """
     d, mirror = dimensions, dimensions.settings.mirror
-    (front, foot), (side, _, _), (_, tip, _) = mirror_front(d.settings), holder_places(d)[0], holder_places(d)[2]
+    (front, foot), (side, _, _), (_, tip, _) = _mirror_front(d.settings), holder_places(d)[0], holder_places(d)[2]
     floor, length = d.floor_z_mm - d.pocket_mm + foot, mirror.wide_mm * _HALF
     view = {}
     for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):

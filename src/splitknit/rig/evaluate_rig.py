@@ -43,7 +43,7 @@ MAX_SLANT_DEG = 60.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class _Points:
     """A surface as points."""
 
     phalange: Array
@@ -53,13 +53,13 @@ class Points:
 
 
 @functools.lru_cache(maxsize=16)
-def person(seed: int) -> tuple[Finger, MasterPrint]:
+def _person(seed: int) -> tuple[Finger, MasterPrint]:
     """A finger and its master print; drawing the print is what takes long."""
     finger = draw_finger(seed)
     return finger, finger.master()
 
 
-def pose_of(seed: int, camera: Camera) -> Pose:
+def _pose_of(seed: int, camera: Camera) -> Pose:
     """How this finger lies: in the same place under any camera, whose rows are only about `FIELD_MM` long."""
     even = Camera(px_per_mm=100.0, image_size=(round(100 * FIELD_MM[0]), round(100 * FIELD_MM[1])))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x0C]))
@@ -68,36 +68,36 @@ def pose_of(seed: int, camera: Camera) -> Pose:
     return replace(pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm))
 
 
-def view_of(seed: int, camera: Camera) -> Surface:
+def _view_of(seed: int, camera: Camera) -> Surface:
     """The finger on the pixels of `camera`."""
-    finger, master = person(seed)
-    return finger_surface(finger, pose_of(seed, camera), camera, master=master, workers=1)
+    finger, master = _person(seed)
+    return finger_surface(finger, _pose_of(seed, camera), camera, master=master, workers=1)
 
 
-def phalange(seed: int, surface: Surface) -> BoolArray:
+def _phalange(seed: int, surface: Surface) -> BoolArray:
     """(H, W) pixels of the distal phalange: the finger above its first crease."""
-    finger, _ = person(seed)
-    placement = place(FingerBody(finger.shape), pose_of(seed, surface.camera), surface.camera)
-    x, y = places(surface)
+    finger, _ = _person(seed)
+    placement = place(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
+    x, y = _places(surface)
     z = np.where(surface.mask, surface.shape_mm, 0.0).astype(np.float64)
     along = np.asarray(placement.to_finger(x.ravel(), y.ravel(), z.ravel())[1]).reshape(z.shape)
     return np.asarray(surface.mask & (along >= ABOVE_CREASE_MM))
 
 
-def printed(surface: Surface, where: BoolArray) -> BoolArray:
+def _printed(surface: Surface, where: BoolArray) -> BoolArray:
     """(H, W) pixels of `where` whose shape is flat enough to carry the print."""
     return np.asarray(where & (surface.shape_normals[..., 2] > np.cos(np.deg2rad(MAX_SLANT_DEG))))
 
 
-def places(surface: Surface) -> tuple[Array, Array]:
+def _places(surface: Surface) -> tuple[Array, Array]:
     """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the finger."""
-    x, y = grid_places(surface.camera)
+    x, y = _grid_places(surface.camera)
     if surface.x_mm is not None and surface.y_mm is not None:
         return np.where(surface.mask, surface.x_mm, x), np.where(surface.mask, surface.y_mm, y)
     return x, y
 
 
-def grid_places(camera: Camera) -> tuple[Array, Array]:
+def _grid_places(camera: Camera) -> tuple[Array, Array]:
     """(H, W) x and y of where each pixel looks on the finger plane, mm."""
     rows, columns = camera.image_size
     x = (np.arange(columns) - (columns - 1) / 2) * camera.pitch_mm
@@ -107,14 +107,14 @@ def grid_places(camera: Camera) -> tuple[Array, Array]:
 
 
 @functools.lru_cache(maxsize=8)
-def truth(seed: int, px_per_mm: float) -> Points:
+def _truth(seed: int, px_per_mm: float) -> _Points:
     """The true surface, seen straight from above, whatever the rig: what every reconstruction is measured against."""
     size = (round(FIELD_MM[0] * px_per_mm), round(FIELD_MM[1] * px_per_mm))
-    surface = view_of(seed, Camera(px_per_mm=px_per_mm, image_size=size))
-    whole = phalange(seed, surface)
-    x, y = places(surface)
+    surface = _view_of(seed, Camera(px_per_mm=px_per_mm, image_size=size))
+    whole = _phalange(seed, surface)
+    x, y = _places(surface)
     points = np.stack([x, y, surface.height_mm.astype(np.float64)], axis=-1)
-    return Points(points[whole], printed(surface, whole)[whole])
+    return _Points(points[whole], _printed(surface, whole)[whole])
 
 
 BAND_SIGMA_MM = 0.32
@@ -142,7 +142,7 @@ def evaluate(candidate: Candidate, study: Study) -> dict[str, Any]:
         broken = [finding.words for finding in findings if finding.hard and not finding.ok]
         if broken:
             return {**record, "status": REFUSED, "reason": broken[0], "fingers": [], "mean": None}
-        fingers = [{"seed": seed, **measure(candidate, study, seed)} for seed in study.seeds]
+        fingers = [{"seed": seed, **_measure(candidate, study, seed)} for seed in study.seeds]
     except MemoryError:
         raise  # of the machine, not of the candidate
     except Exception as error:
@@ -156,7 +156,7 @@ def evaluate(candidate: Candidate, study: Study) -> dict[str, Any]:
 
 def judge(candidate: Candidate, study: Study) -> tuple[Finding, ...]:
     """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
-    finger = typical(FIRST_SEED)
+    finger = _typical(FIRST_SEED)
     found = examine(candidate, study.build, study.photons, finger=finger, bands=study.bands)
     if study.camera == "renderer":
         return tuple(finding for finding in found if not finding.name.startswith(("exposure", "depth")))
@@ -164,20 +164,20 @@ def judge(candidate: Candidate, study: Study) -> tuple[Finding, ...]:
 
 
 @functools.lru_cache(maxsize=4)
-def typical(seed: int) -> Print:
+def _typical(seed: int) -> Print:
     """Print of a finger, as points and normals of its shape about half a millimetre apart."""
-    surface = view_of(seed, Camera(px_per_mm=4.0, image_size=(116, 169)))
-    where = printed(surface, phalange(seed, surface))[::2, ::2]
-    x, y = places(surface)
+    surface = _view_of(seed, Camera(px_per_mm=4.0, image_size=(116, 169)))
+    where = _printed(surface, _phalange(seed, surface))[::2, ::2]
+    x, y = _places(surface)
     points = np.stack([x, y, surface.shape_mm.astype(np.float64)], axis=-1)[::2, ::2]
     return Print(points[where], surface.shape_normals[::2, ::2][where].astype(np.float64))
 
 
-def measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
+def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
     """Figures of one finger."""
     rig, known = rigs(candidate, study)
     surface = _seen(seed, candidate.height_mm, candidate.px_per_mm, study.build)
-    whole = phalange(seed, surface)
+    whole = _phalange(seed, surface)
     shot = photograph(
         surface,
         rig,
@@ -192,7 +192,7 @@ def measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
     preset = "metric" if study.method == "metric" else "ea"
     changes = {"height.method": "poisson"} if study.method == "ea-poisson" else {}
     result = reconstruct(shot.capture, preset, changes)
-    return {**_exposed(shot), **compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
+    return {**_exposed(shot), **_compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
 def rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
@@ -209,7 +209,7 @@ def rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
     return rig, rig if study.method == "metric" else rig_of(candidate, build, intensities, "orthographic")
 
 
-def compare_surfaces(
+def _compare_surfaces(
     result: Reconstruction, surface: Surface, whole: BoolArray, seed: int, truth_px_per_mm: float
 ) -> dict[str, float]:
     """Distances between the true and the reconstructed surface.
@@ -219,22 +219,22 @@ def compare_surfaces(
     distance of the whole phalange, whose steep sides and cut edge decide it. ``normals_deg`` is the mean angle between
     true and reconstructed normals on the print, ``ridge_correlation`` that of the ridge bands there.
     """
-    true = truth(seed, truth_px_per_mm)
-    flat = printed(surface, whole) & np.isfinite(result.height_mm)
+    true = _truth(seed, truth_px_per_mm)
+    flat = _printed(surface, whole) & np.isfinite(result.height_mm)
     kept = whole & np.isfinite(result.height_mm)
-    x, y = grid_places(surface.camera)
+    x, y = _grid_places(surface.camera)
     if result.x_mm is not None and result.y_mm is not None:
         x, y = result.x_mm.astype(np.float64), result.y_mm.astype(np.float64)
     lift = float(np.mean(result.height_mm[flat], dtype=np.float64) - np.mean(surface.height_mm[flat], dtype=np.float64))
     points = np.stack([x, y, result.height_mm - lift], axis=-1).astype(np.float64)
-    there, back = both_ways(true.phalange, points[kept])
-    near = surface_distances(there[true.print], back[flat[kept]])
+    there, back = _both_ways(true.phalange, points[kept])
+    near = _surface_distances(there[true.print], back[flat[kept]])
     cosine = np.sum(result.normals[flat].astype(np.float64) * surface.normals[flat], axis=1)
     return {
         "hausdorff_mm": near.hausdorff_mm,
         "hausdorff95_mm": near.hausdorff95_mm,
         "rms_mm": near.rms_mm,
-        "whole_mm": surface_distances(there, back).hausdorff_mm,
+        "whole_mm": _surface_distances(there, back).hausdorff_mm,
         "normals_deg": float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))),
         "ridge_correlation": _ridge_correlation(
             result.ridge_mm, surface.height_mm - surface.shape_mm, kept, flat, BAND_SIGMA_MM / result.pitch_mm
@@ -270,7 +270,7 @@ def _ridge_correlation(
 def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> Surface:
     """The finger under this height's camera: the LEDs do not change it."""
     standing = Candidate(height_mm, 50.0, 1.0, None, px_per_mm)
-    return view_of(seed, rig_of(standing, build, {"white": 1.0}).camera)
+    return _view_of(seed, rig_of(standing, build, {"white": 1.0}).camera)
 
 
 @functools.lru_cache(maxsize=64)
@@ -289,7 +289,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceDistances:
+class _SurfaceDistances:
     """Distances between two surfaces, mm. Each is the larger (`rms_mm`: the root mean square) of both directions."""
 
     hausdorff_mm: float
@@ -300,12 +300,12 @@ class SurfaceDistances:
     """Root mean square of all nearest distances, both directions weighing the same."""
 
 
-def nearest_distances(points: Array, others: Array) -> Array:
+def _nearest_distances(points: Array, others: Array) -> Array:
     """(N,) distance from each of (N, 3) `points` to the nearest of (M, 3) `others`."""
     return np.asarray(cKDTree(others).query(points)[0], dtype=np.float64)
 
 
-def both_ways(first: Array, second: Array) -> tuple[Array, Array]:
+def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
     """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,).
 
     Raises
@@ -319,11 +319,11 @@ def both_ways(first: Array, second: Array) -> tuple[Array, Array]:
             f"{name} must hold points (N, 3), but it has the shape {points.shape}.",
         )
         require(bool(np.isfinite(points).all()), f"{name} holds points that are not finite.")
-    return nearest_distances(first, second), nearest_distances(second, first)
+    return _nearest_distances(first, second), _nearest_distances(second, first)
 
 
-def surface_distances(there: Array, back: Array) -> SurfaceDistances:
-    """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`both_ways`, or a part of them.
+def _surface_distances(there: Array, back: Array) -> _SurfaceDistances:
+    """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`_both_ways`, or a part of them.
 
     Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
     distances are found on the whole surfaces and those of the middle are kept.
@@ -335,7 +335,7 @@ def surface_distances(there: Array, back: Array) -> SurfaceDistances:
     partial distance, equation (8).
     """
     require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
-    return SurfaceDistances(
+    return _SurfaceDistances(
         hausdorff_mm=float(max(there.max(), back.max())),
         hausdorff95_mm=float(max(np.percentile(there, 95), np.percentile(back, 95))),
         rms_mm=float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2)))),

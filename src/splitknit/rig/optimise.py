@@ -106,7 +106,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
         first = max(reasons, key=lambda words: reasons[words])
         require(False, f"not one of the {len(records)} rigs can be built and measured; most often: {first}")
     figure = OBJECTIVES[objective]
-    compared = compare_with_best(done, figure)
+    compared = _compare_with_best(done, figure)
     costs = [[one["mean"][figure], one["candidate"]["power_w"], Candidate(**_fields(one)).volume_l] for one in done]
     front = pareto_front(np.array(costs, dtype=np.float64))
     names = [one["candidate"]["name"] for one in done]
@@ -213,7 +213,7 @@ def pareto_front(costs: Array) -> NDArray[np.bool_]:
     return front
 
 
-def mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tuple[float, float, float]:
+def _mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tuple[float, float, float]:
     """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
     numbers = np.asarray(values, dtype=np.float64)
     require(numbers.size > 0, "an interval needs one value at least.")
@@ -224,7 +224,7 @@ def mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tuple
     return mean, mean - half, mean + half
 
 
-def compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict[str, dict[str, Any]]:
+def _compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict[str, dict[str, Any]]:
     """How much worse than the best every candidate is, finger by finger.
 
     Parameters
@@ -242,8 +242,8 @@ def compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict
     best = min(values, key=lambda name: (float(values[name].mean()), name))
     compared = {}
     for name, own in values.items():
-        mean, low, high = mean_interval(own)
-        worse, worse_low, worse_high = mean_interval(own - values[best])
+        mean, low, high = _mean_interval(own)
+        worse, worse_low, worse_high = _mean_interval(own - values[best])
         compared[name] = {
             "value": mean,
             "low": _finite(low),

@@ -32,7 +32,7 @@ from splitknit.rig.part_settings import (
 
 def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
     """Return the dimensions of the rig and of its parts, mm and degrees."""
-    d, _joint = dimensions, dimensions.settings.joint
+    d = dimensions
     shadows = shadow_tips(rig, d.nail_mm)
     return {
         "picture_mm": [round(value, 2) for value in d.field_mm],
@@ -124,11 +124,11 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     RuntimeError
         If the mesh is not watertight: our failure, never the rig's.
     """
-    sound = check_soundness(triangles)
+    sound = _check_soundness(triangles)
     if not sound.watertight:
         raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
-    wall = thinnest_wall(triangles)
-    hanging = overhang(triangles, MAX_OVERHANG_DEG, LAYER_MM)
+    wall = _thinnest_wall(triangles)
+    hanging = _overhang(triangles, MAX_OVERHANG_DEG, LAYER_MM)
     points = triangles.reshape(-1, 3).astype(np.float64)
     size = points.max(axis=0) - points.min(axis=0)
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
@@ -204,7 +204,7 @@ class Overhang:
     """Height above the bed of that layer; 0 where nothing is bridged."""
 
 
-def overhang(triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25) -> Overhang:
+def _overhang(triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25) -> Overhang:
     """Measure steep faces and bridges of a closed mesh.
 
     Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
@@ -247,8 +247,8 @@ def _bridge(corners: NDArray[np.float64], z: float, layer_mm: float, pitch_mm: f
     high = corners[..., :2].reshape(-1, 2).max(axis=0) + 2 * pitch_mm
     columns, rows = np.ceil((high - low) / pitch_mm).astype(int)
     grid = (low, (int(rows), int(columns)), pitch_mm)
-    layer = slice_mask(corners, z, *grid)
-    below = slice_mask(corners, z - layer_mm, *grid)
+    layer = _slice_mask(corners, z, *grid)
+    below = _slice_mask(corners, z - layer_mm, *grid)
     if not bool(layer.any()):
         return 0.0
     if not bool(below.any()):
@@ -258,7 +258,7 @@ def _bridge(corners: NDArray[np.float64], z: float, layer_mm: float, pitch_mm: f
     return 2.0 * reach if reach > layer_mm + pitch_mm else 0.0
 
 
-def slice_mask(
+def _slice_mask(
     corners: NDArray[np.float64], z: float, low: NDArray[np.float64], shape: tuple[int, int], pitch_mm: float
 ) -> NDArray[np.bool_]:
     """Return which points of a grid lie inside a closed mesh at the height `z`.
@@ -331,7 +331,7 @@ class Soundness:
         return self.triangles > 0 and self.open_edges == 0 and self.turned_edges == 0 and self.volume_mm3 > 0
 
 
-def check_soundness(triangles: Triangles) -> Soundness:
+def _check_soundness(triangles: Triangles) -> Soundness:
     """Count edges and measure the volume.
 
     Parameters
@@ -373,7 +373,7 @@ class Wall:
     samples: int
 
 
-def thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> Wall:
+def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> Wall:
     """Measure the thickness from points on the surface straight inwards to the opposite face.
 
     Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin, and
@@ -389,7 +389,7 @@ def thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> W
     normals = unit_normals(triangles)
     points, faces = _surface_points(corners, samples, seed)
     inwards = -normals[faces]
-    distance, hit = first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
+    distance, hit = _first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
     met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
     if not bool(met.any()):
         return Wall(_REACH_MM, points[0], len(points))
@@ -418,7 +418,7 @@ _AT_ONCE = 400_000
 """Pairs of rays and triangles that are looked at together: what fits into the processor's cache."""
 
 
-def first_hits(
+def _first_hits(
     corners: NDArray[np.float64], origins: NDArray[np.float64], directions: NDArray[np.float64], reach_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return each ray's distance to the first triangle that it meets within its reach, and that triangle.

@@ -44,11 +44,11 @@ class JointSettings(Checked):
     """How parts meet: a tapered ridge in a tapered groove, and M3 screws in lugs."""
 
     wall_mm: Annotated[float, Limits(0.05, 1000)] = 2.4
-    """Thickness of all upright walls; at least :data:`MIN_WALL_MM`."""
+    """Thickness of all upright walls; at least 1.2."""
     plate_mm: Annotated[float, Limits(0.05, 1000)] = 4.4
     """Thickness of floors and of the lid."""
     ridge_height_mm: Annotated[float, Limits(0.05, 1000)] = 1.2
-    """Height of the ridge; at most :data:`JOINT_RIDGE_MM` less 0.8."""
+    """Height of the ridge; at most 1.6."""
 
 
 JOINT_CLEARANCE_MM = 0.2
@@ -222,7 +222,7 @@ class CalibrationSettings(Checked):
     dot_mm: Annotated[float, Limits(0.05, 1000)] = 1.5
     """Diameter of the disc's dots."""
     dot_depth_mm: Annotated[float, Limits(0.05, 1000)] = 0.6
-    """Depth of recessed dots; the disc stays at least :data:`MIN_WALL_MM` thick below them."""
+    """Depth of recessed dots; the disc stays at least 1.2 mm thick below them."""
 
 
 DOT_SPACING_MM = 10.0

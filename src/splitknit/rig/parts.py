@@ -241,7 +241,7 @@ def frame_part(dimensions: RigDimensions) -> Shape:
     return cut(body, holes)
 
 
-def camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+def _camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the camera board's four holes; its connector lies on the hand's side (-y)."""
     x = CAMERA_HOLE_X_MM / 2
     rows = (-CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM)
@@ -251,13 +251,13 @@ def camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
 def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
     radius = CAMERA_POST_MM / 2
-    return [cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in camera_holes(dimensions)]
+    return [cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes(dimensions)]
 
 
 def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + 1.2
     radius = CAMERA_POST_HOLE_MM / 2
-    return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in camera_holes(dimensions)]
+    return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes(dimensions)]
 
 
 def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
@@ -287,15 +287,15 @@ def _first_led_mark(dimensions: RigDimensions) -> Shape:
 
 def box_part(dimensions: RigDimensions) -> Shape:
     """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
-    joint, _board = dimensions.settings.joint, dimensions.settings.board
+    joint = dimensions.settings.joint
     low, high = dimensions.box_z_mm, dimensions.lid_z_mm
     floor = low + joint.plate_mm
     body = tube(dimensions, low, high, joint.plate_mm)
     lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
     posts, screws = [], []
     sets = (
-        (pi_holes(dimensions), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
-        (pcb_holes(dimensions), floor + PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM, PCB_POST_HOLE_MM),
+        (_pi_holes(dimensions), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
+        (_pcb_holes(dimensions), floor + PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM, PCB_POST_HOLE_MM),
     )
     for places, top, hole in sets:
         for x, y in places:
@@ -309,14 +309,14 @@ def box_part(dimensions: RigDimensions) -> Shape:
     return cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
 
 
-def pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+def _pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the Raspberry Pi's holes: the board in the middle, USB sockets at -x, power socket at +y."""
     first = PI_X_MM / 2 - PI_HOLE_EDGE_MM
     y = PI_HOLE_Y_MM / 2
     return [(x, side * y) for x in (first, first - PI_HOLE_X_MM) for side in (-1, 1)]
 
 
-def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+def _pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the holes of the circuit's board."""
     board = dimensions.settings.board
     x, y = board.pcb_hole_x_mm / 2, board.pcb_hole_y_mm / 2
@@ -325,7 +325,7 @@ def pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
 
 def _cable_hole(dimensions: RigDimensions) -> Shape:
     """A hole through the wall near the top, round below and pointed above, so that it prints without support."""
-    _joint, radius = dimensions.settings.joint, CABLE_HOLE_MM / 2
+    radius = CABLE_HOLE_MM / 2
     z = dimensions.lid_z_mm - 2 * JOINT_RING_MM - 1.0 - radius * math.sqrt(2.0)
     near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
     half = radius * math.sqrt(0.5)
@@ -348,7 +348,7 @@ _BORDER_MM = 2.0
 _PEG_SLACK_MM = 0.1
 
 
-def disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
+def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the disc's dots: multiples of the spacing, one of them in the middle."""
     step = DOT_SPACING_MM
     wall = dimensions.settings.joint.wall_mm
@@ -376,11 +376,11 @@ def dots_part(dimensions: RigDimensions) -> Shape:
     low, high = -DISC_MM - MIN_WALL_MM, -DISC_MM
     radius = d.disc_radius_mm - d.settings.joint.wall_mm - JOINT_CLEARANCE_MM
     peg = calibration.dot_mm / 2 - _PEG_SLACK_MM
-    return fused(cylinder(radius, low, high), [cylinder(peg, high - 0.3, 0.0, x, y) for x, y in disc_dots(d)])
+    return fused(cylinder(radius, low, high), [cylinder(peg, high - 0.3, 0.0, x, y) for x, y in _disc_dots(d)])
 
 
 def _dots(dimensions: RigDimensions, depth: float, radius: float) -> list[Shape]:
-    return [cylinder(radius, -depth, 1.0, x, y) for x, y in disc_dots(dimensions)]
+    return [cylinder(radius, -depth, 1.0, x, y) for x, y in _disc_dots(dimensions)]
 
 
 def _cup(dimensions: RigDimensions) -> Shape:

@@ -139,7 +139,7 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> Exposure:
     return Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
 
 
-def tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
+def _tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
     """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
 
     A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
@@ -223,7 +223,7 @@ def photograph(
                 bits=16,
             )
         gain = np.float32(exposure.level / brightest)
-        blur_px = tremor_blur_mm(exposure.time_s, photons) * rig.camera.px_per_mm
+        blur_px = _tremor_blur_mm(exposure.time_s, photons) * rig.camera.px_per_mm
         images = []
         for frame, one in zip(frames, band_seed.spawn(len(frames)), strict=True):
             light = _trembled(defocus(frame, sharpness), blur_px) * gain

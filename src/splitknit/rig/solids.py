@@ -63,7 +63,7 @@ def prism_x(outline: Points, start: float, end: float) -> Shape:
     return _extruded([(start, y, z) for y, z in outline], (end - start, 0.0, 0.0))
 
 
-def prism_z(outline: Points, start: float, end: float) -> Shape:
+def _prism_z(outline: Points, start: float, end: float) -> Shape:
     """Return the outline (x, y) extruded along z."""
     return _extruded([(x, y, start) for x, y in outline], (0.0, 0.0, end - start))
 
@@ -125,14 +125,14 @@ def ridge(dimensions: RigDimensions, z: float) -> Shape:
     )
 
 
-def groove_depth(dimensions: RigDimensions) -> float:
+def _groove_depth(dimensions: RigDimensions) -> float:
     """Return the width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
     return JOINT_RIDGE_MM + JOINT_CLEARANCE_MM
 
 
 def groove(dimensions: RigDimensions, z: float) -> Shape:
     """Return what to cut from the lower face of a floor: a groove for the ridge below, without a flat roof."""
-    bore, depth = dimensions.bore_mm, groove_depth(dimensions)
+    bore, depth = dimensions.bore_mm, _groove_depth(dimensions)
     inside = bore - 0.3
     outside = bore + depth
     below = 0.5
@@ -153,13 +153,13 @@ def tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 0
     if floor_mm > 0:
         body = turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
         return cut(body, [groove(dimensions, low)])
-    depth = groove_depth(dimensions)
+    depth = _groove_depth(dimensions)
     return turned([(bore + depth, low), *outside, (bore, low + depth)])
 
 
 def head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return lugs under the heads of screws, at a part's lower face."""
-    start = dimensions.bore_mm + groove_depth(dimensions) + 0.3
+    start = dimensions.bore_mm + _groove_depth(dimensions) + 0.3
     return [turned_to(angle, _lug_outline(dimensions, start, z, z + thickness)) for angle in azimuths_deg]
 
 

@@ -21,7 +21,7 @@ _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 
 
 @dataclass(slots=True)
-class Page:
+class _Page:
     """A page in the making; all lengths are mm, the origin is its lower left corner, x right, y up."""
 
     size_mm: tuple[float, float] = A4_MM
@@ -30,42 +30,42 @@ class Page:
     _shapes: dict[str, tuple[str, tuple[float, float, float, float]]] = field(default_factory=dict)
 
     def shape(self, name: str, drawing: str, box_mm: tuple[float, float, float, float]) -> None:
-        """Keep a drawing (of :func:`rectangles` or :func:`circle`) within a box under a name, to be placed."""
+        """Keep a drawing (of :func:`_rectangles` or :func:`_circle`) within a box under a name, to be placed."""
         require(name.isalpha() and name.isascii(), f"a shape's name must be ASCII letters, but it is '{name}'.")
         self._shapes[name] = drawing, box_mm
 
     def place(self, name: str, x_mm: float, y_mm: float) -> None:
         """Draw a shape with its origin at a place."""
         require(name in self._shapes, f"there is no shape '{name}' on the page.")
-        self._marks.append(f"q 1 0 0 1 {number(x_mm)} {number(y_mm)} cm /{name} Do Q")
+        self._marks.append(f"q 1 0 0 1 {_number(x_mm)} {_number(y_mm)} cm /{name} Do Q")
 
     def line(self, points_mm: Sequence[tuple[float, float]], width_mm: float = 0.1, grey: float = 0.0) -> None:
         """Draw a line through points."""
         require(len(points_mm) >= 2, "a line needs two points at least.")
         (x, y), *rest = points_mm
-        path = " ".join([f"{number(x)} {number(y)} m", *(f"{number(u)} {number(v)} l" for u, v in rest)])
-        self._marks.append(f"{number(width_mm)} w {number(grey)} G {path} S")
+        path = " ".join([f"{_number(x)} {_number(y)} m", *(f"{_number(u)} {_number(v)} l" for u, v in rest)])
+        self._marks.append(f"{_number(width_mm)} w {_number(grey)} G {path} S")
 
     def outline(self, drawing: str, x_mm: float, y_mm: float, width_mm: float = 0.1, grey: float = 0.0) -> None:
-        """Draw the outline of :func:`rectangles` or :func:`circle` about a place."""
+        """Draw the outline of :func:`_rectangles` or :func:`_circle` about a place."""
         self._marks.append(
-            f"q 1 0 0 1 {number(x_mm)} {number(y_mm)} cm {number(width_mm)} w {number(grey)} G {drawing} S Q"
+            f"q 1 0 0 1 {_number(x_mm)} {_number(y_mm)} cm {_number(width_mm)} w {_number(grey)} G {drawing} S Q"
         )
 
     def text(self, words: str, x_mm: float, y_mm: float, size_mm: float = 2.8) -> None:
         """Write a line of ASCII in Helvetica, which every reader has."""
         require(words.isascii() and words.isprintable(), "text on a page must be printable ASCII.")
         escaped = words.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
-        self._marks.append(f"BT /F {number(size_mm)} Tf {number(x_mm)} {number(y_mm)} Td ({escaped}) Tj ET")
+        self._marks.append(f"BT /F {_number(size_mm)} Tf {_number(x_mm)} {_number(y_mm)} Td ({escaped}) Tj ET")
 
     def to_bytes(self) -> bytes:
         """Return the file; equal pages give equal bytes."""
-        scale = number(POINTS_PER_MM)
+        scale = _number(POINTS_PER_MM)
         content = "\n".join([f"{scale} 0 0 {scale} 0 0 cm", *self._marks])
         names = list(self._shapes)
         first = 6  # 1 catalogue, 2 pages, 3 page, 4 content, 5 font, then the shapes, then the title
         shapes = " ".join(f"/{name} {first + k} 0 R" for k, name in enumerate(names))
-        width, height = (number(side * POINTS_PER_MM) for side in self.size_mm)
+        width, height = (_number(side * POINTS_PER_MM) for side in self.size_mm)
         objects = [
             "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
             "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
@@ -76,25 +76,25 @@ class Page:
         ]
         for name in names:
             drawing, box = self._shapes[name]
-            sides = " ".join(number(side) for side in box)
+            sides = " ".join(_number(side) for side in box)
             objects.append(_stream(f"/Type /XObject /Subtype /Form /BBox [{sides}] ", f"0 g {drawing} f"))
         objects.append(f"<< /Title ({self.title}) {PRODUCER.decode()} >>")
         return _file(objects)
 
 
-def rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
+def _rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
     """Paths of rectangles: lower left x and y, width, height of each, in mm."""
-    return " ".join(f"{number(x)} {number(y)} {number(w)} {number(h)} re" for x, y, w, h in corners)
+    return " ".join(f"{_number(x)} {_number(y)} {_number(w)} {_number(h)} re" for x, y, w, h in corners)
 
 
-def circle(radius_mm: float) -> str:
+def _circle(radius_mm: float) -> str:
     """Path of a circle about the origin."""
     r, h = radius_mm, radius_mm * _CIRCLE
     curves = [(r, h, h, r, 0, r), (-h, r, -r, h, -r, 0), (-r, -h, -h, -r, 0, -r), (h, -r, r, -h, r, 0)]
-    return " ".join([f"{number(r)} 0 m", *(" ".join(map(number, curve)) + " c" for curve in curves), "h"])
+    return " ".join([f"{_number(r)} 0 m", *(" ".join(map(_number, curve)) + " c" for curve in curves), "h"])
 
 
-def number(value: float) -> str:
+def _number(value: float) -> str:
     """A length as PDF writes it: no exponent, 0.1 um and no trailing zeros."""
     text = f"{value:.4f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
@@ -215,7 +215,7 @@ def target_pdf(settings: TargetSettings | None = None) -> bytes:
         If a setting cannot be, or the parts do not fit on the sheet.
     """
     settings = settings or TargetSettings()
-    page = Page(title="splitknit calibration target")
+    page = _Page(title="splitknit calibration target")
     _words(page, settings)
     _ruler(page, settings)
     _boards(page, settings)
@@ -231,7 +231,7 @@ def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
     return [(x, y) for y in steps for x in steps if math.hypot(x, y) <= reach]
 
 
-def _words(page: Page, settings: TargetSettings) -> None:
+def _words(page: _Page, settings: TargetSettings) -> None:
     x, y = _PAGE_MARGIN_MM, A4_MM[1] - _PAGE_MARGIN_MM - 4
     board = f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm"
     disc = f"disc with dots of {DOT_MM:g} mm every {settings.spacing_mm:g} mm"
@@ -244,7 +244,7 @@ def _words(page: Page, settings: TargetSettings) -> None:
     )
 
 
-def _ruler(page: Page, settings: TargetSettings) -> None:
+def _ruler(page: _Page, settings: TargetSettings) -> None:
     x, y = (A4_MM[0] - RULER_MM) / 2, settings.ruler_y_mm
     page.line([(x, y), (x + RULER_MM, y)], 0.2)
     for k in range(11):
@@ -252,7 +252,7 @@ def _ruler(page: Page, settings: TargetSettings) -> None:
         page.line([(at, y - (3 if k % 10 == 0 else 1.5)), (at, y)], 0.1)
 
 
-def _boards(page: Page, settings: TargetSettings) -> None:
+def _boards(page: _Page, settings: TargetSettings) -> None:
     side = settings.square_mm
     width, height = settings.board_mm
     squares = [
@@ -261,7 +261,7 @@ def _boards(page: Page, settings: TargetSettings) -> None:
         for j in range(settings.columns + 1)
         if (i + j) % 2 == 0
     ]
-    page.shape("Board", rectangles(squares), (0, 0, width, height))
+    page.shape("Board", _rectangles(squares), (0, 0, width, height))
     across, down = settings.copies
     card_width, card_height = settings.card_mm
     top = settings.ruler_y_mm - 10
@@ -270,15 +270,15 @@ def _boards(page: Page, settings: TargetSettings) -> None:
             free = A4_MM[0] - across * card_width
             x = free * (column + 1) / (across + 1) + column * card_width
             y = top - (row + 1) * card_height - 3 * row
-            page.outline(rectangles([(0, 0, card_width, card_height)]), x, y, 0.05, 0.6)
+            page.outline(_rectangles([(0, 0, card_width, card_height)]), x, y, 0.05, 0.6)
             page.place("Board", x + _CARD_MARGIN_MM, y + _CARD_MARGIN_MM)
 
 
-def _disc(page: Page, settings: TargetSettings) -> None:
+def _disc(page: _Page, settings: TargetSettings) -> None:
     x, y = settings.disc_centre_mm
     radius = DOT_MM / 2
     box = radius + 0.1
-    page.shape("Dot", circle(radius), (-box, -box, box, box))
-    page.outline(circle(_DISC_RADIUS_MM), x, y, 0.05, 0.6)
+    page.shape("Dot", _circle(radius), (-box, -box, box, box))
+    page.outline(_circle(_DISC_RADIUS_MM), x, y, 0.05, 0.6)
     for across, up in dots_mm(settings):
         page.place("Dot", x + across, y + up)

@@ -109,31 +109,31 @@ class ReliefTrainer(FieldsTrainer):
         check_channels(samples, CHANNELS)
         if len(whole) > 0:
             check_channels(whole, CHANNELS)
-        super().__init__(settings, OUTPUTS, field_scale(samples, settings, whole))
+        super().__init__(settings, OUTPUTS, _field_scale(samples, settings, whole))
         self.settings: ReliefSettings = settings
         self.samples, self.whole = samples, whole
 
     def draw(self, iteration: int) -> FloatArray:
-        """See :func:`draw_batch`."""
-        return draw_batch(self.samples, self.settings, iteration, self.whole)
+        """See :func:`_draw_batch`."""
+        return _draw_batch(self.samples, self.settings, iteration, self.whole)
 
     def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
-        """See :func:`relief_losses`."""
-        return relief_losses(made, batch)
+        """See :func:`_relief_losses`."""
+        return _relief_losses(made, batch)
 
     def total(self, parts: dict[str, Any]) -> Any:
-        """See :func:`total_loss`."""
-        return total_loss(parts, self.settings)
+        """See :func:`_total_loss`."""
+        return _total_loss(parts, self.settings)
 
     def judge(self, sample: Sample) -> dict[str, float]:
-        """Figures for the middle of a finger, see :func:`judged`."""
-        return judge_middle(self.run, sample, self.settings.stride)
+        """Figures for the middle of a finger, see :func:`_judged`."""
+        return _judge_middle(self.run, sample, self.settings.stride)
 
 
 # --- loss and figures ---------------------------------------------------------------------------------------------
 
 
-def relief_losses(made: Any, batch: Any) -> dict[str, Any]:
+def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
     Parameters
@@ -166,7 +166,7 @@ def relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     }
 
 
-def total_loss(parts: dict[str, Any], settings: ReliefSettings) -> Any:
+def _total_loss(parts: dict[str, Any], settings: ReliefSettings) -> Any:
     """The weighted sum of the parts."""
     return (
         parts["relief"]
@@ -176,17 +176,17 @@ def total_loss(parts: dict[str, Any], settings: ReliefSettings) -> Any:
     )
 
 
-def judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
+def _judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
+    """Figures of :func:`_judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
     limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
     require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
     first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
     rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
     middle = np.asarray(sample[:, rows, columns], dtype=np.float32)
-    return judged(run(middle[:FIELDS]), middle)
+    return _judged(run(middle[:FIELDS]), middle)
 
 
-def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
+def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     """Figures of a result (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2.
 
     Returns
@@ -220,7 +220,7 @@ def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
 # --- patches ---------------------------------------------------------------------------------------------------------
 
 
-def draw_patch(
+def _draw_patch(
     samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator, whole: Sequence[Sample] = ()
 ) -> FloatArray:
     """Cut a patch (41, side, side) anywhere in any sample, as it is; zero where a sample is smaller.
@@ -243,23 +243,23 @@ def draw_patch(
     return patch_with_skin(cut, side, _MIN_WEIGHT)
 
 
-def draw_batch(
+def _draw_batch(
     samples: Sequence[Sample], settings: ReliefSettings, iteration: int, whole: Sequence[Sample] = ()
 ) -> FloatArray:
     """The patches (batch, 41, side, side) of one iteration; they follow from its number and the settings' seed."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
     return np.stack(
         [
-            TURNS.turned_by(draw_patch(samples, settings, rng, whole), int(rng.integers(8)))
+            TURNS.turned_by(_draw_patch(samples, settings, rng, whole), int(rng.integers(8)))
             for _ in range(settings.batch)
         ]
     )
 
 
-def field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Sequence[Sample] = ()) -> FloatArray:
+def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Sequence[Sample] = ()) -> FloatArray:
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
-    patches = np.stack([draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
+    patches = np.stack([_draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
     return one_scale(patches, _MIN_DEVIATION)
 
 
@@ -377,10 +377,10 @@ def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> 
 
     Returns
     -------
-    dict with the figures of each finger, see :func:`judged`, and their means
+    dict with the figures of each finger, see :func:`_judged`, and their means
     """
     run, stride = runner_of(state), stride_of(state)
-    figures = {number: judge_middle(run, sample, stride) for number, sample in samples.items()}
+    figures = {number: _judge_middle(run, sample, stride) for number, sample in samples.items()}
 
     def in_um(entry: Mapping[str, float]) -> dict[str, float | None]:
         others = {name: value for name, value in entry.items() if name != "rms"}

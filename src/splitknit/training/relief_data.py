@@ -105,7 +105,7 @@ class ReliefData(SceneRanges):
     """Part of the whole fingers that have another size."""
 
 
-def draw_scene(number: int, data: ReliefData) -> Scene:
+def _draw_scene(number: int, data: ReliefData) -> Scene:
     """Draw the finger `number`, its skin's ranges, camera and lights."""
     rng = np.random.default_rng([number, 77])
 
@@ -138,17 +138,17 @@ def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16],
     BadInput
         If the reconstruction would refuse the capture.
     """
-    scene = draw_scene(number, data)
+    scene = _draw_scene(number, data)
     capture, truth = photograph_scene(scene)
     mix = float(np.random.default_rng(number).random())
     settings = preset_settings("metric")
     skin = {
         name: float(truth[f"skin_{name}"]) for name in ("scattering_factor", "melanin", "blood", "roughness", "glare")
     }
-    return sample_of(capture, truth, settings, mix), {**scene.facts(), "skin": skin, "estimated_share": mix}
+    return _sample_of(capture, truth, settings, mix), {**scene.facts(), "skin": skin, "estimated_share": mix}
 
 
-def sample_of(
+def _sample_of(
     capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, mix: float
 ) -> NDArray[np.float16]:
     """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
@@ -169,11 +169,11 @@ def sample_of(
     level = true[grid.mask].mean(dtype=np.float64)
     true = true - np.float32(level) + np.float32(settings.metric.plane_mm)
     surface = ((1 - np.float32(mix)) * true + np.float32(mix) * found).astype(np.float32)
-    light = light_on(bands[0].rig, grid, surface, settings.metric.coarse_pitch_mm)
-    return assembled(bands[0], grid, surface, light, on_grid)
+    light = _light_on(bands[0].rig, grid, surface, settings.metric.coarse_pitch_mm)
+    return _assembled(bands[0], grid, surface, light, on_grid)
 
 
-def assembled(
+def _assembled(
     white: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLight, truth: TruthOnGrid
 ) -> NDArray[np.float16]:
     """The sample (41, h, w) of one finger on one smooth surface."""
@@ -195,7 +195,7 @@ def assembled(
     return np.concatenate(parts).astype(np.float16)
 
 
-def light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: float) -> FineLight:
+def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: float) -> FineLight:
     """Lights on a smooth surface of the fine grid, by way of the coarse one as in a reconstruction."""
     factor = max(1, round(coarse_pitch_mm / grid.pitch_mm))
     low = coarsen(grid, factor)
@@ -305,8 +305,8 @@ def _piece(  # noqa: PLR0917
     }
     on_grid = TruthOnGrid(truth, (slice(None), slice(None)), grid, 1)
     smooth = on_grid.shape_mm() + _smooth_error(rng, grid)
-    lights = light_on(rig, grid, smooth, preset_settings("metric").metric.coarse_pitch_mm)
-    sample = assembled(white, grid, smooth, lights, on_grid)
+    lights = _light_on(rig, grid, smooth, preset_settings("metric").metric.coarse_pitch_mm)
+    sample = _assembled(white, grid, smooth, lights, on_grid)
     return np.ascontiguousarray(sample[:, TRIM_PX:-TRIM_PX, TRIM_PX:-TRIM_PX])
 
 

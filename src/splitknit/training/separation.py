@@ -103,7 +103,7 @@ class SeparationTrainer(Trainer):
         count = math.ceil(len(self.patches) / settings.batch)
         for number, batch in enumerate(self.patches.shuffled(settings.batch, settings.seed, self.done)):
             done = (self.done + number / count) / settings.epochs
-            rate = settings.learning_rate * learning_factor(done, settings.decay)
+            rate = settings.learning_rate * _learning_factor(done, settings.decay)
             yield Step(batch, rate, len(batch[0]), done)
 
     def losses(self, batch: Batch) -> dict[str, Any]:
@@ -144,7 +144,7 @@ class SeparationTrainer(Trainer):
         )
 
 
-def learning_factor(done: float, decay: float) -> float:
+def _learning_factor(done: float, decay: float) -> float:
     """Learning rate, relative to its start, when a fraction is `done`: it falls over the last `decay`."""
     if decay <= 0 or done <= 1 - decay:
         return 1.0

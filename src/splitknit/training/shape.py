@@ -130,31 +130,31 @@ class ShapeTrainer(FieldsTrainer):
     def __init__(self, settings: ShapeSettings, samples: Sequence[Sample]) -> None:
         """Draw the first weights from the settings' seed, and the fields' scale from the samples."""
         check_channels(samples, CHANNELS)
-        super().__init__(settings, OUTPUTS, field_scale(samples, settings), settings.weight_decay)
+        super().__init__(settings, OUTPUTS, _field_scale(samples, settings), settings.weight_decay)
         self.settings: ShapeSettings = settings
         self.samples = samples
 
     def draw(self, iteration: int) -> FloatArray:
-        """See :func:`draw_batch`."""
-        return draw_batch(self.samples, self.settings, iteration)
+        """See :func:`_draw_batch`."""
+        return _draw_batch(self.samples, self.settings, iteration)
 
     def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
-        """See :func:`shape_losses`."""
-        return shape_losses(made, batch)
+        """See :func:`_shape_losses`."""
+        return _shape_losses(made, batch)
 
     def total(self, parts: dict[str, Any]) -> Any:
         """The weighted sum of the parts."""
         return parts["slope"] + self.settings.wide_share * parts["wide"]
 
     def judge(self, sample: Sample) -> dict[str, float]:
-        """Figures for a finger, see :func:`judged`."""
-        return judge_whole(self.run, sample, self.settings.stride)
+        """Figures for a finger, see :func:`_judged`."""
+        return _judge_whole(self.run, sample, self.settings.stride)
 
 
 # --- loss and figures ------------------------------------------------------------------------------------------------
 
 
-def shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
+def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
     Parameters
@@ -179,8 +179,8 @@ def shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, An
     return {"slope": (error**2 * weight).sum() / count, "wide": means.sum() * wide_px**2 / count}
 
 
-def judge_whole(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`judged` for a finger, as `run` turns its fields (32, h, w) into (2, h, w).
+def _judge_whole(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
+    """Figures of :func:`_judged` for a finger, as `run` turns its fields (32, h, w) into (2, h, w).
 
     The last rows and columns are left out where the sides are no multiples of `stride`.
     """
@@ -188,10 +188,10 @@ def judge_whole(run: Callable[[FloatArray], FloatArray], sample: Sample, stride:
     height, width = sample.shape[1:]
     require(min(rows, columns) > 0, f"a finger of {height} x {width} pixels is too small to be evaluated.")
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
-    return judged(run(seen[:FIELDS]), seen)
+    return _judged(run(seen[:FIELDS]), seen)
 
 
-def judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
+def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit.
 
     Returns
@@ -222,7 +222,7 @@ def _mean(field: Any) -> Any:
 # --- patches ---------------------------------------------------------------------------------------------------------
 
 
-def draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.random.Generator) -> FloatArray:
+def _draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.random.Generator) -> FloatArray:
     """Cut a patch (35, side, side) anywhere in any sample, as it is; zero where it reaches over the sample.
 
     Raises
@@ -242,27 +242,27 @@ def draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.rando
     return patch_with_skin(cut, side, _MIN_WEIGHT)
 
 
-def without_nir(patch: FloatArray) -> FloatArray:
+def _without_nir(patch: FloatArray) -> FloatArray:
     """The patch as it would be seen without near-infrared images."""
     blind: FloatArray = np.array(patch, dtype=np.float32)
     blind[list(OF_NIR)] = 0.0
     return blind
 
 
-def draw_batch(samples: Sequence[Sample], settings: ShapeSettings, iteration: int) -> FloatArray:
+def _draw_batch(samples: Sequence[Sample], settings: ShapeSettings, iteration: int) -> FloatArray:
     """The patches (batch, 35, side, side) of one iteration; they follow from its number and the settings' seed."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
     patches = []
     for _ in range(settings.batch):
-        patch = TURNS.turned_by(draw_patch(samples, settings, rng), int(rng.integers(8)))
-        patches.append(without_nir(patch) if rng.random() < settings.no_nir_share else patch)
+        patch = TURNS.turned_by(_draw_patch(samples, settings, rng), int(rng.integers(8)))
+        patches.append(_without_nir(patch) if rng.random() < settings.no_nir_share else patch)
     return np.stack(patches)
 
 
-def field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArray:
+def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArray:
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
-    patches = np.stack([draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
+    patches = np.stack([_draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
     return one_scale(patches, _MIN_DEVIATION)
 
 
@@ -358,11 +358,11 @@ def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> 
 
     Returns
     -------
-    dict with the figures of each finger, see :func:`judged`, as slopes, and their means
+    dict with the figures of each finger, see :func:`_judged`, as slopes, and their means
     """
     run, stride = runner_of(state), stride_of(state)
     figures = {
-        number: {name: UNIT * value for name, value in judge_whole(run, sample, stride).items()}
+        number: {name: UNIT * value for name, value in _judge_whole(run, sample, stride).items()}
         for number, sample in samples.items()
     }
     return {

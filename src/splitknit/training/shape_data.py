@@ -75,7 +75,7 @@ class ShapeData(SceneRanges):
     """Its standard deviation from finger to finger."""
 
 
-def draw_shape_scene(number: int, data: ShapeData) -> tuple[Scene, float]:
+def _draw_shape_scene(number: int, data: ShapeData) -> tuple[Scene, float]:
     """Draw the finger `number`, its skin's ranges, camera and lights, and the gain of the relief."""
     rng = np.random.default_rng([number, 77])
     scale = float(rng.uniform(*data.scale))
@@ -105,15 +105,15 @@ def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dic
     BadInput
         If the reconstruction would refuse the capture.
     """
-    scene, gain = draw_shape_scene(number, data)
+    scene, gain = _draw_shape_scene(number, data)
     capture, truth = photograph_scene(scene)
     names = ("scattering_factor", "melanin", "blood", "roughness", "glare")
     skin = {name: float(truth[f"skin_{name}"]) for name in names}
-    sample = shape_sample_of(capture, truth, preset_settings("metric"), gain)
+    sample = _shape_sample_of(capture, truth, preset_settings("metric"), gain)
     return sample, {**scene.facts(), "skin": skin, "relief_gain": gain}
 
 
-def shape_sample_of(
+def _shape_sample_of(
     capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, gain: float
 ) -> NDArray[np.float16]:
     """Fields, missing slopes and weight (35, h, w) of one capture with its truth.
@@ -130,9 +130,9 @@ def shape_sample_of(
     grid, bands, binning = skin_images(capture, seen, finger.window, finger.inside, settings.metric.working_pitch_mm)
     require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
-    relief, wide = split_relief(on_grid, grid)
+    relief, wide = _split_relief(on_grid, grid)
     inner = trust_of(slant_of(on_grid.shape_mm(), grid.pitch_mm), grid) > _TRUSTED
-    drawn = drawn_relief(relief, inner & on_grid.mask, gain)
+    drawn = _drawn_relief(relief, inner & on_grid.mask, gain)
     kept: list[FloatArray] = []
 
     def no_slopes(fields: FloatArray) -> FloatArray:
@@ -143,10 +143,10 @@ def shape_sample_of(
     reconstruct_skin(bands, grid, settings.skin, settings.metric, None, networks)
     require(len(kept) == 1, "the reconstruction mends no shape: metric.rounds must be two at least.")
     factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
-    return assembled_shape(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
+    return _assembled_shape(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
 
 
-def split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArray]:
+def _split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArray]:
     """The true relief (h, w) and the wide part of it that counts as shape, mm; zero where one is not known."""
     known = grid.mask & truth.mask
     relief = np.where(known, truth.relief_mm(), np.float32(0.0)).astype(np.float32)
@@ -154,7 +154,7 @@ def split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArray
     return ((relief - wide) * known).astype(np.float32), wide
 
 
-def drawn_relief(relief_mm: FloatArray, inner: BoolArray, gain: float) -> FloatArray:
+def _drawn_relief(relief_mm: FloatArray, inner: BoolArray, gain: float) -> FloatArray:
     """Result (9, h, w) of a network that sees this relief `gain` times as high, and knows what it misses.
 
     Its power is that in the part `inner` of the finger, where a reconstruction uses it too.
@@ -168,7 +168,7 @@ def drawn_relief(relief_mm: FloatArray, inner: BoolArray, gain: float) -> FloatA
     return drawn
 
 
-def assembled_shape(
+def _assembled_shape(
     fields: FloatArray, true_mm: FloatArray, known: BoolArray, low: Grid, factor: int
 ) -> NDArray[np.float16]:
     """The sample (35, h, w) of one finger.
