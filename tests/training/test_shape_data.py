@@ -48,13 +48,8 @@ class Scene:
 
     def sample(self) -> np.ndarray:
         facets = Facets(np.linspace(-0.5, 0.5, 7), *self.across)
-<<<<<<< HEAD
         fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
-        return assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
-=======
-        fields = shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
         return _assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
->>>>>>> train
 
     def moved(
         self, image: Callable[[np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, place: Callable[..., tuple]
