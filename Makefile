@@ -38,7 +38,7 @@ examples: $(VENV)/.ready
 
 docs: $(VENV)/.ready
 	$(INSTALL) 'splitknit[docs]'
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 install: $(VENV)/.ready
 	$(INSTALL) 'splitknit[$(EXTRAS)]'

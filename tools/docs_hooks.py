@@ -13,8 +13,11 @@ import inspect
 import logging
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -24,11 +27,11 @@ ARRAYS = ("splitknit.photometric", "splitknit.integration")
 """Packages whose functions on arrays are public as well."""
 
 
-def inside(markdown: str, folder: Path) -> str:
-    """Replace links to files outside `DOCS` by the files' paths; a build has nothing to lead to there."""
+def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
+    """Replace links to files outside `DOCS` by the files' paths; `add` takes a picture into the site."""
 
     def path_of(link: re.Match[str]) -> str:
-        label, target = link[1], link[2].partition("#")[0]
+        label, target = link[2], link[3].partition("#")[0]
         if "://" in target or not target:
             return link[0]
         file = Path(os.path.normpath(folder / target))
@@ -36,13 +39,14 @@ def inside(markdown: str, folder: Path) -> str:
             return link[0]
         if not file.exists():
             LOG.warning("%s: no file %s", folder.relative_to(ROOT), target)
+            return link[0]
+        if link[1]:
+            return f"![{label}]({os.path.relpath(DOCS / add(file), folder)})"
         name = file.relative_to(ROOT).as_posix()
         return f"`{name}`" if label.strip("`") in (name, file.name) else f"{label} (`{name}`)"
 
     parts = re.split(r"(^ *```.*?^ *```$)", markdown, flags=re.DOTALL | re.MULTILINE)
-    return "".join(
-        part if "```" in part else re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)", path_of, part) for part in parts
-    )
+    return "".join(part if "```" in part else re.sub(r"(!?)\[([^\]]+)\]\(([^)\s]+)\)", path_of, part) for part in parts)
 
 
 def verbs(parser: argparse.ArgumentParser, name: str) -> list[tuple[str, argparse.ArgumentParser]]:
@@ -78,18 +82,31 @@ def public_names() -> str:
             value: Any = getattr(home, name)
             if isinstance(value, str):
                 continue
-            if not inspect.getdoc(value) or not (inspect.getdoc(value) or "").strip():
+            words = (value.__doc__ or "").strip()
+            if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
                 LOG.warning("%s.%s is public and has no docstring", module, name)
             parts.append(f"::: {module}.{name}")
     return "\n\n".join(parts)
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Complete one page (an event of mkdocs)."""
+
+    def add(picture: Path) -> str:
+        uri = f"images/outside/{picture.relative_to(ROOT).as_posix()}"
+        if files.get_file_from_path(uri) is None:
+            files.append(File.generated(config, uri, abs_src_path=str(picture)))
+        return uri
+
     for mark, make in (("<!-- help of every verb -->", help_of_every_verb), ("<!-- public names -->", public_names)):
         if mark in markdown:
             markdown = markdown.replace(mark, make())
-    return inside(markdown, (DOCS / page.file.src_uri).parent)
+    return inside(markdown, (DOCS / page.file.src_uri).parent, add)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Take the roles out of docstrings (an event of mkdocs)."""
+    return re.sub(r":(?:func|class|data|mod|meth|attr):(?=<code>|`)", "", html)
 
 
 def on_post_build(config: Any, **_: Any) -> None:
