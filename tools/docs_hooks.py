@@ -17,8 +17,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mkdocs.structure.files import File
-
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 LOG = logging.getLogger("mkdocs.hooks.splitknit")
@@ -91,6 +89,8 @@ def public_names() -> str:
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Complete one page (an event of mkdocs)."""
+
+    from mkdocs.structure.files import File  # noqa: PLC0415 - the tests load this file without mkdocs
 
     def add(picture: Path) -> str:
         uri = f"images/outside/{picture.relative_to(ROOT).as_posix()}"
