@@ -101,6 +101,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     for mark, make in (("<!-- help of every verb -->", help_of_every_verb), ("<!-- public names -->", public_names)):
         if mark in markdown:
             markdown = markdown.replace(mark, make())
+    markdown = re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)  # GitHub wants them escaped
     return inside(markdown, (DOCS / page.file.src_uri).parent, add)
 
 
