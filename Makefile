@@ -1,7 +1,8 @@
 # make demo: simulate a finger, reconstruct it, compare it with the truth, write ./demo/
 # make test: lint, types, import rules, tests
-# make examples: run every example and write docs/examples.md
-# make install: all that `splitknit` needs; with EXTRAS=rig,train (docs/index.md) other parts as well
+# make examples: run every example and write docs/guide/examples.md
+# make docs: the documentation as a site, ./site/index.html; a broken link or an undocumented public name is an error
+# make install: all that `splitknit` needs; with EXTRAS=rig,train (docs/guide/install.md) other parts as well
 # make lock: write constraints.txt for the dependencies in pyproject.toml; with LOCK_ARGS=--upgrade in newer releases
 # make clean: remove what these made
 
@@ -20,7 +21,7 @@ pinned = sed -n '/^$(1)==/,/[^\\]$$/p' constraints.txt
 export PIP_BUILD_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test examples install lock clean
+.PHONY: demo test examples docs install lock clean
 
 demo: $(VENV)/.ready
 	$(BIN)/splitknit demo --out demo
@@ -34,6 +35,10 @@ test: $(VENV)/.ready-dev
 
 examples: $(VENV)/.ready
 	$(BIN)/python tools/build_examples.py
+
+docs: $(VENV)/.ready
+	$(INSTALL) 'splitknit[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 install: $(VENV)/.ready
 	$(INSTALL) 'splitknit[$(EXTRAS)]'
@@ -60,9 +65,9 @@ lock:
 	$(call pinned,uv) > $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
-		--extra dev --extra browser --extra reference --extra rig --extra train --group install \
+		--extra dev --extra browser --extra docs --extra reference --extra rig --extra train --group install \
 		$(LOCK_ARGS) --output-file constraints.txt pyproject.toml
 
 clean:
-	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
+	rm -rf $(VENV) demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
 	find src tests examples benchmarks validation -name __pycache__ -type d -prune -exec rm -rf {} +

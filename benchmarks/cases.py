@@ -1,4 +1,4 @@
-"""The inputs behind the integrator and photometric-stereo rows of docs/performance.md, with known truth.
+"""The inputs behind the integrator and photometric-stereo rows of docs/experiments/performance.md, with known truth.
 
 Axes are the library's: x right, y up against the rows, z towards the camera.
 """

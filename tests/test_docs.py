@@ -18,10 +18,10 @@ import splitknit
 from splitknit.io.images import write_image
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("benchmarks/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("benchmarks/*.md")])
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_lead_to_files(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
@@ -36,12 +36,21 @@ def test_links_lead_to_files(page: Path) -> None:
             assert anchor in slugs, f"{page.name}: {target}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_files_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    named = set(re.findall(r"(?:examples|benchmarks|validation|tools|docs|tests)/[\w/]+\.(?:py|md|json|png|jpg)", text))
+    named = set(
+        re.findall(
+            r"(?<!images/)(?:examples|benchmarks|validation|tools|docs|tests)/[\w/-]+\.(?:py|md|json|png|jpg)", text
+        )
+    )
     missing = [name for name in named if not (ROOT / name).exists() and not (page.parent / name).exists()]
     assert missing == []
+
+
+def test_the_site_lists_every_page() -> None:
+    listed = re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in ROOT.glob("docs/**/*.md"))
 
 
 def test_settings_page_is_current() -> None:
@@ -102,7 +111,7 @@ def commands_of(page: str) -> list[list[str]]:
     return [line for line in cut if not any(word.startswith("[") or "|" in word for word in line)]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_commands_on_the_pages_are_understood(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from splitknit.cli.main import build_parser
 
@@ -120,7 +129,7 @@ def test_commands_are_found_on_a_page() -> None:
 
 
 def test_captures_by_hand_are_read(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "bring-your-own-data.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "guide" / "bring-your-own-data.md").read_text(encoding="utf-8")
     examples = re.findall(r"<!-- example (\S+) -->\n```json\n(.*?)```", text, flags=re.DOTALL)
     rigs = [body for name, body in examples if name == "rig.json"]
     captures = [body for name, body in examples if name == "capture.json"]

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
+import logging
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -44,3 +48,39 @@ def test_what_lacks_is_found() -> None:
         raise splitknit.BadInput(str(a + b))
 
     assert lacking(silent) == ["Parameters", "Returns", "Raises"]
+
+
+@pytest.fixture(scope="module")
+def hooks() -> ModuleType:
+    """What the documentation's site is built with; it needs mkdocs only where pictures are taken in."""
+    spec = importlib.util.spec_from_file_location("docs_hooks", Path(__file__).parents[1] / "tools" / "docs_hooks.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_site_shows_every_public_name_and_verb(hooks: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        page = hooks.public_names()
+    assert caplog.records == []
+    shown = {line.removeprefix("::: ") for line in page.splitlines() if line.startswith("::: ")}
+    assert shown >= set(PUBLIC) and "splitknit.Capture" in shown
+    assert "### `splitknit gallery rekey`" in hooks.help_of_every_verb()
+
+
+def test_a_public_name_without_words_is_found(
+    hooks: ModuleType, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(splitknit.Led, "__doc__", "Led(position_mm)")
+    with caplog.at_level(logging.WARNING):
+        hooks.public_names()
+    assert "splitknit.Led is public and has no docstring" in caplog.text
+
+
+def test_links_out_of_the_pages_become_paths(hooks: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+    text = "[README](../README.md), [code](../src/splitknit/model.py#a), [page](guide/install.md), [gone](../gone.py)"
+    with caplog.at_level(logging.WARNING):
+        found = hooks.inside(text, hooks.DOCS, lambda picture: picture.name)
+    assert found.startswith("README (`README.md`), code (`src/splitknit/model.py`), [page](guide/install.md)")
+    assert "no file ../gone.py" in caplog.text

@@ -1,4 +1,4 @@
-"""Run every example and write ``docs/examples.md``: what each shows, its output and its pictures.
+"""Run every example and write ``docs/guide/examples.md``: what each shows, its output and its pictures.
 
     make examples
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import ast
 import hashlib
+import os
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from pathlib import Path
 import cv2
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, PICTURES = ROOT / "docs" / "examples.md", ROOT / "docs" / "images" / "examples"
+PAGE, PICTURES = ROOT / "docs" / "guide" / "examples.md", ROOT / "docs" / "images" / "examples"
 ORDER = ("twin", "reconstruct", "prints", "match", "evaluate")
 """First on the page; the others follow by name."""
 WIDEST_PX, MOST_BYTES = 1200, 200_000
@@ -76,7 +77,7 @@ def keep(picture: Path, name: str) -> str:
     if picture.suffix == ".svg":
         target = PICTURES / f"{name}-{picture.name}"
         shutil.copyfile(picture, target)
-        return target.relative_to(PAGE.parent).as_posix()
+        return Path(os.path.relpath(target, PAGE.parent)).as_posix()
     image = cv2.imread(str(picture))
     if image.shape[1] > WIDEST_PX:
         share = WIDEST_PX / image.shape[1]
@@ -86,7 +87,7 @@ def keep(picture: Path, name: str) -> str:
         quality -= 6
     target = PICTURES / f"{name}-{picture.stem}.jpg"
     target.write_bytes(data)
-    return target.relative_to(PAGE.parent).as_posix()
+    return Path(os.path.relpath(target, PAGE.parent)).as_posix()
 
 
 def section(one: Done) -> str:
@@ -95,7 +96,7 @@ def section(one: Done) -> str:
     shown = "\n\n".join(f"![{path.stem.replace('-', ' ')}]({keep(path, short)})" for path in one.pictures)
     parts = [
         f"## {one.title.rstrip('.')}", f"<!-- {one.name}.py {one.sha256} -->", one.words,
-        f"[examples/{one.name}.py](../examples/{one.name}.py) prints:", f"```\n{one.output}\n```", shown,
+        f"[examples/{one.name}.py](../../examples/{one.name}.py) prints:", f"```\n{one.output}\n```", shown,
     ]  # fmt: skip
     return "\n\n".join(part for part in parts if part) + "\n"
 

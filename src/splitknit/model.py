@@ -1,7 +1,7 @@
 """What travels together: frozen dataclasses shared by all stages.
 
-Axes, units and signs are in ``docs/conventions.md``. The rig's frame has x right along the columns, y up against the
-rows, z towards the camera, in millimetres; its origin is where the camera's axis meets the finger plane.
+Axes, units and signs are in ``docs/explain/conventions.md``. The rig's frame has x right along the columns, y up
+against the rows, z towards the camera, in millimetres; its origin is where the camera's axis meets the finger plane.
 """
 
 from __future__ import annotations

@@ -215,12 +215,12 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls: 
 def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Commands of docs/batch.md: what OpenSSL writes is taken, and Dask understands its options."""
+    """Commands of docs/guide/batch.md: what OpenSSL writes is taken, and Dask understands its options."""
     pytest.importorskip("distributed")
     from distributed.cli.dask_scheduler import main as scheduler
     from distributed.cli.dask_worker import main as worker
 
-    page = (Path(__file__).resolve().parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "guide" / "batch.md").read_text(encoding="utf-8")
     making, starting = re.findall(r"```sh\n(.*?)```", page[page.index("## On several computers") :], re.DOTALL)[:2]
     monkeypatch.chdir(tmp_path)
     subprocess.run(["sh", "-e"], input=making, text=True, check=True, capture_output=True)

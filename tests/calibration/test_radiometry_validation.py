@@ -1,4 +1,4 @@
-"""The script behind the figures of docs/calibrate-radiometry.md: it runs, and its goal is met on a small rig."""
+"""The script behind the figures of docs/experiments/calibration.md: it runs, and its goal is met on a small rig."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_stored_figures_meet_the_goal(script: ModuleType) -> None:
     for name in ("places exact", "LEDs 0.5 mm off", "LEDs 1 mm off"):
         assert rows[name]["refused"] == []
         assert rows[name]["worst_percent"]["largest"] < 1.0
-    page = (SCRIPTS.parents[1] / "docs" / "calibrate-radiometry.md").read_text(encoding="utf-8")
+    page = (SCRIPTS.parents[1] / "docs" / "experiments" / "calibration.md").read_text(encoding="utf-8")
     for line in script.summary(stored).splitlines():
         if line.startswith("| LEDs") or line.startswith("| 10 |"):
             assert line in page, f"{line} is not on the page; update it"

@@ -83,7 +83,7 @@ def test_images_are_lit_by_the_led_that_is_named(done, finger):
 
 def test_fourteen_frames_in_seven_seconds_by_the_devices_clock(done):
     session, clock = done
-    assert session.seconds < 4.0  # without what the Raspberry Pi's processor needs, see docs/capture.md
+    assert session.seconds < 4.0  # without what the Raspberry Pi's processor needs, see docs/experiments/performance.md
     times = [shot.at_s for shot in session.shots]
     assert (np.diff(times) > 0.09).all()
     assert session.shots[0].discarded == 4  # the new exposure: three frames, and the one under way

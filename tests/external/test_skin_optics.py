@@ -38,7 +38,8 @@ def test_response_and_the_blue_peak_of_the_white_led(data_dir):
 
 
 def test_band_averages_bracket_the_effective_wavelengths(data_dir):
-    """How far one wavelength a channel stands from the channel's own average, as docs/twin.md states it."""
+    """How far one wavelength a channel stands from the channel's own average, as docs/explain/simulator.md states
+    it."""
     sensor = np.genfromtxt(data_dir / "imx219" / "IMX219.csv", delimiter=",", skip_header=2)
     led = np.genfromtxt(data_dir / "led_spectra" / "cie_led_illuminants.csv", delimiter=",", names=True)
     blood = np.genfromtxt(data_dir / "skin_optics" / "haemoglobin.txt", skip_header=2)

@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.cli.main import main
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "evaluation.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "guide" / "evaluation.md").read_text(encoding="utf-8")
 
 
 def test_the_example_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -132,7 +132,7 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     assert {row["matcher"] for row in read(out / "matchers.csv")} == {"ridge"}
     assert {row["factor"] for row in read(out / "sensitivity.csv")} == {"roll", "glare", "moisture", "partial"}
     filled = thesis("report").fill(
-        (THESIS.parents[1] / "docs" / "thesis-tables.md").read_text(), thesis("report").blocks(out)
+        (THESIS.parents[1] / "docs" / "experiments" / "thesis-tables.md").read_text(), thesis("report").blocks(out)
     )
     assert "| 5.4 | normals, SnK | 1 % | 92 |" in filled and "too few impostors (270)" in filled
     assert (out / "figure-5-4.svg").read_text().startswith('<svg xmlns="http://www.w3.org/2000/svg"')

@@ -1,4 +1,4 @@
-"""Write the figures of ``results.json`` into ``docs/accuracy.md`` and the README, between their marks.
+"""Write the figures of ``results.json`` into ``docs/experiments/accuracy.md`` and the README, between their marks.
 
 python validation/accuracy/report.py            # writes
 python validation/accuracy/report.py --check    # exit code 1 if the page does not show what results.json holds
@@ -19,7 +19,14 @@ from summary import ROWS, Row
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PAGES = {
-    ROOT / "docs" / "accuracy.md": ("run", "targets", "population", "variations_summary", "variations", "singles"),
+    ROOT / "docs" / "experiments" / "accuracy.md": (
+        "run",
+        "targets",
+        "population",
+        "variations_summary",
+        "variations",
+        "singles",
+    ),
     ROOT / "README.md": ("run", "targets"),
 }
 """The marks of every page."""

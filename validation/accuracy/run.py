@@ -3,7 +3,7 @@
     python validation/accuracy/run.py                          # 24 drawn fingers: metric, ea, snk
     python validation/accuracy/run.py --vary scattering 0.7 1 1.4
     python validation/accuracy/run.py --vary all               # everything of cases.py, with its own values
-    python validation/accuracy/report.py                       # docs/accuracy.md from results.json
+    python validation/accuracy/report.py                       # docs/experiments/accuracy.md from results.json
 
 One JSON per finger lands in ``validation/out/accuracy`` under a hash of the package's sources, so that a run that was
 stopped goes on where it was, and results of other code are never mixed in. One process a core; figures do not depend

@@ -4,7 +4,7 @@ Every rig is another person's (``simulate --bench``): its camera, lights and bri
 by the command line, as a person does it. One finger is photographed by the true rig, and reconstructed with the true
 rig, with the calibrated one, with the drawings, and with one part of the calibration left out at a time.
 
-    python validation/calibration/ablation.py [--rigs 6] [--scale 0.5] [--write docs/calibration.md]
+    python validation/calibration/ablation.py [--rigs 6] [--scale 0.5] [--write docs/experiments/calibration.md]
 
 Finished parts are kept: a second call goes on. Results: ``ablation.json`` in ``validation/out/calibration`` and a table
 on stdout (with ``--write FILE`` between the marks ``<!-- ablation -->`` of a document).

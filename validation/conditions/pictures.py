@@ -1,4 +1,4 @@
-"""Picture table of ``docs/conditions.md``: ``python validation/conditions/pictures.py``.
+"""Picture table of ``docs/experiments/conditions.md``: ``python validation/conditions/pictures.py``.
 
 Writes docs/images/conditions.jpg.
 

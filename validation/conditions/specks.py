@@ -130,7 +130,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown for docs/conditions.md."""
+    """Markdown for docs/experiments/conditions.md."""
     lines = ["| captures | told of dust | told of dry skin | dark specks, % | bright specks, % |", "| --- " * 5 + "|"]
 
     def line(name: str, some: list[dict[str, Any]]) -> None:
@@ -175,7 +175,7 @@ def main() -> None:
         "--faults", type=int, nargs="*", default=range(9201, 9207), help="seeds of fingers with a fault"
     )
     parser.add_argument("--out", type=Path, default=OUT)
-    parser.add_argument("--page", type=Path, help="page whose table is replaced, such as docs/conditions.md")
+    parser.add_argument("--page", type=Path, help="page whose table is replaced, such as conditions.md")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     drawing.master_print = lru_cache(maxsize=8)(drawing.master_print)  # type: ignore[assignment]

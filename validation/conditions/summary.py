@@ -2,7 +2,7 @@
 
 Writes ``conditions.csv`` (medians over fingers with 95 % bootstrap intervals, beside the range of clean captures) and
 ``conditions.json`` (what leaves its clean range first, and what the software said), and prints the tables of
-``docs/conditions.md``.
+``docs/experiments/conditions.md``.
 """
 
 from __future__ import annotations
@@ -240,7 +240,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--out", type=Path, default=HERE)
-    parser.add_argument("--page", type=Path, help="page whose tables are replaced, such as docs/conditions.md")
+    parser.add_argument("--page", type=Path, help="page whose tables are replaced, such as conditions.md")
     options = parser.parse_args()
     rows = [json.loads(line) for line in (options.scratch / "rows.jsonl").read_text().splitlines()]
     rows = with_specks(rows, options.scratch / "specks.jsonl")

@@ -1,4 +1,4 @@
-"""The picture of docs/family.md: normals and albedo of one set of images, and the voted minutiae.
+"""The picture of docs/explain/published-systems.md: normals and albedo of one set of images, and the voted minutiae.
 
 python validation/family/voted_picture.py CAPTURE docs/images/zheng.jpg
 """

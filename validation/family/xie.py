@@ -2,7 +2,7 @@
 
     python validation/family/xie.py            # some five minutes of one core; xie.json
     python validation/family/xie.py --smoke    # one tiny finger, to validation/out/family
-    python validation/family/xie_report.py     # the tables of docs/family.md
+    python validation/family/xie_report.py     # the tables of docs/experiments/published-systems.md
 
 Fingers of the twin, skins drawn from its ranges, photographed with glare and again without, in the true
 mask. The model's settings were chosen on fingers of other seeds (``trials`` of the results). One JSON a finger lands in

@@ -1,4 +1,4 @@
-"""Write the tables of ``xie.json`` into ``docs/family.md``, between their marks.
+"""Write the tables of ``xie.json`` into ``docs/experiments/published-systems.md``, between their marks.
 
 python validation/family/xie_report.py            # writes
 python validation/family/xie_report.py --check    # exit code 1 if the page does not show what the file holds
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "family.md"
+PAGE = HERE.parents[1] / "docs" / "experiments" / "published-systems.md"
 RESAMPLES, CONFIDENCE, SEED = 10_000, 0.95, 42
 COLUMNS = {
     "normals_deg": ("normals, deg", 2),

@@ -1,4 +1,4 @@
-"""The picture of docs/rolled.md: a capture, its rolled print, and what its front alone gives.
+"""The picture of docs/guide/rolled.md: a capture, its rolled print, and what its front alone gives.
 
     python validation/mirror/rolled_picture.py CAPTURE MEASURED.npz docs/images/rolled.jpg
 

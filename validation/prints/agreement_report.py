@@ -1,4 +1,5 @@
-"""Tables of ``docs/prints.md`` from ``agreement.json``: ``python validation/prints/agreement_report.py [--check]``."""
+"""Tables of ``docs/experiments/prints.md`` from ``agreement.json``: ``python validation/prints/agreement_report.py
+[--check]``."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "agreement.json"
-PAGE = HERE.parents[1] / "docs" / "prints.md"
+PAGE = HERE.parents[1] / "docs" / "experiments" / "prints.md"
 MARKS = "<!-- agreement -->", "<!-- /agreement -->"
 WORDS = {
     "metric": "`metric`", "truth": "true relief", "snk": "`snk`", "pr": "`pr`", "ea": "`ea`",

@@ -1,4 +1,4 @@
-"""The pictures of ``docs/prints.md`` and the comparison of quadratic with cubic fits.
+"""The pictures of ``docs/explain/prints.md`` and the comparison of quadratic with cubic fits.
 
     python validation/prints/pictures.py CAPTURE RESULT --out docs/images
 

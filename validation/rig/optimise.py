@@ -1,7 +1,8 @@
 """Which rig would the thesis's own experiment choose? Sweeps of ``splitknit rig optimise`` and what they say.
 
     python validation/rig/optimise.py                    # all sweeps: 15 minutes of one core; may be interrupted
-    python validation/rig/optimise.py --report           # the tables of docs/rig-optimise.md and its pictures alone
+    python validation/rig/optimise.py --report           # the tables of docs/experiments/rig-optimise.md and its
+    pictures alone
 
 Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run that was stopped goes
 on where it was. ``optimise.json`` beside this script holds the figures that the report follows from.

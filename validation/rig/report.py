@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/rig-optimise.md, from the figures that ``optimise.py`` keeps."""
+"""Tables and pictures of docs/experiments/rig-optimise.md, from the figures that ``optimise.py`` keeps."""
 
 from __future__ import annotations
 

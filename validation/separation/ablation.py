@@ -1,7 +1,8 @@
 """What each part of the light does to the surface: contrast, direct light, glare and blur, alone and together.
 
     python validation/separation/ablation.py             # eight fingers, 23 ways each: about seven minutes of one core
-    python validation/separation/ablation_report.py      # the table of docs/separation.md from ablation.json
+    python validation/separation/ablation_report.py      # the table of docs/experiments/separation.md from
+    ablation.json
 
 The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the same finger in the
 same mask, found once in the images as they are; ``ablation_rows.py`` lists them. One JSON a finger lands in

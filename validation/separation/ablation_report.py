@@ -1,4 +1,4 @@
-"""Write the tables of ``ablation.json`` into ``docs/separation.md``, between their marks.
+"""Write the tables of ``ablation.json`` into ``docs/experiments/separation.md``, between their marks.
 
 python validation/separation/ablation_report.py            # writes
 python validation/separation/ablation_report.py --check    # exit code 1 if the page does not show what the file holds
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "separation.md"
+PAGE = HERE.parents[1] / "docs" / "experiments" / "separation.md"
 HEADING = "## Ablation"
 MARKS = ("<!-- ablation -->", "<!-- /ablation -->")
 COLUMNS = {

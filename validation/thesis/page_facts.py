@@ -1,4 +1,5 @@
-"""Tables of ``docs/thesis-tables.md`` that hold no rates of whole systems: bins, failures, how much was compared."""
+"""Tables of ``docs/experiments/thesis-tables.md`` that hold no rates of whole systems: bins, failures, how much was
+compared."""
 
 from __future__ import annotations
 

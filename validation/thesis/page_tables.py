@@ -1,4 +1,4 @@
-"""Tables of ``docs/thesis-tables.md`` from the rows of this folder's CSV files."""
+"""Tables of ``docs/experiments/thesis-tables.md`` from the rows of this folder's CSV files."""
 
 from __future__ import annotations
 

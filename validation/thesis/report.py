@@ -1,4 +1,4 @@
-"""Write the tables of this folder into ``docs/thesis-tables.md``, between their marks.
+"""Write the tables of this folder into ``docs/experiments/thesis-tables.md``, between their marks.
 
 python validation/thesis/report.py            # writes
 python validation/thesis/report.py --check    # exit code 1 if the page does not show what lies here
@@ -29,7 +29,7 @@ from page_tables import (
 )
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "thesis-tables.md"
+PAGE = HERE.parents[1] / "docs" / "experiments" / "thesis-tables.md"
 
 
 def main() -> int:

@@ -6,7 +6,8 @@
     python validation/thesis/run.py family --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # from nothing: simulate, batch, then all
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
-    python validation/thesis/report.py                                # docs/thesis-tables.md from what lies here
+    python validation/thesis/report.py                                # docs/experiments/thesis-tables.md from what
+    lies here
 
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
 finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.

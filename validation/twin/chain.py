@@ -5,7 +5,8 @@
 The crops (5 mm of a cylinder of 8 mm radius) have no outline and no near-infrared band. The reference's volume light is
 noisier than a camera's, so what varies faster than 5 cycles/mm is taken out of it (skin passes hardly any of that);
 glare is added as it is. `drift` moves each LED's volume light away from that LED, as light that is refracted into skin
-does (docs/twin-reference.md); the diffuse boundary has none. Results go to ``validation/twin/chain.json``.
+does (docs/experiments/simulator-reference.md); the diffuse boundary has none. Results go to
+``validation/twin/chain.json``.
 """
 
 from __future__ import annotations

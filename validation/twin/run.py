@@ -4,7 +4,8 @@
     python validation/twin/run.py --smoke    # one small case of each kind, into validation/out; two minutes at most
 
 Needs the extra ``reference`` and libllvm19. Every case lands in ``validation/out/twin`` under a hash of the sources it
-depends on; ``results.json`` holds all of them and the ranges that follow. ``docs/twin-reference.md`` reads them.
+depends on; ``results.json`` holds all of them and the ranges that follow.
+``docs/experiments/simulator-reference.md`` reads them.
 """
 
 from __future__ import annotations

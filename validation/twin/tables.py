@@ -1,4 +1,5 @@
-"""Write the figures of ``results.json`` and ``inversion.json`` into ``docs/twin-reference.md``, between its markers.
+"""Write the figures of ``results.json`` and ``inversion.json`` into ``docs/experiments/simulator-reference.md``,
+between its markers.
 
 python validation/twin/tables.py
 """
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "twin-reference.md"
+PAGE = HERE.parents[1] / "docs" / "experiments" / "simulator-reference.md"
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 CHANNELS = ("blue", "green", "red", "nir")
 BOUNDARIES = ("diffuse", "smooth")

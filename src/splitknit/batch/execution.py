@@ -67,7 +67,8 @@ class Cluster:
         require(
             self.insecure or _is_loopback(found[2] or found[3]),
             f"the cluster '{self.address}' is on another computer, without encryption: anyone who reaches its port can "
-            "send code that its workers run, and read the fingerprints; use tls:// and certificates (docs/batch.md), "
+            "send code that its workers run, and read the fingerprints; use tls:// and certificates "
+            "(docs/guide/batch.md), "
             "or --insecure-cluster in a network that only you can reach.",
         )
 
@@ -88,13 +89,14 @@ def connected(cluster: Cluster) -> Iterator[Any]:
     except (OSError, ValueError, TypeError, RuntimeError) as error:
         raise BadInput(
             f"the cluster '{cluster.address}' cannot be reached ({_cause(error)}); start a scheduler and workers, with "
-            "certificates of the same CA for tls:// (docs/batch.md), and name the scheduler's address."
+            "certificates of the same CA for tls:// (docs/guide/batch.md), and name the scheduler's address."
         ) from error
     try:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except (TimeoutError, OSError) as error:
-            raise BadInput(f"the cluster '{cluster.address}' has no workers; start some (docs/batch.md).") from error
+            message = f"the cluster '{cluster.address}' has no workers; start some (docs/guide/batch.md)."
+            raise BadInput(message) from error
         yield client
     finally:
         client.close(timeout=5)
@@ -198,7 +200,7 @@ def _security(distributed: Any, cluster: Cluster) -> Any:
     require(
         certain,
         f"'{cluster.address}' needs certificates: name --cluster-ca, --cluster-cert and --cluster-key, or set them in "
-        "Dask's configuration (docs/batch.md).",
+        "Dask's configuration (docs/guide/batch.md).",
     )
     return security
 

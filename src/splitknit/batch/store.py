@@ -77,7 +77,8 @@ class Store:
     def features(self, case: str, columns: Sequence[str] | None = None) -> Any:
         """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, each once.
 
-        Columns as in ``docs/batch.md``; ``seconds``, which is kept apart from the chunks, only where it is named.
+        Columns as in ``docs/reference/files.md``; ``seconds``, which is kept apart from the chunks, only where it is
+        named.
 
         Raises
         ------

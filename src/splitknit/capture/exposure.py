@@ -47,7 +47,8 @@ class ExposureSettings(Checked):
     """Fraction of full scale that the 99.9th percentile of the finger reaches (brightest channel, brightest
     LED)."""
     longest_s: Annotated[float, Limits(0, above=True)] = 0.066
-    """Longer times would spoil the seven seconds (see ``docs/capture.md``); above this the gain is raised."""
+    """Longer times would spoil the seven seconds (see ``docs/experiments/performance.md``); above this the gain is
+    raised."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

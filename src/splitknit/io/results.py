@@ -1,7 +1,7 @@
 """The fields of a reconstruction as files, and back.
 
-Fields stay on the input's pixel grid; the mesh is turned upright by its coordinates (``docs/conventions.md``, frames of
-the results).
+Fields stay on the input's pixel grid; the mesh is turned upright by its coordinates
+(``docs/explain/conventions.md``, frames of the results).
 """
 
 from __future__ import annotations

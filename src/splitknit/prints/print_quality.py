@@ -31,7 +31,7 @@ _CLOSE_MM = 3.0
 
 @dataclass(frozen=True, slots=True)
 class QualityFigures:
-    """What was measured; ``docs/prints.md`` has ranges."""
+    """What was measured; ``docs/guide/prints.md`` has ranges."""
 
     ridge_share: float
     """0 to 1: fraction of the finger's area on the print that has ridges, pure and high enough."""

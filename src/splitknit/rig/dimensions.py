@@ -1,6 +1,7 @@
 """Every dimension of the printed parts, from the rig file and the settings.
 
-All places are in the rig's frame (``docs/conventions.md``): the finger plane is z = 0, the fingertip points to +y, the
+All places are in the rig's frame (``docs/explain/conventions.md``): the finger plane is z = 0, the fingertip points
+to +y, the
 camera stands at z = `height_mm`. Heights of the parts are stacked in that frame, base lowest; with the camera below the
 whole stack is turned over.
 """

@@ -39,7 +39,7 @@ FIELD_MM = (2200 / 75.7, 3200 / 75.7)
 ABOVE_CREASE_MM = 0.5
 """The phalange is what lies further towards the tip than this, seen from its crease."""
 MAX_SLANT_DEG = 60.0
-"""The print is where the shape is flatter than this (``docs/conventions.md``)."""
+"""The print is where the shape is flatter than this (``docs/explain/conventions.md``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,7 @@ def _truth(seed: int, px_per_mm: float) -> _Points:
 
 
 BAND_SIGMA_MM = 0.32
-"""Standard deviation of the Gaussian whose complement is the ridge band (``docs/conventions.md``)."""
+"""Standard deviation of the Gaussian whose complement is the ridge band (``docs/explain/conventions.md``)."""
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 
 

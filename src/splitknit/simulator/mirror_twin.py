@@ -86,7 +86,7 @@ def photograph_between_mirrors(
     Returns
     -------
     capture : its rig has the mirrors as drawn
-    truth : arrays by name, see ``docs/twin.md``
+    truth : arrays by name, see ``docs/explain/simulator.md``
 
     Raises
     ------

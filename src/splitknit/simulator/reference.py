@@ -2,7 +2,7 @@
 
 It shares no code with :mod:`splitknit.simulator.light.renderer`: a patch of skin becomes triangles, Mitsuba 3 finds
 where rays meet them, and every image is an average of random walks with a standard error. Needs the extra ``reference``
-and Debian's ``libllvm19`` (other versions may abort). See ``docs/twin-reference.md``.
+and Debian's ``libllvm19`` (other versions may abort). See ``docs/experiments/simulator-reference.md``.
 
 A walk starts where the camera sees the skin and looks for the lights. Between boundaries it takes exponential steps of
 the mean free path and turns isotropically; absorption weighs it by exp(-a length); roulette ends it. Every lane of the

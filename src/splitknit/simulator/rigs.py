@@ -212,7 +212,8 @@ class MirrorParts(Checked):
     """The printed parts that carry the mirrors: dimensions as ``splitknit rig cad`` draws them, mm.
 
     The values are those of a rig whose mirrors show the whole side of most fingers: larger mirrors, and a finger plane
-    higher above the base, than the parts for a finger alone have (``docs/twin.md`` names the options of ``rig cad``).
+    higher above the base, than the parts for a finger alone have (``docs/explain/simulator.md`` names the options of
+    ``rig cad``).
     """
 
     _group = "mirrors.parts"

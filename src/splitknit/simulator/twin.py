@@ -54,7 +54,7 @@ def simulate_capture(
     Returns
     -------
     capture : 8-bit (or 16-bit) images of both bands with ambient frames, and the rig
-    truth : arrays by name, see ``docs/twin.md``
+    truth : arrays by name, see ``docs/explain/simulator.md``
 
     Raises
     ------
@@ -156,7 +156,7 @@ def photograph(
     Returns
     -------
     capture : as a camera would store it
-    truth : arrays by name, see ``docs/twin.md``
+    truth : arrays by name, see ``docs/explain/simulator.md``
 
     Raises
     ------
@@ -382,7 +382,7 @@ class FingerScene:
         return scene.through_lens(frame)
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Arrays by name: heights, normals, mask, landmarks and optics, see ``docs/twin.md``."""
+        """Arrays by name: heights, normals, mask, landmarks and optics, see ``docs/explain/simulator.md``."""
         intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
         return surface_truth(self.surface) | optics_truth(self.skin) | intensities
 

@@ -157,7 +157,7 @@ class ColourSettings(Checked):
     """Corrections of the relief in each round."""
     model_error: Annotated[float, Limits(0)] = 0.5
     """Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved), as a part of the
-    relief's local rms height; measured on simulated fingers, see docs/accuracy.md."""
+    relief's local rms height; measured on simulated fingers, see docs/experiments/accuracy.md."""
     denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
     """Removal of the noise from the relief."""
 

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 SIDES = ("left", "right")
 NO_MIRRORS = (
     "the capture has no mirrors beside the finger, so that it shows the finger from the front only; name them in its "
-    "rig.json (docs/rolled.md), or print with --method unroll."
+    "rig.json (docs/guide/rolled.md), or print with --method unroll."
 )
 
 

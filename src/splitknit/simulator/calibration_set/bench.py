@@ -1,7 +1,7 @@
 """The bench: things under the rig to calibrate it, as the simulated camera sees and photographs them.
 
-A scene has a `camera`, its `leds`, and `light(lit)`: what reaches the sensor with those LEDs on. See docs/twin.md,
-"The bench".
+A scene has a `camera`, its `leds`, and `light(lit)`: what reaches the sensor with those LEDs on. See
+docs/explain/simulator.md, "The bench".
 """
 
 from __future__ import annotations

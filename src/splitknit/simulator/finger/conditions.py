@@ -1,4 +1,5 @@
-"""The state of a finger's skin when it is photographed: wet, dry, dusty, scarred, glossy; ``docs/conditions.md``."""
+"""The state of a finger's skin when it is photographed: wet, dry, dusty, scarred, glossy;
+``docs/experiments/conditions.md``."""
 
 from __future__ import annotations
 

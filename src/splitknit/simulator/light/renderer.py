@@ -1,6 +1,7 @@
 """Light from the LEDs through the skin and off it: noise-free linear radiance of every image.
 
-Image-space model, see ``docs/twin.md``: irradiance of near LEDs times Fresnel transmittance, convolved with the Monte
+Image-space model, see ``docs/explain/simulator.md``: irradiance of near LEDs times Fresnel transmittance, convolved
+with the Monte
 Carlo diffusion profile of each channel, times a term for the relief, plus the GGX reflection of the surface.
 """
 

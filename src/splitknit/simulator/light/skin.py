@@ -2,7 +2,7 @@
 
 Coefficients: reduced scattering by the power law of Jacques 2013 (skin: 46 /cm at 500 nm, exponent 1.42); absorption as
 a mixture of blood, melanosomes, water and a bloodless baseline (Jacques 1998, 2013). Each channel is represented by one
-effective wavelength, as ``docs/twin.md`` explains.
+effective wavelength, as ``docs/explain/simulator.md`` explains.
 
 Diffusion: searchlight profiles of a semi-infinite medium. One set of random walks serves all optics. Lengths scale with
 the mean free path 1/s between scattering events, and absorption a weights a walk of length l by exp(-a l / s)

@@ -86,7 +86,7 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
 
 @dataclass(frozen=True, slots=True)
 class PeopleRanges(Checked):
-    """From what hands are drawn; sources and reasons: ``docs/population.md``."""
+    """From what hands are drawn; sources and reasons: ``docs/explain/population.md``."""
 
     _group = "people"
 

@@ -34,7 +34,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class SessionRanges(Checked):
-    """From what impressions are drawn; sources and reasons: ``docs/population.md``."""
+    """From what impressions are drawn; sources and reasons: ``docs/explain/population.md``."""
 
     _group = "sessions"
 

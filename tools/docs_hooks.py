@@ -1,0 +1,125 @@
+"""What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, the public names of the package.
+
+``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the file's path; one that
+leads nowhere ends a strict build, as does a name of ``splitknit.__all__`` without a docstring, or a page that would
+fetch something when it is read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import logging
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+LOG = logging.getLogger("mkdocs.hooks.splitknit")
+"""Warnings of this logger end a strict build."""
+ARRAYS = ("splitknit.photometric", "splitknit.integration")
+"""Packages whose functions on arrays are public as well."""
+
+
+def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
+    """Replace links to files outside `DOCS` by the files' paths; `add` takes a picture into the site."""
+
+    def path_of(link: re.Match[str]) -> str:
+        label, target = link[2], link[3].partition("#")[0]
+        if "://" in target or not target:
+            return link[0]
+        file = Path(os.path.normpath(folder / target))
+        if file.is_relative_to(DOCS):
+            return link[0]
+        if not file.exists():
+            LOG.warning("%s: no file %s", folder.relative_to(ROOT), target)
+            return link[0]
+        if link[1]:
+            return f"![{label}]({os.path.relpath(DOCS / add(file), folder)})"
+        name = file.relative_to(ROOT).as_posix()
+        return f"`{name}`" if label.strip("`") in (name, file.name) else f"{label} (`{name}`)"
+
+    parts = re.split(r"(^ *```.*?^ *```$)", markdown, flags=re.DOTALL | re.MULTILINE)
+    return "".join(part if "```" in part else re.sub(r"(!?)\[([^\]]+)\]\(([^)\s]+)\)", path_of, part) for part in parts)
+
+
+def verbs(parser: argparse.ArgumentParser, name: str) -> list[tuple[str, argparse.ArgumentParser]]:
+    """Every verb below `parser` with its own parser, those with verbs of their own first."""
+    found = []
+    for action in parser._actions:  # argparse has no public way to its verbs
+        if isinstance(action, argparse._SubParsersAction):
+            for verb, below in action.choices.items():
+                found += [(f"{name} {verb}", below), *verbs(below, f"{name} {verb}")]
+    return found
+
+
+def help_of_every_verb() -> str:
+    """`--help` of every verb, as Markdown."""
+    os.environ["COLUMNS"] = "110"
+    cli = importlib.import_module(
+        "splitknit.cli.main" if (ROOT / "src/splitknit/cli").is_dir() else "splitknit.apps.cli"
+    )
+    return "\n\n".join(
+        f"### `{name}`\n\n```\n{parser.format_help().rstrip()}\n```"
+        for name, parser in verbs(cli.build_parser(), "splitknit")
+    )
+
+
+def public_names() -> str:
+    """One entry of the page for each public name."""
+    parts = []
+    for module in ("splitknit", *ARRAYS):
+        home = importlib.import_module(module)
+        if module != "splitknit":
+            parts.append(f"## `{module}`\n\n{(inspect.getdoc(home) or '').partition(chr(10))[0]}")
+        for name in home.__all__:
+            value: Any = getattr(home, name)
+            if isinstance(value, str):
+                continue
+            words = (value.__doc__ or "").strip()
+            if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
+                LOG.warning("%s.%s is public and has no docstring", module, name)
+            parts.append(f"::: {module}.{name}")
+    return "\n\n".join(parts)
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Complete one page (an event of mkdocs)."""
+
+    from mkdocs.structure.files import File  # noqa: PLC0415 - the tests load this file without mkdocs
+
+    def add(picture: Path) -> str:
+        uri = f"images/outside/{picture.relative_to(ROOT).as_posix()}"
+        if files.get_file_from_path(uri) is None:
+            files.append(File.generated(config, uri, abs_src_path=str(picture)))
+        return uri
+
+    for mark, make in (("<!-- help of every verb -->", help_of_every_verb), ("<!-- public names -->", public_names)):
+        if mark in markdown:
+            markdown = markdown.replace(mark, make())
+    markdown = re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)  # GitHub wants them escaped
+    return inside(markdown, (DOCS / page.file.src_uri).parent, add)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Take the roles out of docstrings (an event of mkdocs)."""
+    return re.sub(r":(?:func|class|data|mod|meth|attr):(?=<code>|`)", "", html)
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Take out what the theme would fetch, and look for what is left (an event of mkdocs)."""
+    site = Path(config["site_dir"])
+    for script in (site / "assets" / "javascripts").glob("bundle.*.js"):
+        text = script.read_text(encoding="utf-8")
+        script.write_text(
+            re.sub(r"https://(unpkg\.com|api\.github\.com)[^\"`$]*", "about:blank", text), encoding="utf-8"
+        )
+    for page in site.rglob("*.html"):
+        for found in re.findall(
+            r"<(?:script|img|iframe|link)\b[^>]*(?:src|href)=\"?(https?://[^\">]+)", page.read_text("utf-8")
+        ):
+            LOG.warning("%s fetches %s", page.relative_to(site), found)
