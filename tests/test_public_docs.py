@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import inspect
 import logging
@@ -13,13 +14,21 @@ from typing import Any
 import pytest
 
 import splitknit
-from splitknit import integration, photometric
 
-PUBLIC = {
-    f"{module.__name__}.{name}": getattr(module, name)
-    for module in (splitknit, integration, photometric)
-    for name in module.__all__
-    if inspect.isfunction(getattr(module, name))
+
+def _hooks() -> ModuleType:
+    """What the documentation's site is built with; it needs mkdocs only where pictures are taken in."""
+    spec = importlib.util.spec_from_file_location("docs_hooks", Path(__file__).parents[1] / "tools" / "docs_hooks.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+HOOKS = _hooks()
+PUBLIC = {f"splitknit.{name}": getattr(splitknit, name) for name in splitknit.__all__}
+PUBLIC = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)} | {
+    name: getattr(importlib.import_module(name.rpartition(".")[0]), name.rpartition(".")[2]) for name in HOOKS.ARRAYS
 }
 REFUSES = ("require(", "BadInput(", "check_stack(", "check_lights(", "check_image(")
 
@@ -52,12 +61,7 @@ def test_what_lacks_is_found() -> None:
 
 @pytest.fixture(scope="module")
 def hooks() -> ModuleType:
-    """What the documentation's site is built with; it needs mkdocs only where pictures are taken in."""
-    spec = importlib.util.spec_from_file_location("docs_hooks", Path(__file__).parents[1] / "tools" / "docs_hooks.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return HOOKS
 
 
 def test_the_site_shows_every_public_name_and_verb(hooks: ModuleType, caplog: pytest.LogCaptureFixture) -> None:

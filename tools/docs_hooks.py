@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import inspect
 import logging
 import os
 import re
@@ -21,8 +20,23 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 LOG = logging.getLogger("mkdocs.hooks.splitknit")
 """Warnings of this logger end a strict build."""
-ARRAYS = ("splitknit.photometric", "splitknit.integration")
-"""Packages whose functions on arrays are public as well."""
+ARRAYS = (
+    "splitknit.photometric.lambertian.lambertian",
+    "splitknit.photometric.robust.robust",
+    "splitknit.photometric.robust.light_weights",
+    "splitknit.photometric.near_light.near_light",
+    "splitknit.photometric.near_light.near_light_weights",
+    "splitknit.photometric.near_light.pseudo_normals",
+    "splitknit.photometric.hanrahan_krueger.hanrahan_krueger",
+    "splitknit.photometric.hanrahan_krueger.hanrahan_krueger_near",
+    "splitknit.imaging.light_field.light_field",
+    "splitknit.imaging.light_field.light_vectors_at",
+    "splitknit.integration.frankot_chellappa.frankot_chellappa",
+    "splitknit.integration.poisson.poisson",
+    "splitknit.integration.shapelets.shapelets",
+    "splitknit.integration.shapelets.shapelet_response",
+)
+"""Functions on arrays that are public as well."""
 
 
 def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
@@ -60,9 +74,7 @@ def verbs(parser: argparse.ArgumentParser, name: str) -> list[tuple[str, argpars
 def help_of_every_verb() -> str:
     """`--help` of every verb, as Markdown."""
     os.environ["COLUMNS"] = "110"
-    cli = importlib.import_module(
-        "splitknit.cli.main" if (ROOT / "src/splitknit/cli").is_dir() else "splitknit.apps.cli"
-    )
+    cli = importlib.import_module("splitknit.cli.main")
     return "\n\n".join(
         f"### `{name}`\n\n```\n{parser.format_help().rstrip()}\n```"
         for name, parser in verbs(cli.build_parser(), "splitknit")
@@ -72,18 +84,18 @@ def help_of_every_verb() -> str:
 def public_names() -> str:
     """One entry of the page for each public name."""
     parts = []
-    for module in ("splitknit", *ARRAYS):
-        home = importlib.import_module(module)
-        if module != "splitknit":
-            parts.append(f"## `{module}`\n\n{(inspect.getdoc(home) or '').partition(chr(10))[0]}")
-        for name in home.__all__:
-            value: Any = getattr(home, name)
-            if isinstance(value, str):
-                continue
-            words = (value.__doc__ or "").strip()
-            if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
-                LOG.warning("%s.%s is public and has no docstring", module, name)
-            parts.append(f"::: {module}.{name}")
+    home = importlib.import_module("splitknit")
+    for full in (*(f"splitknit.{name}" for name in home.__all__), *ARRAYS):
+        module, _, name = full.rpartition(".")
+        value: Any = getattr(importlib.import_module(module), name)
+        if isinstance(value, str):
+            continue
+        if full == ARRAYS[0]:
+            parts.append("## Functions on arrays")
+        words = (value.__doc__ or "").strip()
+        if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
+            LOG.warning("%s is public and has no docstring", full)
+        parts.append(f"::: {full}")
     return "\n\n".join(parts)
 
 

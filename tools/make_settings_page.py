@@ -51,16 +51,17 @@ splitknit.reconstruct(capture, settings={"skin.scattering_factor": 1.2, "metric"
 
 
 def field_words(settings: Any) -> dict[str, str]:
-    """Docstrings below the fields of a dataclass, by field."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(type(settings)))).body[0]
-    assert isinstance(body, ast.ClassDef)
+    """Docstrings below the fields of a dataclass and its bases, by field."""
     words = {}
-    for line, following in zip(body.body, [*body.body[1:], ast.Pass()], strict=True):
-        is_field = isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
-        is_text = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
-        if is_field and is_text:
-            text = " ".join(str(following.value.value).split()).replace("``", "`")
-            words[line.target.id] = re.sub(r":\w+:`", "`", text)
+    for kind in type(settings).__mro__[:-1]:
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for line, following in zip(body.body, [*body.body[1:], ast.Pass()], strict=True):
+            is_field = isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
+            is_text = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+            if is_field and is_text:
+                text = " ".join(str(following.value.value).split()).replace("``", "`")
+                words[line.target.id] = re.sub(r":\w+:`", "`", text)
     return words
 
 
