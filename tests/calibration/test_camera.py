@@ -116,7 +116,7 @@ def test_boards_parallel_to_the_sensor_are_refused():
     for seed in range(3):
         with pytest.raises(BadInput, match="parallel"):
             calibrate_camera(views(seed, tilts=(0, 0)), BOARD, SIZE)
-    with pytest.raises(BadInput, match=r"nearly parallel .*focal length and distance cannot be told apart"):
+    with pytest.raises(BadInput, match=r"nearly parallel .*focal length and distance cannot be separated"):
         calibrate_camera(views(8, tilts=(0, 2), noise_px=0.1), BOARD, SIZE)
 
 

@@ -53,7 +53,7 @@ class LensFit:
     fitted: tuple[str, ...]
     """What was fitted beside the focal length."""
     fixed: Mapping[str, str] = field(default_factory=dict)
-    """What was held, and why, in words."""
+    """What was held, and why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,12 +67,12 @@ class _Views:
 def fit_lens(
     board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int], principal_limit: float = 0.05
 ) -> LensFit:
-    """Fit matrix and distortion; each term only where the views tell it from nothing.
+    """Fit matrix and distortion; each term only where the views determine it.
 
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
     its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself
     gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
-    cannot be told. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
+    is undetermined. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
     the Jacobian promises more than those show, theirs is taken.
 
     Parameters
@@ -106,14 +106,14 @@ def fit_lens(
         best = _fit(views, kept)
     for step in (("aspect",), *_STEPS, ("aspect",)):
         if step == ("k3",) and "k2" not in kept:
-            fixed["k3"] = "0: not tried, as even k2 cannot be told"
+            fixed["k3"] = "0: not tried, as even k2 is undetermined"
             continue
         if step[0] in kept:
             continue
         try:
             trial = _fit(views, kept + step, best)
         except BadInput:
-            fixed[_called(step)] = "the photographs do not tell it at all"
+            fixed[_called(step)] = "the photographs do not determine it"
             continue
         values = {
             **dict(zip(TERMS, trial.distortion, strict=True)),
@@ -411,7 +411,7 @@ def _coverage(corners: Points, image_size: tuple[int, int]) -> float:
 
 
 def _judged(lens: LensFit, tilts: NDArray[np.float64], variety: float, coverage: float) -> tuple[str, ...]:
-    """Warnings, or the refusal of views that tell too little."""
+    """Warnings, or the refusal of views that determine too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
         abs(ratio - 1) < _MAX_ASPECT,
@@ -424,8 +424,8 @@ def _judged(lens: LensFit, tilts: NDArray[np.float64], variety: float, coverage:
     if relative > _MAX_FOCAL_ERROR:
         if variety < _MIN_VARIETY_DEG:
             raise BadInput(
-                f"the boards all lie nearly parallel ({tilted}), and then focal length and distance cannot be told "
-                f"apart (the focal length is uncertain by {100 * relative:.1f} %); {remedy}."
+                f"the boards all lie nearly parallel ({tilted}); then focal length and distance cannot be separated "
+                f"(the focal length is uncertain by {100 * relative:.1f} %); {remedy}."
             )
         raise BadInput(
             f"the photographs leave the focal length uncertain by {100 * relative:.1f} % ({tilted}; the corners miss "

@@ -4,7 +4,7 @@ An image of a card, divided into the images of a finger, is a flat field for the
 lies up to a centimetre above it, nearer to the LEDs and elsewhere in their beams. A model of the light holds at every
 height, needs a handful of numbers where a picture has millions, and does not carry the card's dust into every finger.
 
-What tells the parts apart: the lens's fall-off is the same in all images and lies about the image's centre; the inverse
+What separates the parts: the lens's fall-off is the same in all images and lies about the image's centre; the inverse
 square and the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with
 the LED.
 """
@@ -285,9 +285,8 @@ def fit_flat_field(  # noqa: PLR0917
     slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a
     beam that is wide.
 
-    A tilt of the card cannot be told from aims and brightnesses: it must be known (as the camera's tilt against the
-    base is) or small. One degree that nobody knows of makes LEDs up to 0.7 % brighter or darker, and surfaces lean by
-    one degree.
+    A tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against
+    the base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
     """
     chosen = settings or FlatFieldSettings()
     places, images = _checked(pixels, light, len(leds))

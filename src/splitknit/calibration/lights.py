@@ -3,7 +3,7 @@
 The ray from the tip of the shadow through the nail, seen from above, meets the circle on which the LEDs sit on the far
 side of the nail; the LED is there, at the height of the circle. Its direction is that of its position seen from the
 centre of the circle on the finger plane. Every position of the nail gives one direction; the thesis takes the mean of
-two. How far apart they are is the only thing that tells a good table from a bad one, and it is reported for each LED.
+two. How far apart they are is the only sign of a bad table, and it is reported for each LED.
 
 References
 ----------
@@ -94,7 +94,7 @@ def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Poin
 
 
 def nail_height_mm(nails_mm: Points, tips_mm: Points, positions_mm: Points) -> float:
-    """Height of the nail that the lengths of its shadows tell, the median over the rows.
+    """Height of the nail from the lengths of its shadows, the median over the rows.
 
     By similar triangles the shadow is to the LED's distance (seen from above) as the nail's height to the rest.
     """

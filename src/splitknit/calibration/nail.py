@@ -11,7 +11,7 @@ the finger plane obey
 Unknown are every LED's p and z, where the nail stood, its height (one for all positions, as it is one nail), and by how
 much the circle's centre, radius and height are other than measured. Known are the tips and the nail in pixels, which
 the calibrated camera turns into places, and, softly, that the LEDs sit on the circle. The height of the nail and that
-of the LEDs cannot both be told from shadows (a nail and a rig of twice the height cast the same ones), so that the
+of the LEDs cannot both be found from shadows (a nail and a rig of twice the height cast the same ones), so that the
 measured height of the circle sets the scale; where the nail's height is known, it does, and the circle is not needed.
 
 Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are named.

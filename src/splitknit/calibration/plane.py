@@ -45,7 +45,7 @@ class PlanePose:
 
     @property
     def nearer_side(self) -> str:
-        """Edge of the picture towards which the plane comes nearer to the camera, in words."""
+        """Edge of the picture towards which the plane comes nearer to the camera."""
         rise_x, rise_y = -self.normal[0], -self.normal[1]
         sides = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
         return sides[round(float(np.arctan2(rise_y, rise_x)) / (np.pi / 4)) % 8]
@@ -231,7 +231,7 @@ class DepthOfField:
 
     @property
     def best_f_number(self) -> float:
-        """At which defocus at the finger's ends and diffraction blur alike: stopping down further gains nothing."""
+        """At which defocus at the finger's ends and diffraction blur equally: stopping down further gains nothing."""
         return self.needed_f_number / float(np.sqrt(self.diffraction_px))
 
     @property

@@ -133,7 +133,7 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     worst = int(np.argmax(flat.rms_percent))
     require(
         flat.rms_percent[worst] <= settings.limit_percent or flat.common_percent < 0.7 * flat.rms_percent[worst],
-        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs alike; "
+        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs; "
         f"use a clean matt white card.",
     )
     rms = float(flat.rms_percent[worst])
@@ -223,7 +223,7 @@ class CardCheck:
     """(L,) robust deviation over the picture of now over then: an LED that moved or turned."""
     ambient_percent: Mapping[str, float | None]
     sentences: tuple[str, ...]
-    """What departs, in words; empty where nothing does."""
+    """What departs; empty where nothing does."""
 
 
 def check_card(

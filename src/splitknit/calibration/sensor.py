@@ -81,7 +81,7 @@ def fit_response(
     Raises
     ------
     BadInput
-        If the exposures are too few or too alike, the values do not grow with them, no response explains them, or
+        If the exposures are too few or too similar, the values do not grow with them, no response explains them, or
         the response is neither linear nor sRGB.
 
     References
@@ -353,7 +353,7 @@ class NoiseModel:
     """variance = read_noise^2 + light / electrons, light and deviations as parts of full scale."""
 
     electrons: float
-    """That fill a pixel to full scale, as the noise tells: with white balance, of this channel after it."""
+    """That fill a pixel to full scale, from the noise: with white balance, of this channel after it."""
     read_noise: float
     span: tuple[float, float]
     """Least and greatest light that was seen."""

@@ -126,7 +126,7 @@ def grey_directions(stack: Any, ball: Ball, clip_level: float = 0.98) -> tuple[P
     2.4 deg in the twin, a ball of 8 mm radius under LEDs 132 mm above its middle).
 
     Only pixels take part that the light reaches, well away from the ball's edge and below `clip_level`; which these are
-    is asked again with every estimate.
+    is evaluated again with every estimate.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ _PERCENTILE = 99.9
 _START_S = 0.01
 """Exposure time of the first preview, at gain 1; above 0."""
 _CLIPPED = 0.97
-"""From this share of full scale on a preview says nothing but "less"."""
+"""From this fraction of full scale on a preview only shows that less is needed."""
 _TOLERANCE = 0.06
 """The search ends when the level is as near to the target as this, relative."""
 _STEPS = 12

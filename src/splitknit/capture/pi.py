@@ -380,7 +380,7 @@ def _open_lights(rig: Rig) -> PiLightBank:
     except ImportError as error:
         raise BadInput(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}.") from error
     try:
-        with warnings.catch_warnings():  # it tells of every library that it tries; one sentence is enough
+        with warnings.catch_warnings():  # it warns of every library that it tries; one sentence is enough
             warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)
             return PiLightBank(pins, gpiozero.DigitalOutputDevice)
     except gpiozero.BadPinFactory as error:

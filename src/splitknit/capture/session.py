@@ -125,7 +125,7 @@ def run_session(
     rig : the rig file's
     settings : of exposure, focus and checks
     watch_focus : shown live measurements until it says stop; None measures once
-    progress : told stage and share
+    progress : called with stage and fraction
 
     Returns
     -------
@@ -222,7 +222,7 @@ def _focus(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Metering:
-    """What the previews tell."""
+    """What the previews show."""
 
     region: BoolArray
     """(h, w) the finger on the previews' grid; everything, where a target is photographed."""
@@ -251,7 +251,7 @@ def _meter(
     settings : what is wanted
     px_per_mm : of full-size photographs
     find_finger : False where a target is photographed: the whole picture counts
-    progress : told the share that is done
+    progress : called with the fraction that is done
 
     Raises
     ------

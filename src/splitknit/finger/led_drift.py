@@ -3,7 +3,7 @@
 Under L lights a matt pixel obeys I_k = g_k l_k . b with its albedo times normal b (3 numbers) and gains g_k that are
 one if the calibration holds. L - 3 numbers a pixel are left over, and the gains are the same for all pixels, so that
 they show. Not all of them: a common factor is the albedo, and on a flat surface under a ring of LEDs a pattern that
-runs as the cosine or sine of the LEDs' azimuth looks exactly like a tilt of the surface. Curvature tells it from a
+runs as the cosine or sine of the LEDs' azimuth looks exactly like a tilt of the surface. Curvature separates it from a
 tilt, but only by the square of the slopes, where cast shadows, gloss and light that wanders in skin say more than the
 gains do. How much of its information a pattern of gains keeps when every pixel may choose its own b is an eigenvalue
 between 0 and 1 (on a finger 0, 0.01, 0.02, and four above 0.7); patterns that keep too little are left out, and the
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, check_stack, require
 
-# Gains of LEDs and the surface they light, told apart: the best surface for given gains, patterns that show.
+# Gains of LEDs and the surface they light, separated: the best surface for given gains, patterns that show.
 
 
 _LIMIT_PERCENT = 3.0
@@ -36,7 +36,7 @@ _MIN_INFORMATION = 0.2
 """Patterns of gains that keep less of their information are left out."""
 _BLOCK_PX = 24
 """Standard errors take squares of this side as independent of each other, not pixels: what is not matt about a
-surface is alike from pixel to pixel."""
+surface is similar from pixel to pixel."""
 _MIN_EXPLAINED = 0.6
 """A single LED is named if it explains this share of the departure."""
 _ROUNDS = 15
@@ -92,7 +92,7 @@ def _drift_samples(stack: Any, light_vectors: Any, mask: Any, normals: Any) -> _
     good = lit.sum(axis=0) >= 5
     require(
         int(good.sum()) >= 100,
-        f"only {int(good.sum())} pixels are lit by five LEDs or more; the LEDs' brightness cannot be told from them.",
+        f"only {int(good.sum())} pixels are lit by five LEDs or more; the LEDs' brightness is undetermined.",
     )
     rows, columns = rows[good], columns[good]
     light, lit = light[:, good], lit[:, good]
@@ -152,14 +152,14 @@ def _gain_patterns(state: _SurfaceState) -> tuple[Array, Array]:
 
 
 def _gain_solver(patterns: Array, shares: Array) -> Array:
-    """(L, L) from the score to relative gains, what cannot be told left as it is."""
+    """(L, L) from the score to relative gains, what is undetermined left as it is."""
     kept = shares >= _MIN_INFORMATION
     return np.asarray(patterns[kept].T @ (patterns[kept] / shares[kept, None]))
 
 
 Array = NDArray[np.float64]
 _MODEL_ERROR = 0.003
-"""Errors of the gains below which nothing is told, whatever the number of pixels: no surface is that matt."""
+"""Errors of the gains below which nothing is reported, whatever the number of pixels: no surface is that matt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +173,7 @@ class LedDrift:
     error: Array
     """(L,) standard errors of that."""
     observable: Array
-    """(R, L) orthonormal patterns that can be told, R of them; patterns across them are unknown."""
+    """(R, L) orthonormal patterns that are determined, R of them; patterns across them are unknown."""
     information: Array
     """(L,) share of its information that each eigenpattern keeps, ascending; the first is the common factor's zero."""
     suspect: int | None
@@ -198,7 +198,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
         Towards the lights, of the length of their calibrated irradiance.
     mask : (H, W) bool, optional
     normals : (H, W, 3), optional
-        Where the surface is known. All patterns but the common factor can then be told.
+        Where the surface is known. All patterns but the common factor are then determined.
 
     Returns
     -------

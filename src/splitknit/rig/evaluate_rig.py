@@ -196,7 +196,7 @@ def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
 
 
 def rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
-    """The rig that photographs, and what the reconstruction is told: the thesis's methods see in parallel rays."""
+    """The rig that photographs, and the one that the reconstruction assumes: the thesis's methods see parallel rays."""
     build = study.build
     if study.camera == "renderer":
         build = replace(build, half_angle_deg=90.0)

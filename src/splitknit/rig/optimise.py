@@ -43,7 +43,7 @@ def sweep(
     ----------
     out : folder; holds nothing, or an earlier sweep of the same study, whose finished candidates are not done again
     candidates : rigs to compare
-    study : what is asked of them
+    study : what they are evaluated with
     workers : processes; the result does not depend on it
     progress : hears the candidate and the share done
 
@@ -71,7 +71,7 @@ def sweep(
     progress("resuming" if records else "starting", len(records) / total)
     for candidate, record in _evaluated(waiting, study, workers):
         folder.write(candidate, record)
-        records[candidate.name] = folder.read(candidate) or record  # as a file tells it, whoever asks
+        records[candidate.name] = folder.read(candidate) or record  # as it is read from a file, in any case
         progress(candidate.name, len(records) / total)
     return [records[candidate.name] for candidate in candidates]
 
@@ -280,7 +280,7 @@ class SweepFolder:
         Raises
         ------
         BadInput
-            If `out` is a file, holds files that are not ours, or a sweep with other settings.
+            If `out` is a file, holds other files, or a sweep with other settings.
         """
         self.out = out
         self.document = json.loads(
@@ -321,7 +321,7 @@ class SweepFolder:
         foreign = [name for name in names if not OURS.fullmatch(name)]
         require(
             not foreign and STUDY_FILE in names,
-            f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep of ours to go on with; name another folder.",
+            f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep to go on with; name another folder.",
         )
         before, _ = read_json(self.out / STUDY_FILE, f"'{self.out / STUDY_FILE}' is damaged; name another folder.")
         changed = sorted(_differences(before, self.document))

@@ -122,7 +122,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     Raises
     ------
     RuntimeError
-        If the mesh is not watertight: our failure, never the rig's.
+        If the mesh is not watertight: an internal error, never the rig's.
     """
     sound = _check_soundness(triangles)
     if not sound.watertight:

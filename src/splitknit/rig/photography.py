@@ -185,7 +185,7 @@ def photograph(
     ----------
     surface : on the pixels of `rig.camera`
     rig : intensities in W/sr
-    known_rig : what the reconstruction is told
+    known_rig : what the reconstruction is given
     mask : (H, W) what is to be reconstructed
     skin : its optics; None for an opaque Lambertian finger
     walks : for the skin
@@ -219,7 +219,7 @@ def photograph(
             sensor = SensorSettings(
                 full_well_e=FULL_WELL_E / exposure.gain,
                 read_noise_e=_READ_NOISE_E,
-                raw_bits=16,  # binned pixels have more levels than ten bits tell apart
+                raw_bits=16,  # binned pixels have more levels than ten bits hold
                 bits=16,
             )
         gain = np.float32(exposure.level / brightest)

@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> Outcome:
         verdict(summary),
     ]
     if study.fingers > 1:
-        lines.append(f"{len(summary['as_good'])} of {counts['done']} rigs cannot be told from the best.")
+        lines.append(f"{len(summary['as_good'])} of {counts['done']} rigs are indistinguishable from the best.")
     lines += [f"{number} left out: {words}" for words, number in list(summary["reasons"].items())[:3]]
     lines.append(f"Open {options.out / 'index.html'} in a browser; figures are in results.csv and results.json.")
     return {**facts, "out": str(options.out), "files": sorted(files), "total_s": seconds}, lines
