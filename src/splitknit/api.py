@@ -239,7 +239,8 @@ def calibrate_lights(out: AnyPath | None = None, **options: Any) -> dict[str, An
     Examples
     --------
     >>> import splitknit
-    >>> facts = splitknit.calibrate_lights(geometry=True, px_per_cm=378.5, image_size="1100,1600", led_height_cm=14.0)
+    >>> drawn = {"px_per_cm": 378.5, "image_size": "1100,1600", "led_height_cm": 14.0, "led_radius_cm": 5.25}
+    >>> facts = splitknit.calibrate_lights(geometry=True, **drawn)
     >>> len(facts["leds"])
     14
     """

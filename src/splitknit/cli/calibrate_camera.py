@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.calibration.camera import TERMS
 from splitknit.cli.verb import Outcome, Progress, new_verb
 
 
@@ -112,6 +111,8 @@ def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
         f"  focal length {focal} +- {deviations['fx']:.2f} px, "
         f"principal point ({cx:.2f}{around[0]}, {cy:.2f}{around[1]}) px",
     ]
+    from splitknit.calibration.camera import TERMS  # noqa: PLC0415 - only this verb pays
+
     terms = zip(TERMS, facts["distortion"], strict=True)
     free = [f"{name} = {value:.4g} +- {deviations[name]:.2g}" for name, value in terms if name in fit["fitted"]]
     lines.append(f"  distortion {', '.join(free) or 'none'}")

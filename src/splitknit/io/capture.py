@@ -54,6 +54,11 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         With one sentence that names the file and the remedy: missing, truncated or damaged files, images that differ
         in size from each other or from the rig's camera, black or overexposed images, too few images, LEDs that are
         missing, of the wrong band, coplanar or duplicate, broken JSON, and paths that leave the folder.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> splitknit.read_capture("demo/capture").rig.camera.px_per_mm  # doctest: +SKIP
     """
     plan = read_plan(_document(path))
     folder = _document(path).parent
@@ -136,6 +141,12 @@ def write_capture(
     ------
     BadInput
         If the capture's parts do not fit each other or the folder cannot be written.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> capture, truth = splitknit.simulate_capture(1)
+    >>> splitknit.write_capture(capture, "finger", truth)  # doctest: +SKIP
     """
     require(image_format in ("png", "tiff"), f"image_format must be 'png' or 'tiff', but it is '{image_format}'.")
     _check_parts(capture)

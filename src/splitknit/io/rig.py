@@ -24,17 +24,39 @@ _DISTORTION_COUNTS = (4, 5, 8, 12, 14)
 def read_rig(path: str | os.PathLike[str]) -> Rig:
     """Read a rig file.
 
+    Returns
+    -------
+    Rig
+
     Raises
     ------
     BadInput
         Naming the file and the field, if anything in it is missing, of the wrong type or impossible.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> len(splitknit.read_rig("demo/capture/rig.json").leds)  # doctest: +SKIP
+    14
     """
     document, _ = read_json(Path(path))
     return rig_from_json(document, str(path))
 
 
 def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
-    """Write a rig file; equal rigs give equal bytes."""
+    """Write a rig file; equal rigs give equal bytes.
+
+    Parameters
+    ----------
+    rig : Rig
+    path : file to write
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> capture, truth = splitknit.simulate_capture(1)
+    >>> splitknit.write_rig(capture.rig, "rig.json")  # doctest: +SKIP
+    """
     text = json.dumps(rig_to_json(rig), indent=2, allow_nan=False) + "\n"
     with atomic_file(path) as stream:
         stream.write(text.encode("ascii"))
