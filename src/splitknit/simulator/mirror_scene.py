@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -159,18 +159,31 @@ class MirrorScene:
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             inside = _background_of(plates, camera, led)
             _put(inside, view.surface, light.window, light.diffuse[k], light.glare[k])
-            for plate in plates.reflected_lip:
-                _blend(inside, plate.coverage, np.float32(plate.radiance(led)))
-            inside *= np.float32(view.mirror.reflectance)
+            self._over(frame, (view, plates), inside, lambda plate: plate.radiance(led), card)
+        return frame
+
+    def _over(
+        self,
+        frame: FloatArray,
+        seen: tuple[View, _Frame],
+        inside: FloatArray,
+        radiance: Callable[[_Plate], float],
+        card: FloatArray | None = None,
+    ) -> None:
+        """Lay a mirror that shows `inside` (H, W, 3), and its holder, over `frame`; `card` (H, W) lights its dust."""
+        view, plates = seen
+        for plate in plates.reflected_lip:
+            _blend(inside, plate.coverage, np.float32(radiance(plate)))
+        inside *= np.float32(view.mirror.reflectance)
+        if card is not None:
             if plates.dust.any():
                 inside += (plates.dust * card)[..., None]
             inside *= self.front.shade[..., None]
-            for plate in plates.holder:
-                _blend(frame, plate.coverage, np.float32(plate.radiance(led)), self.free)
-            _blend(frame, view.coverage, inside, self.free)
-            for plate in plates.lip:
-                _blend(frame, plate.coverage, np.float32(plate.radiance(led)), self.free)
-        return frame
+        for plate in plates.holder:
+            _blend(frame, plate.coverage, np.float32(radiance(plate)), self.free)
+        _blend(frame, view.coverage, inside, self.free)
+        for plate in plates.lip:
+            _blend(frame, plate.coverage, np.float32(radiance(plate)), self.free)
 
     def _glare(self, front: BandLight, sides: Sequence[BandLight], k: int) -> FloatArray:
         """(H, W) radiance that the finger's surface reflects under light k, also in the mirrors."""
@@ -209,14 +222,7 @@ class MirrorScene:
             inside = np.full_like(frame, albedo)
             window = finger_window(view.surface)
             _put(inside, view.surface, window, light, None)
-            for plate in plates.reflected_lip:
-                _blend(inside, plate.coverage, np.float32(level * plate.albedo))
-            inside *= np.float32(view.mirror.reflectance)
-            for plate in plates.holder:
-                _blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
-            _blend(frame, view.coverage, inside, self.free)
-            for plate in plates.lip:
-                _blend(frame, plate.coverage, np.float32(level * plate.albedo), self.free)
+            self._over(frame, (view, plates), inside, lambda plate: level * plate.albedo)
         return frame
 
 

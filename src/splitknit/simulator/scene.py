@@ -52,7 +52,7 @@ class BackgroundSettings(Checked):
     hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
     """Fraction of the light that the hand takes away at the finger's base, 0 to 1."""
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
-    """Room light: radiance of a white card relative to the same card under one LED."""
+    """Ambient light: radiance of a white card relative to the same card under one LED."""
 
 
 def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
@@ -251,7 +251,7 @@ class Scene:
         )  # fmt: skip
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
-        """(H, W, 3) what the sensor's pixels see while the LEDs of a group are lit together, and the room's light.
+        """(H, W, 3) what the sensor's pixels see while the LEDs of a group are lit together, and the ambient light.
 
         Parameters
         ----------
@@ -341,7 +341,7 @@ class Scene:
 
 
 def room_level(camera: Camera, leds: Sequence[Led], share: float) -> float:
-    """Radiance of a white card under the room's light: `share` of that under one LED (mean of all)."""
+    """Radiance of a white card under ambient light: `share` of that under one LED (mean of all)."""
     return share * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
 
 

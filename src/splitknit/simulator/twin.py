@@ -298,8 +298,8 @@ class FingerScene:
     """One finger, laid down once, under any LEDs of a rig.
 
     The finger, its skin and its pose are those of :func:`splitknit.simulator.twin.simulate_capture` with the same
-    arguments. Each band's light is rendered once, when one of its LEDs is lit first, and kept. The room's light is
-    the same whichever LED is lit.
+    arguments. Each band's light is rendered once, when one of its LEDs is lit first, and kept. The ambient
+    light is the same whichever LED is lit.
     """
 
     def __init__(
@@ -352,7 +352,7 @@ class FingerScene:
 
         Parameters
         ----------
-        lit : numbers of the LEDs; none = the room's light alone
+        lit : numbers of the LEDs; none = the ambient light alone
 
         Returns
         -------

@@ -169,7 +169,7 @@ class BenchSettings(Checked):
     """What surrounds the things that are photographed."""
 
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
-    """Room light: radiance of a white card relative to the same card at the origin under one LED (mean of all)."""
+    """Ambient light: radiance of a white card relative to the same card at the origin under one LED (mean of all)."""
     led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
     """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
     aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
@@ -207,7 +207,7 @@ class GroundScene(ABC):
 
         Parameters
         ----------
-        lit : indices of LEDs; none gives the room light alone
+        lit : indices of LEDs; none gives the ambient light alone
 
         Returns
         -------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
@@ -79,6 +80,101 @@ class Pose(Checked):
         return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
 
 
+# What makes fingers look like their owner's: forms of the pad, creases and ridge depths, with their spread.
+
+
+@dataclass(frozen=True, slots=True)
+class Trait:
+    """A normally distributed number that is cut off."""
+
+    mean: float
+    spread: float
+    low: float
+    high: float
+    sided: bool = False
+    """Whether the left hand has it mirrored."""
+
+
+TRAITS: Mapping[str, Trait] = {
+    "thickness": Trait(0.80, 0.05, 0.68, 0.92),
+    "squareness": Trait(0.18, 0.09, 0.02, 0.40),
+    "tip_length": Trait(1.02, 0.12, 0.78, 1.30),
+    "tip_squareness": Trait(0.12, 0.10, 0.0, 0.38),
+    "taper": Trait(0.06, 0.025, 0.01, 0.12),
+    "pad_bulge": Trait(0.06, 0.025, 0.01, 0.12),
+    "pad_center": Trait(0.50, 0.06, 0.38, 0.62),
+    "neck": Trait(0.03, 0.012, 0.005, 0.06),
+    "arching_per_mm": Trait(0.0015, 0.0010, -0.0005, 0.004),
+    "sideways_mm": Trait(0.0, 0.35, -0.9, 0.9, sided=True),
+    "skew": Trait(0.0, 0.03, -0.08, 0.08, sided=True),
+    "tip_drop": Trait(2.0, 0.5, 0.8, 3.2),
+    "ridge_depth": Trait(65.0, 13.0, 40.0, 95.0),
+    "depth_variation": Trait(0.12, 0.03, 0.05, 0.2),
+    "pore_depth": Trait(25.0, 6.0, 10.0, 45.0),
+    "pore_darkening": Trait(0.06, 0.02, 0.0, 0.12),
+    "first_depth": Trait(0.38, 0.09, 0.2, 0.6),
+    "first_width": Trait(0.28, 0.05, 0.18, 0.42),
+    "first_tilt": Trait(0.0, 0.04, -0.1, 0.1, sided=True),
+    "first_bow": Trait(0.003, 0.006, -0.01, 0.015),
+    "first_reach": Trait(10.5, 1.2, 8.0, 13.0),
+    "first_darkening": Trait(0.22, 0.06, 0.08, 0.4),
+    "second_depth": Trait(0.48, 0.08, 0.3, 0.6),
+    "second_width": Trait(0.34, 0.05, 0.2, 0.5),
+    "second_tilt": Trait(0.0, 0.03, -0.1, 0.1, sided=True),
+    "second_bow": Trait(0.0, 0.005, -0.01, 0.01),
+    "second_reach": Trait(11.5, 1.2, 8.0, 14.0),
+    "second_darkening": Trait(0.25, 0.06, 0.08, 0.4),
+}
+"""Those of :func:`draw_finger` and of people; the tip's drop (for a finger 13.5 mm thick) is our choice: a fingertip
+ends near its nail, not half-way down."""
+
+
+def shape_of(trait: Callable[[str], float], length_mm: float, width_mm: float, flatter: float = 1.0) -> FingerShape:
+    """The form of a pad of this size from its traits; its thickness is `flatter` times the trait's."""
+    return FingerShape(
+        length_mm=length_mm,
+        width_mm=width_mm,
+        thickness_mm=width_mm * trait("thickness") * flatter,
+        squareness=trait("squareness"),
+        tip_length_mm=min(0.5 * width_mm * trait("tip_length"), 13.8),
+        tip_squareness=trait("tip_squareness"),
+        taper=trait("taper"),
+        pad_bulge=trait("pad_bulge"),
+        pad_center=trait("pad_center"),
+        neck=trait("neck"),
+        arching_per_mm=trait("arching_per_mm"),
+        sideways_mm=trait("sideways_mm"),
+        skew=trait("skew"),
+    )
+
+
+def crease_of(
+    trait: Callable[[str], float], which: str, v_mm: float, side_lines: Callable[[], int], broad: float = 1.0
+) -> Crease:
+    """The ``first`` or ``second`` crease of a finger that is `broad` times as broad as the mean."""
+    return Crease(
+        v_mm=v_mm,
+        depth_mm=trait(f"{which}_depth"),
+        width_mm=trait(f"{which}_width"),
+        tilt=trait(f"{which}_tilt"),
+        bow_per_mm=trait(f"{which}_bow"),
+        reach_mm=trait(f"{which}_reach") * broad,
+        side_lines=side_lines(),
+        darkening=trait(f"{which}_darkening"),
+    )
+
+
+def relief_of(trait: Callable[[str], float], creases: tuple[Crease, ...]) -> SkinSettings:
+    """Depths on the skin of a finger from its traits."""
+    return SkinSettings(
+        ridge_depth_um=trait("ridge_depth"),
+        depth_variation=trait("depth_variation"),
+        pore_depth_um=trait("pore_depth"),
+        pore_darkening=trait("pore_darkening"),
+        creases=creases,
+    )
+
+
 def draw_finger(seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None) -> Finger:
     """Draw one finger of the population.
 
@@ -108,48 +204,17 @@ def draw_finger(seed: int, pattern: str | None = None, *, print_settings: Master
         return float(np.clip(mean + spread * (shared * size + np.sqrt(1 - shared**2) * own), low, high))
 
     width = around(16.8, 1.4, 14.0, 20.0, shared=0.8)
-    shape = FingerShape(
-        length_mm=around(25.0, 1.5, 22.0, 28.0, shared=0.7),
-        width_mm=width,
-        thickness_mm=width * around(0.80, 0.05, 0.68, 0.92),
-        squareness=around(0.18, 0.09, 0.02, 0.4),
-        tip_length_mm=0.5 * width * around(1.02, 0.12, 0.78, 1.3),
-        tip_squareness=around(0.12, 0.1, 0.0, 0.38),
-        taper=around(0.06, 0.025, 0.01, 0.12),
-        pad_bulge=around(0.06, 0.025, 0.01, 0.12),
-        pad_center=around(0.5, 0.06, 0.38, 0.62),
-        neck=around(0.03, 0.012, 0.005, 0.06),
-        arching_per_mm=around(0.0015, 0.0010, -0.0005, 0.004),
-        sideways_mm=around(0.0, 0.35, -0.9, 0.9),
-        skew=around(0.0, 0.03, -0.08, 0.08),
-    )
+
+    def trait(name: str) -> float:
+        kind = TRAITS[name]
+        return around(kind.mean, kind.spread, kind.low, 100.0 if name == "ridge_depth" else kind.high)
+
+    shape = shape_of(trait, around(25.0, 1.5, 22.0, 28.0, shared=0.7), width)
     rng = draws[2]
-    first = Crease(
-        depth_mm=around(0.38, 0.09, 0.2, 0.6),
-        width_mm=around(0.28, 0.05, 0.18, 0.42),
-        tilt=around(0.0, 0.04, -0.1, 0.1),
-        bow_per_mm=around(0.003, 0.006, -0.01, 0.015),
-        reach_mm=around(10.5, 1.2, 8.0, 13.0),
-        side_lines=int(rng.integers(0, 4)),
-        darkening=around(0.22, 0.06, 0.08, 0.4),
-    )
-    second = Crease(
-        v_mm=-around(23.0, 1.5, 19.5, 26.0, shared=0.7),
-        depth_mm=around(0.48, 0.08, 0.3, 0.6),
-        width_mm=around(0.34, 0.05, 0.2, 0.5),
-        tilt=around(0.0, 0.03, -0.1, 0.1),
-        bow_per_mm=around(0.0, 0.005, -0.01, 0.01),
-        reach_mm=around(11.5, 1.2, 8.0, 14.0),
-        side_lines=int(rng.integers(1, 5)),
-        darkening=around(0.25, 0.06, 0.08, 0.4),
-    )
-    skin = SkinSettings(
-        ridge_depth_um=around(65.0, 13.0, 40.0, 100.0),
-        depth_variation=around(0.12, 0.03, 0.05, 0.2),
-        pore_depth_um=around(25.0, 6.0, 10.0, 45.0),
-        pore_darkening=around(0.06, 0.02, 0.0, 0.12),
-        creases=(first, second),
-    )
+    first = crease_of(trait, "first", 0.0, lambda: int(rng.integers(0, 4)))
+    v_mm = -around(23.0, 1.5, 19.5, 26.0, shared=0.7)
+    second = crease_of(trait, "second", v_mm, lambda: int(rng.integers(1, 5)))
+    skin = relief_of(trait, (first, second))
     return Finger(seed, pattern, shape, skin, print_settings or MasterPrintSettings())
 
 

@@ -15,10 +15,9 @@ from scipy.special import ndtr
 
 from splitknit.errors import require
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit.simulator.finger.finger import Finger
+from splitknit.simulator.finger.finger import TRAITS, Finger, crease_of, relief_of, shape_of
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.finger.shape import FingerShape
-from splitknit.simulator.finger.skin_map import Crease
 from splitknit.simulator.finger.skin_map import SkinSettings as ReliefSettings
 from splitknit.simulator.light.skin import SkinRanges, SkinSettings
 
@@ -217,7 +216,7 @@ class _Hand:
         self._own = rng.standard_normal((len(FINGERS), len(names)))
 
     def score(self, name: str, place: int, person: float, digit: float) -> float:
-        """Score of the finger `place`; `person` and `digit` are the shares of the variance that are common."""
+        """Score of the finger `place`; `person` and `digit` are the fractions of the variance that are common."""
         k = self._column[name]
         z = np.sqrt(person) * self._person[k] + np.sqrt(digit) * self._digit[place % len(DIGITS), k]
         return float(z + np.sqrt(max(1.0 - person - digit, 0.0)) * self._own[place, k])
@@ -262,44 +261,13 @@ def _shape_and_relief(
 
     width = size("width", ranges.width_mm, ranges.width_sex_ratio, ranges.width_spread)
     length = size("length", ranges.length_mm, ranges.length_sex_ratio, ranges.length_spread)
-    thickness = width * trait("thickness") * (0.93 if digit == 0 else 1.0)
-    shape = FingerShape(
-        length_mm=length,
-        width_mm=width,
-        thickness_mm=thickness,
-        squareness=trait("squareness"),
-        tip_length_mm=min(0.5 * width * trait("tip_length"), 13.8),
-        tip_squareness=trait("tip_squareness"),
-        taper=trait("taper"),
-        pad_bulge=trait("pad_bulge"),
-        pad_center=trait("pad_center"),
-        neck=trait("neck"),
-        arching_per_mm=trait("arching_per_mm"),
-        sideways_mm=trait("sideways_mm"),
-        skew=trait("skew"),
-        tip_drop_mm=trait("tip_drop") * min(thickness / 13.5, 1.25),
-    )
-    broad = width / 16.8
+    shape = shape_of(trait, length, width, 0.93 if digit == 0 else 1.0)
+    shape = replace(shape, tip_drop_mm=trait("tip_drop") * min(shape.thickness_mm / 13.5, 1.25))
     first, second = (
-        Crease(
-            v_mm=v_mm,
-            depth_mm=trait(f"{which}_depth"),
-            width_mm=trait(f"{which}_width"),
-            tilt=trait(f"{which}_tilt"),
-            bow_per_mm=trait(f"{which}_bow"),
-            reach_mm=trait(f"{which}_reach") * broad,
-            side_lines=int(rng.integers(0, 4)),
-            darkening=trait(f"{which}_darkening"),
-        )
+        crease_of(trait, which, v_mm, lambda: int(rng.integers(0, 4)), width / 16.8)
         for which, v_mm in (("first", 0.0), ("second", -0.92 * length))
     )
-    relief = ReliefSettings(
-        ridge_depth_um=trait("ridge_depth"),
-        depth_variation=trait("depth_variation"),
-        pore_depth_um=trait("pore_depth"),
-        pore_darkening=trait("pore_darkening"),
-        creases=(first, second),
-    )
+    relief = relief_of(trait, (first, second))
     return shape, relief
 
 
@@ -319,52 +287,3 @@ def _own_optics(rng: np.random.Generator, skin: SkinSettings, ranges: PeopleRang
     gain = skin.relief_gain * float(np.exp(ranges.relief_gain_own_spread * draws[1]))
     low, high = ranges.optics.relief_gain
     return replace(skin, blood=blood, relief_gain=float(np.clip(gain, low, high)))
-
-
-# What makes fingers look like their owner's: forms of the pad, creases and ridge depths, with their spread.
-
-
-@dataclass(frozen=True, slots=True)
-class _Trait:
-    """A normally distributed number that is cut off."""
-
-    mean: float
-    spread: float
-    low: float
-    high: float
-    sided: bool = False
-    """Whether the left hand has it mirrored."""
-
-
-TRAITS: Mapping[str, _Trait] = {
-    "thickness": _Trait(0.80, 0.05, 0.68, 0.92),
-    "squareness": _Trait(0.18, 0.09, 0.02, 0.40),
-    "tip_length": _Trait(1.02, 0.12, 0.78, 1.30),
-    "tip_squareness": _Trait(0.12, 0.10, 0.0, 0.38),
-    "taper": _Trait(0.06, 0.025, 0.01, 0.12),
-    "pad_bulge": _Trait(0.06, 0.025, 0.01, 0.12),
-    "pad_center": _Trait(0.50, 0.06, 0.38, 0.62),
-    "neck": _Trait(0.03, 0.012, 0.005, 0.06),
-    "arching_per_mm": _Trait(0.0015, 0.0010, -0.0005, 0.004),
-    "sideways_mm": _Trait(0.0, 0.35, -0.9, 0.9, sided=True),
-    "skew": _Trait(0.0, 0.03, -0.08, 0.08, sided=True),
-    "tip_drop": _Trait(2.0, 0.5, 0.8, 3.2),
-    "ridge_depth": _Trait(65.0, 13.0, 40.0, 95.0),
-    "depth_variation": _Trait(0.12, 0.03, 0.05, 0.2),
-    "pore_depth": _Trait(25.0, 6.0, 10.0, 45.0),
-    "pore_darkening": _Trait(0.06, 0.02, 0.0, 0.12),
-    "first_depth": _Trait(0.38, 0.09, 0.2, 0.6),
-    "first_width": _Trait(0.28, 0.05, 0.18, 0.42),
-    "first_tilt": _Trait(0.0, 0.04, -0.1, 0.1, sided=True),
-    "first_bow": _Trait(0.003, 0.006, -0.01, 0.015),
-    "first_reach": _Trait(10.5, 1.2, 8.0, 13.0),
-    "first_darkening": _Trait(0.22, 0.06, 0.08, 0.4),
-    "second_depth": _Trait(0.48, 0.08, 0.3, 0.6),
-    "second_width": _Trait(0.34, 0.05, 0.2, 0.5),
-    "second_tilt": _Trait(0.0, 0.03, -0.1, 0.1, sided=True),
-    "second_bow": _Trait(0.0, 0.005, -0.01, 0.01),
-    "second_reach": _Trait(11.5, 1.2, 8.0, 14.0),
-    "second_darkening": _Trait(0.25, 0.06, 0.08, 0.4),
-}
-"""Means, spreads and limits are those of :func:`splitknit.simulator.finger.finger.draw_finger`, where their sources
-stand; the tip's drop (for a finger 13.5 mm thick) is our choice: a fingertip ends near its nail, not half-way down."""

@@ -87,7 +87,7 @@ class SessionRanges(Checked):
     led_drift_sd: Annotated[float, Limits(0.0, 0.05)] = 0.007
     """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
     ambient: Annotated[Range, Limits(0.0, 0.2)] = (0.0005, 0.004)
-    """Room light relative to one LED."""
+    """Ambient light relative to one LED."""
     hand_shadow: Annotated[Range, Limits(0.0, 1.0)] = (0.0, 0.15)
     """Fraction of the light that the hand takes away at the finger's base; 0 to 1."""
     dust_per_cm2: Annotated[Range, Limits(0.0, 20.0)] = (0.0, 0.6)
