@@ -108,7 +108,12 @@ def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
 
 def test_lights_from_the_drawing(tmp_path: Path) -> None:
     facts = splitknit.calibrate_lights(
-        tmp_path / "rig.json", geometry=True, px_per_cm=378.5, image_size="1100,1600", led_height_cm=14.0, led_radius_cm=5.25
+        tmp_path / "rig.json",
+        geometry=True,
+        px_per_cm=378.5,
+        image_size="1100,1600",
+        led_height_cm=14.0,
+        led_radius_cm=5.25,
     )
     assert len(facts["leds"]) == 14 and (tmp_path / "rig.json").is_file()
     assert len(splitknit.read_rig(tmp_path / "rig.json").leds) == 14

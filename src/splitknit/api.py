@@ -50,8 +50,7 @@ def make_print(
     Examples
     --------
     >>> import splitknit
-    >>> from splitknit.simulator.scene import TwinSettings
-    >>> capture, truth = splitknit.simulate_capture(1, settings=TwinSettings(scale=0.12))
+    >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.12})
     >>> splitknit.make_print(splitknit.reconstruct(capture, "ea")).image.dtype
     dtype('uint8')
     """
@@ -103,8 +102,7 @@ def match(
     Examples
     --------
     >>> import splitknit
-    >>> from splitknit.simulator.scene import TwinSettings
-    >>> capture, truth = splitknit.simulate_capture(1, settings=TwinSettings(scale=0.12))
+    >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.12})
     >>> result = splitknit.reconstruct(capture, "ea")
     >>> round(splitknit.match(result, result)["similarity"], 2)
     1.0

@@ -96,8 +96,7 @@ def reconstruct(
     Examples
     --------
     >>> import splitknit
-    >>> from splitknit.simulator.scene import TwinSettings
-    >>> capture, truth = splitknit.simulate_capture(1, settings=TwinSettings(scale=0.08))
+    >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
     >>> splitknit.reconstruct(capture, "snk", {"shapelets.scales": 4}).height_mm.shape
     (176, 256)
 

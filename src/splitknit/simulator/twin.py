@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Rig, default_rig
+from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
@@ -36,7 +37,7 @@ from splitknit.simulator.surface import Surface
 def simulate_capture(
     seed: int,
     pattern: str | None = None,
-    settings: TwinSettings | None = None,
+    settings: TwinSettings | Mapping[str, Any] | None = None,
     *,
     impression: int = 0,
     finger: Finger | None = None,
@@ -47,7 +48,7 @@ def simulate_capture(
     ----------
     seed : of the person: finger, print and skin follow from it
     pattern : class of the print (``arch``, ``left_loop``, ``whorl``, ...); None draws it
-    settings : of the twin
+    settings : of the simulator, or a mapping from ``stage.field`` to a value
     impression : number of the capture of this finger: pose, dust and noise change with it
     finger : photographed instead of the one that `seed` draws
 
@@ -64,8 +65,15 @@ def simulate_capture(
     Notes
     -----
     The same arguments give the same bytes, whatever the number of workers.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> capture, truth = splitknit.simulate_capture(1, "whorl", {"scale": 0.08})
+    >>> capture.shape
+    (176, 256)
     """
-    settings = settings or TwinSettings()
+    settings = settings if isinstance(settings, TwinSettings) else override(TwinSettings(), settings or {})
     if settings.motion.amplitude_mm > 0:
         capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
     elif settings.between_mirrors:
