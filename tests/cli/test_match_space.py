@@ -97,4 +97,4 @@ def test_settings_can_be_changed(results: Path, capsys) -> None:
     assert strict["similarity"] < facts_of(capsys, "minutiae3d", results / "a", results / "again")["similarity"]
     wrong = ["match", str(results / "a"), str(results / "again"), "--set", "surface_code.coding=morse"]
     assert main([*wrong, "--method", "surface-code"]) == 2
-    assert "gray or binary" in capsys.readouterr().err
+    assert "one of 'gray', 'binary'" in capsys.readouterr().err

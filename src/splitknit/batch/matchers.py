@@ -194,13 +194,22 @@ READY = _Ready()
 # The matchers of a batch that compare features in space: minutiae, by pairs and by tetrahedra, and surface codes.
 
 
-class _Minutiae3DMatcher(Matcher):
-    """Minutiae in space, aligned by reference pairs."""
+class _SpaceMatcher(Matcher):
+    """Minutiae in space; a side that is ready takes up to 1 MB."""
+
+    source = "minutiae3d"
+    blocks = Blocks(128, 16)
+    settings: Any
+
+    def document(self) -> Any:
+        return {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, self.name: self.settings}
+
+
+class _Minutiae3DMatcher(_SpaceMatcher):
+    """Aligned by reference pairs."""
 
     name = "minutiae3d"
     columns = ("agreeing",)
-    source = "minutiae3d"
-    blocks = Blocks(128, 16)
 
     def __init__(self, settings: MatchingSettings) -> None:
         self.settings = settings.minutiae3d
@@ -213,17 +222,12 @@ class _Minutiae3DMatcher(Matcher):
         found = minutiae3d_match(a, b)
         return {"similarity": found.similarity, "agreeing": float(found.agreeing)}
 
-    def document(self) -> Any:
-        return {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, self.name: self.settings}
 
-
-class _TetrahedraMatcher(Matcher):
-    """Minutiae in space, aligned by tetrahedra; a side that is ready takes 1 MB."""
+class _TetrahedraMatcher(_SpaceMatcher):
+    """Aligned by tetrahedra."""
 
     name = "tetrahedra"
     columns = ("agreeing", "alike")
-    source = "minutiae3d"
-    blocks = Blocks(128, 16)
 
     def __init__(self, settings: MatchingSettings) -> None:
         self.settings = settings.tetrahedra
@@ -235,9 +239,6 @@ class _TetrahedraMatcher(Matcher):
     def compare(self, a: Any, b: Any) -> Values:
         found = tetrahedra_match(a, b)
         return {"similarity": found.similarity, "agreeing": float(found.agreeing), "alike": float(found.tetrahedra)}
-
-    def document(self) -> Any:
-        return {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, self.name: self.settings}
 
 
 class _SurfaceCodeMatcher(Matcher):

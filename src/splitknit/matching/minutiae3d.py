@@ -234,15 +234,7 @@ def tetrahedra_match(
     b: SpaceMinutiae | PreparedTetrahedra,
     settings: TetrahedraSettings | None = None,
 ) -> TetrahedraMatch:
-    """Compare the minutiae in space of two fingers by their tetrahedra.
-
-    Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space.
-
-    Parameters
-    ----------
-    a, b : SpaceMinutiae or PreparedTetrahedra
-        Prepare a side that is compared more than once; then its settings must be those given here.
-    settings : TetrahedraSettings, optional
+    """Compare the minutiae in space of two fingers by their tetrahedra; as :func:`minutiae3d_match`.
 
     References
     ----------

@@ -66,13 +66,13 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
         if not here.any():
             return
         unit, length = unit_normals(linear_map(inverse, images[:, chunk].reshape(count, -1)))
-        store(normals, albedo, chunk, here, unit, length)
+        _store(normals, albedo, chunk, here, unit, length)
 
     for_each_chunk(work, rows, columns, count)
     return normals, albedo
 
 
-def store(  # noqa: PLR0917
+def _store(  # noqa: PLR0917
     normals: FloatArray,
     albedo: FloatArray,
     chunk: slice,
