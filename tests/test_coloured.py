@@ -13,7 +13,7 @@ from small_capture import edit
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
-from splitknit.imaging.coloured import COMPOSED, balanced, colour_factors, composed
+from splitknit.imaging.coloured import COMPOSED, _colour_factors, balanced, composed
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
@@ -160,7 +160,7 @@ def test_colours_are_balanced_by_what_the_finger_shows() -> None:
     lights = np.stack([0.35 * np.cos(angle), 0.35 * np.sin(angle), np.full(6, 0.9)], axis=1)
     colour = np.repeat(["red", "blue", "green"], 2)
     true = np.array([{"red": 1.8, "green": 1.0, "blue": 0.6}[name] for name in colour])
-    found = colour_factors(true[:, None] * (lights @ normals) * rng.uniform(0.5, 1, 500), lights, colour)
+    found = _colour_factors(true[:, None] * (lights @ normals) * rng.uniform(0.5, 1, 500), lights, colour)
     np.testing.assert_allclose(found / found[5], true, rtol=0.01)
     assert np.exp(np.log(found).mean()) == pytest.approx(1.0)
 

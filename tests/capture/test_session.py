@@ -9,12 +9,12 @@ import pytest
 from twin_bench import twin_devices
 
 from splitknit.capture.exposure import ExposureSettings
-from splitknit.capture.session import SessionSettings, check_fit, run_session
+from splitknit.capture.session import SessionSettings, _check_fit, run_session
 from splitknit.capture.shots import CheckSettings
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.model import default_rig
-from splitknit.simulator.camera.device import Faults, FaultyScene, TwinDeviceSettings
+from splitknit.simulator.camera.device import FaultyScene, TwinDeviceSettings, _Faults
 
 # photographs of a session that measures focus once
 FOCUS, WHITE_AMBIENT, WHITE, NIR_AMBIENT, NIR = 0, 1, 2, 9, 10
@@ -169,11 +169,11 @@ def test_no_finger_is_no_capture(finger, faulty):
 
 def test_light_that_comes_on_later_overexposes(finger, faulty):
     camera, lights, _ = faulty()
-    camera._scene.faults = Faults()
+    camera._scene.faults = _Faults()
     scene = camera._scene
 
     def begins(number):
-        scene.faults = Faults(room=0.3 if number == WHITE + 3 else 0.0)
+        scene.faults = _Faults(room=0.3 if number == WHITE + 3 else 0.0)
 
     scene.frame_begins = begins
     session = run_session(camera, lights, finger.rig, SessionSettings(checks=CheckSettings(retries=0)))
@@ -182,7 +182,7 @@ def test_light_that_comes_on_later_overexposes(finger, faulty):
 
 @pytest.mark.slow
 def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
-    camera, lights, _ = twin_devices(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})))
+    camera, lights, _ = twin_devices(FaultyScene(sharp_finger, _Faults(blur_mm={0: 0.35})))
     with lights, camera:
         session = run_session(camera, lights, sharp_finger.rig, SessionSettings(exposure=ExposureSettings()))
     assert any("out of focus" in words for words in session.verdict)
@@ -227,15 +227,15 @@ def test_a_rig_that_does_not_fit_is_refused(finger):
     camera, lights, _ = twin_devices(finger)
     rig = finger.rig
     with pytest.raises(BadInput, match=r"another camera: its images have 440 x 640 .* 220 x 320"):
-        check_fit(camera, lights, default_rig(0.2))
+        _check_fit(camera, lights, default_rig(0.2))
     with pytest.raises(BadInput, match="13 LEDs, but 14 are connected"):
-        check_fit(camera, lights, replace(rig, leds=rig.leds[1:]))
+        _check_fit(camera, lights, replace(rig, leds=rig.leds[1:]))
     with pytest.raises(BadInput, match=r"2 white LEDs.*three"):
-        check_fit(camera, lights, replace(rig, leds=rig.leds[:2] + rig.leds[2:7] * 0 + rig.leds[7:] + rig.leds[7:12]))
+        _check_fit(camera, lights, replace(rig, leds=rig.leds[:2] + rig.leds[2:7] * 0 + rig.leds[7:] + rig.leds[7:12]))
     with pytest.raises(BadInput, match="band 'uv'"):
-        check_fit(camera, lights, replace(rig, leds=(*rig.leds[:13], replace(rig.leds[13], band="uv"))))
+        _check_fit(camera, lights, replace(rig, leds=(*rig.leds[:13], replace(rig.leds[13], band="uv"))))
     white = replace(rig, leds=tuple(replace(led, band="white") for led in rig.leds))
-    assert list(check_fit(camera, lights, white)) == ["white"]
+    assert list(_check_fit(camera, lights, white)) == ["white"]
 
 
 @pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from splitknit.finger.steady import Registered, worth_undoing
+from splitknit.finger.steady import Registered, _worth_undoing
 from splitknit.presets import preset_settings
 
 
@@ -29,4 +29,4 @@ def registered(most_mm: float, before: float, after: float) -> Registered:
     ],
 )
 def test_what_is_undone(most_mm: float, before: float, after: float, seen_mm: float, undone: bool) -> None:
-    assert worth_undoing(registered(most_mm, before, after), seen_mm, preset_settings("metric")) is undone
+    assert _worth_undoing(registered(most_mm, before, after), seen_mm, preset_settings("metric")) is undone

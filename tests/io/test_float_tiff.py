@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import read_float_tiff, read_height_tiff, read_light_tiff, write_float_tiff
+from splitknit.io.float_tiff import _read_float_tiff, _read_height_tiff, _read_light_tiff, _write_float_tiff
 
 FIELD = np.linspace(-1, 1, 24, dtype=np.float32).reshape(4, 6)
 
@@ -16,20 +16,20 @@ FIELD = np.linspace(-1, 1, 24, dtype=np.float32).reshape(4, 6)
 @pytest.mark.parametrize("field", [FIELD, np.dstack([FIELD, 2 * FIELD, 3 * FIELD])], ids=["grey", "colour"])
 def test_what_was_written_is_read(field: np.ndarray, tmp_path: Path) -> None:
     path = tmp_path / "a.tiff"
-    write_float_tiff(path, field, {"unit": "rad", "by": [1, 2.5]})
-    found, description = read_float_tiff(path, "a field")
+    _write_float_tiff(path, field, {"unit": "rad", "by": [1, 2.5]})
+    found, description = _read_float_tiff(path, "a field")
     np.testing.assert_array_equal(found, field)
     assert description == {"unit": "rad", "by": [1, 2.5]}
 
 
 def test_other_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
     path = tmp_path / "a.tiff"
-    write_float_tiff(path, FIELD, {"unit": "rad"})
+    _write_float_tiff(path, FIELD, {"unit": "rad"})
     whole = path.read_bytes()
     for content in (b"", b"hello", whole[:40], whole[: len(whole) // 2]):
         path.write_bytes(content)
         with pytest.raises(BadInput) as caught:
-            read_float_tiff(path, "a field")
+            _read_float_tiff(path, "a field")
         assert "\n" not in str(caught.value) and str(path) in str(caught.value)
     for image, description in (
         (FIELD, "no object"),
@@ -38,7 +38,7 @@ def test_other_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
     ):
         tifffile.imwrite(path, image, description=description, metadata=None)
         with pytest.raises(BadInput, match="is not a field of splitknit"):
-            read_float_tiff(path, "a field")
+            _read_float_tiff(path, "a field")
 
 
 def test_light_is_no_height(tmp_path: Path) -> None:
@@ -49,15 +49,15 @@ def test_light_is_no_height(tmp_path: Path) -> None:
         {"unit": "mm", "pitch_mm": "x"},
         {"unit": "mm", "pitch_mm": 0},
     ):
-        write_float_tiff(path, FIELD, description)
-        assert read_light_tiff(path)[1] == description
+        _write_float_tiff(path, FIELD, description)
+        assert _read_light_tiff(path)[1] == description
         with pytest.raises(BadInput, match="is not a height map"):
-            read_height_tiff(path)
+            _read_height_tiff(path)
 
 
 def test_a_small_file_cannot_claim_a_large_field(tmp_path: Path) -> None:
     path = tmp_path / "a.tiff"
-    write_float_tiff(path, FIELD, {"unit": "rad"})
+    _write_float_tiff(path, FIELD, {"unit": "rad"})
     whole = path.read_bytes()
     with tifffile.TiffFile(path) as file:
         places = [file.pages[0].tags[tag].valueoffset for tag in (256, 257, 278)]
@@ -68,7 +68,7 @@ def test_a_small_file_cannot_claim_a_large_field(tmp_path: Path) -> None:
         path.write_bytes(data)
         tracemalloc.start()
         with pytest.raises(BadInput, match=words):
-            read_float_tiff(path, "a field")
+            _read_float_tiff(path, "a field")
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 1_000_000

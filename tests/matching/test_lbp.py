@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.matching.features import LbpSettings, cell_histograms, lbp_codes, lbp_features, uniform_bins
+from splitknit.matching.features import LbpSettings, _cell_histograms, lbp_codes, lbp_features, uniform_bins
 
 
 @pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.3])
@@ -67,16 +67,16 @@ def test_interpolated_codes_keep_under_gain_and_offset() -> None:
 
 def test_histograms_count() -> None:
     codes = np.random.default_rng(2).integers(0, 256, (70, 45)).astype(np.uint8)
-    counts = cell_histograms(codes, 20, LbpSettings(uniform=False, normalisation="none"))
+    counts = _cell_histograms(codes, 20, LbpSettings(uniform=False, normalisation="none"))
     assert counts.shape == (3, 2, 256)
     for row in range(3):
         for column in range(2):
             part = codes[20 * row : 20 * row + 20, 20 * column : 20 * column + 20]
             assert counts[row, column].tolist() == [int((part == code).sum()) for code in range(256)]
-    shares = cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
+    shares = _cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
     assert shares.shape == (3, 2, 59)
     np.testing.assert_allclose(shares.sum(axis=2), 1.0, rtol=1e-6)
-    lengths = np.linalg.norm(cell_histograms(codes, 20, LbpSettings()), axis=2)
+    lengths = np.linalg.norm(_cell_histograms(codes, 20, LbpSettings()), axis=2)
     np.testing.assert_allclose(lengths, 1.0, rtol=1e-6)
 
 

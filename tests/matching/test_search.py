@@ -9,7 +9,7 @@ from splitknit.errors import BadInput
 from splitknit.matching.code import code_of, code_size, probe_codes
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.matching.template import failed_template
+from splitknit.matching.template import _failed_template
 
 
 def noise_codes(count: int, seed: int = 0) -> np.ndarray:
@@ -97,7 +97,7 @@ def test_identify_finds_the_finger_among_strangers_without_their_templates(impre
 
     def fetch(identity: str):
         asked.append(identity)
-        return gallery.get(identity, failed_template())
+        return gallery.get(identity, _failed_template())
 
     for impression, template in list(zip(impressions, templates, strict=True))[1::3]:
         asked.clear()
@@ -121,7 +121,7 @@ def test_exhaustive_search_needs_no_codes(impressions, templates) -> None:
 
 
 def test_nobody_is_found_by_nothing_or_in_nothing(templates) -> None:
-    assert identify(failed_template(), {}, CodeIndex(["a"], noise_codes(1))) == []
+    assert identify(_failed_template(), {}, CodeIndex(["a"], noise_codes(1))) == []
     assert identify(templates[0], {}, CodeIndex()) == []
     assert CodeIndex().search(templates[0], 5)[0] == []
     with pytest.raises(BadInput, match="at least 1"):

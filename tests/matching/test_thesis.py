@@ -13,10 +13,10 @@ from splitknit.matching.features import gabor_features, hog_features, shape_cont
 from splitknit.matching.thesis import (
     FingerImages,
     ThesisSettings,
+    _intersection_over_union,
     align_masks,
     finger_features,
     finger_images,
-    intersection_over_union,
     thesis_match,
     to_box,
 )
@@ -42,10 +42,10 @@ def test_lateral_search_finds_the_shift(right: int, rows: int, columns: int) -> 
 
 def test_overlap_by_hand() -> None:
     a, b = np.ones((4, 6), np.bool_), np.ones((4, 6), np.bool_)
-    assert intersection_over_union(a, b) == 1.0
-    assert intersection_over_union(a, b, 2) == pytest.approx(16 / 32)
-    assert intersection_over_union(a, b, -6) == 0.0
-    assert intersection_over_union(a, b[:2]) == pytest.approx(12 / 24)
+    assert _intersection_over_union(a, b) == 1.0
+    assert _intersection_over_union(a, b, 2) == pytest.approx(16 / 32)
+    assert _intersection_over_union(a, b, -6) == 0.0
+    assert _intersection_over_union(a, b[:2]) == pytest.approx(12 / 24)
     with pytest.raises(BadInput, match="empty"):
         align_masks(a, np.zeros((3, 3), np.bool_))
 

@@ -16,7 +16,7 @@ from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.relief import _lit
 from splitknit.mirrors.rolled.search import SearchSettings
 from splitknit.mirrors.rolled.settings import RolledSettings
-from splitknit.mirrors.rolled.views import _notes, check_mirrors
+from splitknit.mirrors.rolled.views import _check_mirrors, _notes
 from splitknit.model import Capture
 from splitknit.presets import preset_settings
 from splitknit.skin.grid import Grid
@@ -99,13 +99,13 @@ def test_captures_that_cannot_be_rolled_are_told_so() -> None:
     rig = scene.rig()
     capture = Capture(rig, {}, material="opaque")
     with pytest.raises(BadInput, match="no band 'white'"):
-        check_mirrors(capture)
+        _check_mirrors(capture)
     with pytest.raises(BadInput, match="has no mirrors beside the finger"):
-        check_mirrors(replace(capture, rig=replace(rig, mirrors=())))
+        _check_mirrors(replace(capture, rig=replace(rig, mirrors=())))
     lens = replace(rig.camera, model="perspective", matrix=np.diag([2520.0, 2520.0, 1.0]), distortion=(0.0,) * 5)
     made, _ = scene.capture(("right",))
     with pytest.raises(BadInput, match="parallel rays"):
-        check_mirrors(replace(made, rig=replace(made.rig, camera=lens)))
+        _check_mirrors(replace(made, rig=replace(made.rig, camera=lens)))
 
 
 def test_settings_are_checked() -> None:

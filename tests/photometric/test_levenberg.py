@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric.hanrahan_krueger_fit import LevenbergSettings, NormalEquations, _solved, levenberg_marquardt
+from splitknit.photometric.hanrahan_krueger_fit import (
+    LevenbergSettings,
+    NormalEquations,
+    _levenberg_marquardt,
+    _solved,
+)
 
 
 @dataclass
@@ -37,7 +42,7 @@ def test_every_problem_ends_in_its_own_valley():
     rng = np.random.default_rng(0)
     problem = Valleys(rng.uniform(1, 10, 200))
     start = rng.uniform(-2, 2, (2, 200))
-    found = levenberg_marquardt(problem, start, LevenbergSettings(iterations=200, step=1e-9, gain=1e-12))
+    found = _levenberg_marquardt(problem, start, LevenbergSettings(iterations=200, step=1e-9, gain=1e-12))
     assert found.converged.all()
     assert np.abs(found.parameters - 1).max() < 1e-6
     assert len(np.unique(found.iterations)) > 5  # each left when it was done
@@ -48,15 +53,15 @@ def test_a_problem_depends_on_nothing_but_itself():
     rng = np.random.default_rng(1)
     steepness, start = rng.uniform(1, 10, 50), rng.uniform(-2, 2, (2, 50))
     settings = LevenbergSettings(iterations=12)
-    together = levenberg_marquardt(Valleys(steepness), start, settings)
+    together = _levenberg_marquardt(Valleys(steepness), start, settings)
     for i in (0, 17, 49):
-        alone = levenberg_marquardt(Valleys(steepness[i : i + 1]), start[:, i : i + 1], settings)
+        alone = _levenberg_marquardt(Valleys(steepness[i : i + 1]), start[:, i : i + 1], settings)
         assert np.array_equal(alone.parameters[:, 0], together.parameters[:, i])
         assert alone.iterations[0] == together.iterations[i]
 
 
 def test_too_few_steps_are_told():
-    found = levenberg_marquardt(Valleys(np.full(3, 10.0)), np.full((2, 3), -1.5), LevenbergSettings(iterations=2))
+    found = _levenberg_marquardt(Valleys(np.full(3, 10.0)), np.full((2, 3), -1.5), LevenbergSettings(iterations=2))
     assert not found.converged.any()
     assert (found.iterations == 2).all()
     assert np.all(found.cost < Valleys(np.full(3, 10.0)).equations(np.full((2, 3), -1.5)).cost)

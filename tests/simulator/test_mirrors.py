@@ -33,7 +33,7 @@ from splitknit.simulator.light.skin import SkinSettings, fresnel
 from splitknit.simulator.mirror_scene import _light_through
 from splitknit.simulator.mirror_twin import _bare_behind, _section_points
 from splitknit.simulator.mirror_view import Reflection, _Gate, as_built, lights_of, outline_coverage
-from splitknit.simulator.rigs import HolderProfile, MirrorParts, MirrorViews, _nominal_mirrors, mirror_rig
+from splitknit.simulator.rigs import HolderProfile, MirrorViews, _MirrorParts, _nominal_mirrors, mirror_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import simulate_capture
@@ -80,8 +80,8 @@ def taken_once(captures):
 @pytest.mark.parametrize(
     ("parts", "changes"),
     [
-        (MirrorParts(), ENLARGED),
-        (MirrorParts(wide_mm=20, pad_height_mm=14, widest_mm=26, tip_margin_mm=22), {"finger.tip_margin_mm": 22.0}),
+        (_MirrorParts(), ENLARGED),
+        (_MirrorParts(wide_mm=20, pad_height_mm=14, widest_mm=26, tip_margin_mm=22), {"finger.tip_margin_mm": 22.0}),
     ],
 )
 def test_the_mirrors_stand_where_rig_cad_draws_them(parts, changes):
@@ -112,7 +112,7 @@ def test_the_default_mirrors_fit_the_picture_and_the_drawn_sizes_are_the_same():
         column, row = pixels_of_points(rig.camera, *np.array(mirror.corners_mm).T)
         assert column.min() > 0 and column.max() < columns - 1
         assert row.min() > 0 and row.max() < rows - 1
-    drawn, own = (MIRROR_LONG_MM, MIRROR_THICK_MM, MIRROR_GAP_MM, MIRROR_LIP_MM), MirrorParts()
+    drawn, own = (MIRROR_LONG_MM, MIRROR_THICK_MM, MIRROR_GAP_MM, MIRROR_LIP_MM), _MirrorParts()
     assert drawn == (own.long_mm, own.thick_mm, own.gap_mm, own.lip_mm)
 
 
@@ -426,7 +426,7 @@ def test_impossible_settings_are_refused(change, says):
 
 
 def test_scenes_that_cannot_be_are_refused():
-    close = settings(parts=MirrorParts(widest_mm=2.0, pad_height_mm=4.0))
+    close = settings(parts=_MirrorParts(widest_mm=2.0, pad_height_mm=4.0))
     with pytest.raises(BadInput, match="touches the left mirror"):
         simulate_capture(4, settings=close, finger=FINGER)
     far = settings(names=("right",), px_per_mm=130.0)

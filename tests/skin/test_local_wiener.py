@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.skin.relief import _OVERLAP, LocalWienerSettings, local_wiener, window_power
+from splitknit.skin.relief import _OVERLAP, LocalWienerSettings, _local_wiener, _window_power
 
 PITCH = 0.05
 SETTINGS = LocalWienerSettings()
@@ -33,7 +33,7 @@ def test_window_covers_the_stated_length_in_whole_steps():
 
 def test_window_power_of_white_noise_is_flat_and_that_of_the_window():
     hann = np.sin(np.pi * (np.arange(SIDE) + 0.5) / SIDE) ** 2
-    power = window_power(white(0, 2.0, (900, 900)), SIDE)
+    power = _window_power(white(0, 2.0, (900, 900)), SIDE)
     assert power.shape == (SIDE, SIDE // 2 + 1)
     assert power.dtype == np.float32
     assert power.mean() == pytest.approx(4.0 * hann.sum() ** 2, rel=0.03)
@@ -41,8 +41,8 @@ def test_window_power_of_white_noise_is_flat_and_that_of_the_window():
 
 
 def test_a_strong_wave_passes():
-    noise = window_power(white(0, 0.05, (500, 500)), SIDE)
-    clean, deviation = local_wiener(wave(), noise, SETTINGS, PITCH)
+    noise = _window_power(white(0, 0.05, (500, 500)), SIDE)
+    clean, deviation = _local_wiener(wave(), noise, SETTINGS, PITCH)
     true, found = wave()[INNER], clean[INNER]
     assert (true * found).sum() / (true * true).sum() > 0.97
     assert np.sqrt(((true - found) ** 2).mean()) < 0.05
@@ -50,32 +50,32 @@ def test_a_strong_wave_passes():
 
 
 def test_white_noise_of_known_power_goes():
-    noise = window_power(white(0, 1.0, (500, 500)), SIDE)
-    clean, _ = local_wiener(white(5), noise, SETTINGS, PITCH)
+    noise = _window_power(white(0, 1.0, (500, 500)), SIDE)
+    clean, _ = _local_wiener(white(5), noise, SETTINGS, PITCH)
     assert clean[INNER].std() < 0.2
-    bold, _ = local_wiener(white(5), noise, LocalWienerSettings(caution=0.0), PITCH)
+    bold, _ = _local_wiener(white(5), noise, LocalWienerSettings(caution=0.0), PITCH)
     assert clean[INNER].std() < 0.6 * bold[INNER].std()
 
 
 def test_noise_around_a_wave_goes():
     sigma = 0.3
-    noise = window_power(white(0, sigma, (500, 500)), SIDE)
-    clean, _ = local_wiener(wave() + white(6, sigma), noise, SETTINGS, PITCH)
+    noise = _window_power(white(0, sigma, (500, 500)), SIDE)
+    clean, _ = _local_wiener(wave() + white(6, sigma), noise, SETTINGS, PITCH)
     assert np.sqrt(((clean - wave())[INNER] ** 2).mean()) < sigma / 2
 
 
 def test_without_noise_nothing_changes():
     relief = wave() + white(3, 0.2)
-    clean, deviation = local_wiener(relief, np.zeros((SIDE, SIDE // 2 + 1), np.float32), SETTINGS, PITCH)
+    clean, deviation = _local_wiener(relief, np.zeros((SIDE, SIDE // 2 + 1), np.float32), SETTINGS, PITCH)
     np.testing.assert_allclose(clean, relief, atol=1e-4)
     assert deviation.max() == 0
 
 
 @pytest.mark.parametrize("sigma", [0.1, 0.5, 2.0])
 def test_nothing_is_amplified(sigma):
-    noise = window_power(white(0, sigma, (500, 500)), SIDE)
+    noise = _window_power(white(0, sigma, (500, 500)), SIDE)
     relief = wave(0.7) + white(8, 0.4)
-    clean, _ = local_wiener(relief, noise, SETTINGS, PITCH)
+    clean, _ = _local_wiener(relief, noise, SETTINGS, PITCH)
     assert clean[INNER].std() <= relief[INNER].std()
     spectrum = np.abs(np.fft.rfft2(clean[INNER])) ** 2
     assert spectrum.sum() <= (np.abs(np.fft.rfft2(relief[INNER])) ** 2).sum()
@@ -83,19 +83,19 @@ def test_nothing_is_amplified(sigma):
 
 @pytest.mark.parametrize("sigma", [0.1, 0.3, 0.6])
 def test_deviation_is_the_error_that_is_left(sigma):
-    noise = window_power(white(0, sigma, (500, 500)), SIDE)
+    noise = _window_power(white(0, sigma, (500, 500)), SIDE)
     errors, told = [], []
     for seed in (11, 12):
-        clean, deviation = local_wiener(wave() + white(seed, sigma), noise, SETTINGS, PITCH)
+        clean, deviation = _local_wiener(wave() + white(seed, sigma), noise, SETTINGS, PITCH)
         errors.append(((clean - wave())[INNER] ** 2).mean())
         told.append((deviation[INNER] ** 2).mean())
     assert np.sqrt(np.mean(told)) == pytest.approx(np.sqrt(np.mean(errors)), rel=0.3)
 
 
 def test_same_bytes_every_time():
-    noise = window_power(white(0, 0.3), SIDE)
+    noise = _window_power(white(0, 0.3), SIDE)
     relief = wave() + white(2, 0.3)
-    first, again = (local_wiener(relief, noise, SETTINGS, PITCH) for _ in range(2))
+    first, again = (_local_wiener(relief, noise, SETTINGS, PITCH) for _ in range(2))
     assert first[0].tobytes() == again[0].tobytes()
     assert first[1].tobytes() == again[1].tobytes()
     assert first[0].dtype == first[1].dtype == np.float32
@@ -104,8 +104,8 @@ def test_same_bytes_every_time():
 
 @pytest.mark.parametrize("shape", [(20, 90), (33, 33), (53, 61)])
 def test_any_size_of_image_works(shape):
-    noise = window_power(white(0, 0.3), SIDE)
-    clean, deviation = local_wiener(wave()[: shape[0], : shape[1]], noise, SETTINGS, PITCH)
+    noise = _window_power(white(0, 0.3), SIDE)
+    clean, deviation = _local_wiener(wave()[: shape[0], : shape[1]], noise, SETTINGS, PITCH)
     assert clean.shape == deviation.shape == shape
     assert np.isfinite(clean).all()
     assert np.isfinite(deviation).all()
@@ -113,12 +113,12 @@ def test_any_size_of_image_works(shape):
 
 def test_noise_of_another_window_is_refused():
     with pytest.raises(BadInput, match="noise_power must have the shape"):
-        local_wiener(wave(), np.zeros((SIDE + 4, SIDE // 2 + 3), np.float32), SETTINGS, PITCH)
+        _local_wiener(wave(), np.zeros((SIDE + 4, SIDE // 2 + 3), np.float32), SETTINGS, PITCH)
 
 
 def test_image_smaller_than_the_window_has_no_spectrum():
     with pytest.raises(BadInput, match="at least 32 pixels"):
-        window_power(np.zeros((40, 30), np.float32), SIDE)
+        _window_power(np.zeros((40, 30), np.float32), SIDE)
 
 
 @pytest.mark.parametrize("wrong", [{"window_mm": 0.0}, {"caution": -1.0}])

@@ -13,9 +13,9 @@ from splitknit.training.relief import (
     NAME,
     PARTS,
     ReliefSettings,
-    ReliefTrainer,
     _field_scale,
     _relief_losses,
+    _ReliefTrainer,
     _total_loss,
     packed,
 )
@@ -51,7 +51,7 @@ def sample_of(seed: int) -> np.ndarray:
 SAMPLES = [sample_of(0), sample_of(1)]
 
 
-def weights_of(trainer: ReliefTrainer) -> list[np.ndarray]:
+def weights_of(trainer: _ReliefTrainer) -> list[np.ndarray]:
     return [part.numpy().copy() for part in trainer.network.state_dict().values()]
 
 
@@ -92,7 +92,7 @@ def test_the_loss_looks_at_skin_alone_and_the_likelihood_changes_no_height() -> 
 
 
 def test_training_lowers_every_part_of_the_loss_and_betters_the_figures() -> None:
-    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    trainer = _ReliefTrainer(SETTINGS, SAMPLES)
     heard: list[float] = []
     before = trainer.judge(SAMPLES[0])
     first = trainer.train(5)
@@ -109,14 +109,14 @@ def test_training_lowers_every_part_of_the_loss_and_betters_the_figures() -> Non
 
 
 def test_every_iteration_has_its_learning_rate() -> None:
-    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    trainer = _ReliefTrainer(SETTINGS, SAMPLES)
     for number in range(3):
         trainer.train(1)
         assert trainer.optimiser.param_groups[0]["lr"] == SETTINGS.rate(number)
 
 
 def test_fields_are_brought_to_one_scale_inside_the_network() -> None:
-    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    trainer = _ReliefTrainer(SETTINGS, SAMPLES)
     scale = _field_scale(SAMPLES, SETTINGS)
     np.testing.assert_array_equal(trainer.network.scale.numpy(), scale)
     fields = np.asarray(SAMPLES[0][:32], dtype=np.float32)
@@ -129,12 +129,12 @@ def test_fields_are_brought_to_one_scale_inside_the_network() -> None:
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
 def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     settings = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, precision=precision)
-    whole = ReliefTrainer(settings, SAMPLES)
+    whole = _ReliefTrainer(settings, SAMPLES)
     whole.train(6)
-    first = ReliefTrainer(settings, SAMPLES)
+    first = _ReliefTrainer(settings, SAMPLES)
     first.train(3)
     first.curve.append({"iteration": 3.0})
-    second = ReliefTrainer(settings, SAMPLES)
+    second = _ReliefTrainer(settings, SAMPLES)
     second.restore(first.state())
     assert second.done == 3 and second.curve == [{"iteration": 3.0}]
     second.train(3)
@@ -144,9 +144,9 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 
 
 def test_states_of_other_trainings_and_damaged_ones_are_refused() -> None:
-    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    trainer = _ReliefTrainer(SETTINGS, SAMPLES)
     state = trainer.state()
-    other = ReliefTrainer(ReliefSettings(widths=(8, 8), patch_px=16, batch=3, iterations=150), SAMPLES)
+    other = _ReliefTrainer(ReliefSettings(widths=(8, 8), patch_px=16, batch=3, iterations=150), SAMPLES)
     with pytest.raises(BadInput, match=r"batch.*resume with the same"):
         other.restore(state)
     with pytest.raises(BadInput, match="damaged"):
@@ -159,10 +159,10 @@ def test_whole_fingers_take_part() -> None:
     settings = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, whole_share=1.0)
     never = SAMPLES[0].copy()
     never[RELIEF] = np.nan
-    parts = ReliefTrainer(settings, [never], SAMPLES[1:]).train(2)
+    parts = _ReliefTrainer(settings, [never], SAMPLES[1:]).train(2)
     assert np.isfinite(list(parts.values())).all()  # not one patch was from the others
     with pytest.raises(BadInput, match=r"\(41, h, w\)"):
-        ReliefTrainer(settings, SAMPLES, [SAMPLES[0][:40]])
+        _ReliefTrainer(settings, SAMPLES, [SAMPLES[0][:40]])
 
 
 def test_a_loss_that_is_no_number_ends_the_training() -> None:
@@ -170,11 +170,11 @@ def test_a_loss_that_is_no_number_ends_the_training() -> None:
     broken = SAMPLES[0].copy()
     broken[0] = np.nan
     with pytest.raises(BadInput, match="diverged"):
-        ReliefTrainer(settings, [broken]).train(1)
+        _ReliefTrainer(settings, [broken]).train(1)
 
 
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
-    trainer = ReliefTrainer(SETTINGS, SAMPLES)
+    trainer = _ReliefTrainer(SETTINGS, SAMPLES)
     trainer.train(20)
     weights, card = packed(trainer.network.state_dict(), {"command": "splitknit train relief"})
     (tmp_path / f"{NAME}.onnx").write_bytes(weights)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from splitknit.cli.main import build_parser, main
-from splitknit.cli.train import command_line
+from splitknit.cli.train import _command_line
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network
 from splitknit.training import networks, separation
@@ -72,7 +72,7 @@ def test_the_thesis_is_the_default_and_the_card_s_command_says_all() -> None:
     options = build_parser().parse_args(["train", "separation", "--out", "x"])
     wanted = {"palms": 50, "fingers": 0, "patches": 750, "epochs": 50, "width": 64, "labels": "stack", "dropout": 0.5}
     assert {name: getattr(options, name) for name in wanted} == wanted
-    words = command_line(build_parser().parse_args(["train", "separation", "--out", "x", *TINY]), "separation").split()
+    words = _command_line(build_parser().parse_args(["train", "separation", "--out", "x", *TINY]), "separation").split()
     again = build_parser().parse_args(words[1:])
     assert (again.width, again.epochs, again.start_fraction, again.labels) == (2, 2, 0.25, "truth")
 

@@ -14,9 +14,9 @@ from splitknit.training.shape import (
     SLOPES,
     WEIGHT,
     ShapeSettings,
-    ShapeTrainer,
     _field_scale,
     _shape_losses,
+    _ShapeTrainer,
     packed,
 )
 
@@ -39,7 +39,7 @@ def sample_of(seed: int) -> np.ndarray:
 SAMPLES = [sample_of(0), sample_of(1)]
 
 
-def weights_of(trainer: ShapeTrainer) -> list[np.ndarray]:
+def weights_of(trainer: _ShapeTrainer) -> list[np.ndarray]:
     return [part.numpy().copy() for part in trainer.network.state_dict().values()]
 
 
@@ -72,7 +72,7 @@ def test_an_error_that_changes_from_pixel_to_pixel_is_not_wide() -> None:
 
 
 def test_training_lowers_the_loss_and_betters_the_figures() -> None:
-    trainer = ShapeTrainer(SETTINGS, SAMPLES)
+    trainer = _ShapeTrainer(SETTINGS, SAMPLES)
     heard: list[float] = []
     before = trainer.judge(SAMPLES[0])
     first = trainer.train(5)
@@ -88,7 +88,7 @@ def test_training_lowers_the_loss_and_betters_the_figures() -> None:
 
 def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
     plain, decaying = (
-        ShapeTrainer(ShapeSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES)
+        _ShapeTrainer(ShapeSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES)
         for decay in (0.0, 100.0)
     )
     np.testing.assert_array_equal(plain.network.scale.numpy(), _field_scale(SAMPLES, plain.settings))
@@ -102,18 +102,18 @@ def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
 def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     settings = ShapeSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=4, precision=precision)
-    whole = ShapeTrainer(settings, SAMPLES)
+    whole = _ShapeTrainer(settings, SAMPLES)
     whole.train(6)
-    first = ShapeTrainer(settings, SAMPLES)
+    first = _ShapeTrainer(settings, SAMPLES)
     first.train(3)
-    second = ShapeTrainer(settings, SAMPLES)
+    second = _ShapeTrainer(settings, SAMPLES)
     second.restore(first.state())
     assert second.done == 3
     second.train(3)
     for one, other in zip(weights_of(whole), weights_of(second), strict=True):
         np.testing.assert_array_equal(one, other)
     assert not all(np.array_equal(*pair) for pair in zip(weights_of(whole), weights_of(first), strict=True))
-    other = ShapeTrainer(
+    other = _ShapeTrainer(
         ShapeSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=5, wide_share=2.0), SAMPLES
     )
     with pytest.raises(BadInput, match=r"beyond_px, wide_share.*resume with the same"):
@@ -121,7 +121,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 
 
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
-    trainer = ShapeTrainer(SETTINGS, SAMPLES)
+    trainer = _ShapeTrainer(SETTINGS, SAMPLES)
     trainer.train(20)
     weights, card = packed(trainer.network.state_dict(), {"command": "splitknit train shape"})
     (tmp_path / f"{NAME}.onnx").write_bytes(weights)

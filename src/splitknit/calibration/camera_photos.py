@@ -59,7 +59,7 @@ class CameraJob:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundCamera:
+class _FoundCamera:
     """All that was found."""
 
     camera: Camera
@@ -101,7 +101,7 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[s
     return facts
 
 
-def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> FoundCamera:
+def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> _FoundCamera:
     """Everything but the file."""
     board = Board.named(job.board, job.square_mm)
     fit: CameraCalibration | None = None
@@ -150,7 +150,7 @@ def _assembled(  # noqa: PLR0917 - what was read, in order
     boardless: tuple[str, ...],
     marks: dict[str, Any],
     hashes: dict[str, str],
-) -> FoundCamera:
+) -> _FoundCamera:
     """Camera, plane, depth of field."""
     old = base.camera if base is not None else Camera(75.7, size)
     warnings = list(fit.warnings) if fit is not None else []
@@ -179,7 +179,7 @@ def _assembled(  # noqa: PLR0917 - what was read, in order
         require(0.3 <= job.f_number <= 128, "--aperture must be an f-number from 0.3 to 128.")
         require(0 < job.finger_depth_mm < height, "--finger-depth-mm must be positive and below the camera's height.")
         sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
-    return FoundCamera(
+    return _FoundCamera(
         camera, fit, boardless, poses, pose, scale, sharpness, _binning(job, size[1]), hashes, tuple(warnings)
     )
 
@@ -213,7 +213,7 @@ _LOOKED_AT = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardPhotos:
+class _BoardPhotos:
     """Corners in photographs of one size."""
 
     image_size: tuple[int, int]
@@ -250,7 +250,7 @@ def _label(file: Path, folder: Path) -> str:
     return file.relative_to(folder).as_posix()
 
 
-def read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tuple[PixelArray, str]:
+def _read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tuple[PixelArray, str]:
     """Pixels and SHA-256 of an image that must have `size` (rows, columns), if one is expected."""
     data = read_bytes(path, DEFAULTS.max_bytes)
     pixels = decode_image(data, str(path))
@@ -270,7 +270,7 @@ def _board_photos(  # noqa: PLR0917
     size: tuple[int, int] | None,
     expected_by: str,
     progress: Callable[[float], None],
-) -> BoardPhotos:
+) -> _BoardPhotos:
     """Find the board in every photograph.
 
     Raises
@@ -284,7 +284,7 @@ def _board_photos(  # noqa: PLR0917
     without: list[Path] = []
     for k, file in enumerate(files):
         progress(k / len(files))
-        pixels, hashes[_label(file, folder)] = read_photo(file, size, expected_by)
+        pixels, hashes[_label(file, folder)] = _read_photo(file, size, expected_by)
         if size is None:
             size, expected_by = (pixels.shape[0], pixels.shape[1]), _label(file, folder)
         found = _found(file, find_board, pixels, board)
@@ -304,14 +304,14 @@ def _board_photos(  # noqa: PLR0917
             f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
             "take more, the board tilted differently in each."
         )
-    return BoardPhotos(size, corners, tuple(_label(file, folder) for file in without), hashes)
+    return _BoardPhotos(size, corners, tuple(_label(file, folder) for file in without), hashes)
 
 
 def _plane_marks(
     file: Path, board: Board, size: tuple[int, int] | None, expected_by: str
 ) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the board's corners in mm and in the image, and the image's size."""
-    pixels, _ = read_photo(file, size, expected_by)
+    pixels, _ = _read_photo(file, size, expected_by)
     corners = _found(file, find_board, pixels, board)
     if corners is None:
         _refuse_other_size([file], board)
@@ -326,7 +326,7 @@ def _disc_marks(
     file: Path, spacing_mm: float, size: tuple[int, int] | None, expected_by: str
 ) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the disc's dots in mm and in the image, and the image's size."""
-    pixels, _ = read_photo(file, size, expected_by)
+    pixels, _ = _read_photo(file, size, expected_by)
     places_mm, places_px = _found(file, find_disc, pixels, spacing_mm)
     return places_mm, places_px, (pixels.shape[0], pixels.shape[1])
 
@@ -344,7 +344,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
     sizes: Counter[tuple[int, int]] = Counter()
     for file in files[:_LOOKED_AT]:
         try:
-            seen = size_in_view(read_photo(file, None, "")[0])
+            seen = size_in_view(_read_photo(file, None, "")[0])
         except BadInput:
             continue
         if seen is not None:
@@ -367,7 +367,7 @@ _POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3
 """Photographs of one plane that differ by more are warned about."""
 
 
-def facts_of(job: CameraJob, found: FoundCamera, nominal_leds: bool) -> dict[str, Any]:
+def facts_of(job: CameraJob, found: _FoundCamera, nominal_leds: bool) -> dict[str, Any]:
     """Return everything that was found, plain."""
     camera = found.camera
     measured, nominal = _origins(found, nominal_leds)
@@ -399,7 +399,7 @@ def _rig_provenance(facts: Mapping[str, Any], hashes: Mapping[str, str]) -> dict
     return {**{name: facts[name] for name in kept}, "residuals": residuals, **origin}
 
 
-def _fit(found: FoundCamera) -> dict[str, Any] | None:
+def _fit(found: _FoundCamera) -> dict[str, Any] | None:
     if found.fit is None:
         return None
     fit, lens = found.fit, found.fit.lens
@@ -421,7 +421,7 @@ def _fit(found: FoundCamera) -> dict[str, Any] | None:
     }
 
 
-def _plane(found: FoundCamera) -> dict[str, Any] | None:
+def _plane(found: _FoundCamera) -> dict[str, Any] | None:
     if found.scale is not None:
         scale = found.scale
         return {
@@ -450,7 +450,7 @@ def _plane(found: FoundCamera) -> dict[str, Any] | None:
     }
 
 
-def _sharpness(found: FoundCamera) -> dict[str, Any] | None:
+def _sharpness(found: _FoundCamera) -> dict[str, Any] | None:
     field = found.sharpness
     if field is None:
         return None
@@ -473,7 +473,7 @@ def _sharpness(found: FoundCamera) -> dict[str, Any] | None:
     }
 
 
-def _tilt_deviation(found: FoundCamera, pose: PlanePose) -> float:
+def _tilt_deviation(found: _FoundCamera, pose: PlanePose) -> float:
     """With what the principal point's uncertainty adds: an axis that is off by one pixel is off by 1 / f."""
     lens = found.fit.lens if found.fit is not None else None
     if lens is None:
@@ -482,7 +482,7 @@ def _tilt_deviation(found: FoundCamera, pose: PlanePose) -> float:
     return float(np.hypot(pose.deviations["tilt_deg"], np.degrees(axis)))
 
 
-def _origins(found: FoundCamera, nominal_leds: bool) -> tuple[list[str], list[str]]:
+def _origins(found: _FoundCamera, nominal_leds: bool) -> tuple[list[str], list[str]]:
     """What is measured, and what is taken over."""
     measured: list[str] = []
     nominal: list[str] = []
@@ -495,7 +495,7 @@ def _origins(found: FoundCamera, nominal_leds: bool) -> tuple[list[str], list[st
     return measured, nominal
 
 
-def _warnings(found: FoundCamera) -> list[str]:
+def _warnings(found: _FoundCamera) -> list[str]:
     words = []
     fit, camera = found.fit, found.camera
     if fit is not None and found.pose is None:
@@ -513,7 +513,7 @@ def _warnings(found: FoundCamera) -> list[str]:
     return words
 
 
-def _plane_warnings(found: FoundCamera, pose: PlanePose) -> list[str]:
+def _plane_warnings(found: _FoundCamera, pose: PlanePose) -> list[str]:
     words = []
     camera = found.camera
     if pose.tilt_deg > _TILT_LIMIT_DEG:

@@ -79,7 +79,7 @@ def calibrate_to_file(
         f"'{residuals}' must end in .png or .tif: it is a picture.",
     )
     progress("reading", 0.0)
-    plan = read_radiometry_plan(folder)
+    plan = _read_radiometry_plan(folder)
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
     height_mm, tilt_deg = card
@@ -141,7 +141,7 @@ def check_folder(
     """
     progress("reading", 0.0)
     rig = read_rig(rig_file)
-    plan = read_radiometry_plan(folder)
+    plan = _read_radiometry_plan(folder)
     capture = read_capture(folder)
     camera = _measure_camera(plan, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(drift_percent=limit_percent)
@@ -188,7 +188,7 @@ _MOST_TEXTURE = 0.04
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraFacts:
+class _CameraFacts:
     """What dark frames and exposures say; None where there are none."""
 
     dark: Dark | None
@@ -198,7 +198,7 @@ class CameraFacts:
     hashes: dict[str, str]
 
 
-def _measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> CameraFacts:
+def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> _CameraFacts:
     """Measure dark frames and exposures, and compare the response with what the capture says of its images.
 
     Raises
@@ -236,7 +236,7 @@ def _measure_camera(plan: RadiometryPlan, capture: Capture, limit_percent: float
         samples = [item for band in capture.bands.values() for frame in band.pixels for item in _noise(frame, dark)]
     if plan.document is not None:
         hashes[plan.document.name] = file_hash(plan.document)
-    return CameraFacts(dark, response, _noise_models(samples) if capture.encoding == "linear" else {}, hashes)
+    return _CameraFacts(dark, response, _noise_models(samples) if capture.encoding == "linear" else {}, hashes)
 
 
 _WORDS = {"linear": "linear", "srgb": "sRGB"}
@@ -294,7 +294,7 @@ def _noise_models(
     return found
 
 
-def _camera_json(camera: CameraFacts) -> dict[str, Any]:
+def _camera_json(camera: _CameraFacts) -> dict[str, Any]:
     """Return what was measured as plain JSON, parts of full scale in per cent."""
     dark, response = camera.dark, camera.response
     return {
@@ -331,7 +331,7 @@ def _camera_json(camera: CameraFacts) -> dict[str, Any]:
     }
 
 
-def _black_level_of(camera: CameraFacts, capture: Capture) -> float | None:
+def _black_level_of(camera: _CameraFacts, capture: Capture) -> float | None:
     """Stored value of no light by the dark frames, or None without them."""
     if camera.dark is None:
         return None
@@ -372,7 +372,7 @@ class Exposure:
 
 
 @dataclass(frozen=True, slots=True)
-class RadiometryPlan:
+class _RadiometryPlan:
     """What ``radiometry.json`` names."""
 
     dark: tuple[Path, ...] = ()
@@ -380,7 +380,7 @@ class RadiometryPlan:
     document: Path | None = None
 
 
-def read_radiometry_plan(folder: Path) -> RadiometryPlan:
+def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
     """Read ``radiometry.json``; an empty plan where there is none.
 
     Raises
@@ -390,7 +390,7 @@ def read_radiometry_plan(folder: Path) -> RadiometryPlan:
     """
     file = folder / DOCUMENT
     if not file.is_file():
-        return RadiometryPlan()
+        return _RadiometryPlan()
     document, _ = read_json(file)
     fields = Fields(document, str(file))
     fields.format(FORMAT, VERSION)
@@ -415,4 +415,4 @@ def read_radiometry_plan(folder: Path) -> RadiometryPlan:
     files = [*dark, *(one.file for one in exposures)]
     for k, path in enumerate(files):
         require(files.index(path) == k, f"{file} names {path.name} twice; every image serves once.")
-    return RadiometryPlan(tuple(dark), tuple(exposures), file)
+    return _RadiometryPlan(tuple(dark), tuple(exposures), file)

@@ -26,7 +26,7 @@ _FORMAT, _VERSION = "splitknit-enrolment", 1
 
 
 @dataclass(frozen=True, slots=True)
-class EnrolmentPlan:
+class _EnrolmentPlan:
     """Who is captured how often."""
 
     subjects: int = 17
@@ -51,7 +51,7 @@ class EnrolmentPlan:
         """S01, S02, ..."""
         return tuple(f"S{number:02d}" for number in range(1, self.subjects + 1))
 
-    def covers(self, earlier: EnrolmentPlan) -> bool:
+    def covers(self, earlier: _EnrolmentPlan) -> bool:
         """Whether everything that `earlier` plans is planned here too."""
         grown = self.subjects >= earlier.subjects and self.sessions >= earlier.sessions
         return grown and set(self.fingers) >= set(earlier.fingers)
@@ -81,7 +81,7 @@ class Enrolment:
     """An enrolment on disk."""
 
     folder: Path
-    plan: EnrolmentPlan
+    plan: _EnrolmentPlan
 
     def places(self) -> Iterator[Place]:
         """Yield all captures in their order: session by session, subject by subject, finger by finger."""
@@ -162,8 +162,8 @@ def open_enrolment(
             not any(folder.iterdir()),
             f"'{folder}' is not empty and holds no {PLAN_FILE}: it is no enrolment; name another folder.",
         )
-    start = earlier or EnrolmentPlan()
-    wanted = EnrolmentPlan(
+    start = earlier or _EnrolmentPlan()
+    wanted = _EnrolmentPlan(
         subjects=start.subjects if subjects is None else subjects,
         sessions=start.sessions if sessions is None else sessions,
         fingers=start.fingers if fingers is None else tuple(fingers),
@@ -194,20 +194,20 @@ def check_subject_id(text: str) -> str:
     return text
 
 
-def _write(file: Path, plan: EnrolmentPlan) -> None:
+def _write(file: Path, plan: _EnrolmentPlan) -> None:
     document = {"format": _FORMAT, "version": _VERSION, **asdict(plan)}
     with atomic_file(file) as stream:
         stream.write((json.dumps(document, indent=1) + "\n").encode("ascii"))
 
 
-def _read(file: Path) -> EnrolmentPlan:
+def _read(file: Path) -> _EnrolmentPlan:
     try:
         document, _ = read_json(file)
         require(document["format"] == _FORMAT and document["version"] == _VERSION, f"'{file}' is of another version.")
         subjects, sessions, fingers = document["subjects"], document["sessions"], document["fingers"]
         sound = type(subjects) is int and type(sessions) is int and isinstance(fingers, list)
         require(sound and all(isinstance(finger, str) for finger in fingers), f"'{file}' is damaged.")
-        return EnrolmentPlan(subjects, sessions, tuple(fingers))
+        return _EnrolmentPlan(subjects, sessions, tuple(fingers))
     except (ValueError, KeyError, TypeError) as error:
         reason = str(error) if isinstance(error, BadInput) else "it is damaged"
         raise BadInput(

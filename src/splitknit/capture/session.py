@@ -79,7 +79,7 @@ class Session:
         return Capture(rig=rig, bands=self.bands, encoding="linear", material=material)
 
 
-def check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
+def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
     """Return band to LEDs, white first; refuse a rig file of another camera or another bank of LEDs.
 
     Raises
@@ -138,7 +138,7 @@ def run_session(
         If nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits.
     """
     settings = settings or SessionSettings()
-    bands = check_fit(camera, lights, rig)
+    bands = _check_fit(camera, lights, rig)
     names, checks, px_per_mm = led_names(rig), settings.checks, rig.camera.px_per_mm
     try:
         lights.off()

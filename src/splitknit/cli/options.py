@@ -24,7 +24,7 @@ def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any
     BadInput
         If the file cannot be read or an assignment is not ``stage.field=value``.
     """
-    changes = {} if file is None else read_settings_file(file)
+    changes = {} if file is None else _read_settings_file(file)
     for assignment in assignments:
         name, value = parse_assignment(assignment)
         changes[name] = value
@@ -61,7 +61,7 @@ def _scalar(text: str) -> Any:
         return text
 
 
-def read_settings_file(path: Path) -> dict[str, Any]:
+def _read_settings_file(path: Path) -> dict[str, Any]:
     """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted names."""
     data = read_bytes(path, _MAX_BYTES)
     if path.suffix.lower() == ".json":

@@ -110,7 +110,7 @@ def _add_machine(place: Any, precisions: Sequence[str], meaning: str) -> None:
     place.add_argument("--precision", choices=precisions, default=precisions[0], help=meaning)
 
 
-def command_line(options: argparse.Namespace, network: str) -> str:
+def _command_line(options: argparse.Namespace, network: str) -> str:
     """The command line that trains this network again, every option written out, for its card."""
     numbers: dict[str, tuple[Number, ...]] = {
         "separation": (*_SEPARATION_DATA, ("labels", 0, ""), *_SEPARATION),
@@ -200,9 +200,9 @@ def _train(module: Any, options: argparse.Namespace, network: str, data: Any, se
             data,
             settings,
             resume=options.resume,
-            command=command_line(options, network),
+            command=_command_line(options, network),
             progress=progress.update,
-            chart=curve_svg,
+            chart=_curve_svg,
         )
     return facts
 
@@ -212,7 +212,7 @@ def _written(out: Path, files: Mapping[str, str]) -> list[str]:
     return ["Written:", *(f"  {out / name}: {what}" for name, what in files.items() if (out / name).exists())]
 
 
-def curve_svg(x: Sequence[float], lines: Mapping[str, Sequence[float]], x_label: str, y_label: str) -> bytes:
+def _curve_svg(x: Sequence[float], lines: Mapping[str, Sequence[float]], x_label: str, y_label: str) -> bytes:
     """A learning curve as an SVG file."""
     import numpy as np  # noqa: PLC0415
 

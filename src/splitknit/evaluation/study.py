@@ -89,12 +89,12 @@ def evaluate_scores(
     started = time.perf_counter()
     progress("reading", 0.0)
     if gallery is None:
-        systems, hashes, ignored = read_systems(files, turn=settings.dissimilarity)
+        systems, hashes, ignored = _read_systems(files, turn=settings.dissimilarity)
     else:
         systems, hashes, ignored = [gallery.scores], {str(files[0]): gallery.sha256}, []
     listed: list[Exclusion] = []
     if exclusions is not None:
-        listed, hashes[str(exclusions)] = read_exclusion_list(exclusions, systems[0])
+        listed, hashes[str(exclusions)] = _read_exclusion_list(exclusions, systems[0])
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
     notes += [] if gallery is None else gallery.notes
     fusion: dict[str, Any] | None = None
@@ -272,7 +272,7 @@ def _notes(fused: Fused, method: str, folds: int, weights: dict[str, float]) -> 
 # Score files as systems: one for each file, or for each name in its ``system`` column.
 
 
-def read_systems(files: Sequence[Path], *, turn: bool) -> tuple[list[Scores], dict[str, str], list[str]]:
+def _read_systems(files: Sequence[Path], *, turn: bool) -> tuple[list[Scores], dict[str, str], list[str]]:
     """Read score files: the systems, the files' SHA-256, and the columns that were not read.
 
     `turn` makes similarities of dissimilarities: a score becomes its negative.
@@ -295,7 +295,7 @@ def read_systems(files: Sequence[Path], *, turn: bool) -> tuple[list[Scores], di
     return systems, hashes, ignored
 
 
-def read_exclusion_list(path: Path, scores: Scores) -> tuple[list[Exclusion], str]:
+def _read_exclusion_list(path: Path, scores: Scores) -> tuple[list[Exclusion], str]:
     """Read a list of fingers to leave out, named as in `scores`, and its SHA-256."""
     entries, sha256 = read_exclusions(path)
     listed = []

@@ -58,7 +58,7 @@ class Crease:
     """Row in the upright frame (full resolution) at the finger's middle; NaN if not found."""
     line: tuple[tuple[float, float], tuple[float, float]] | None
     """Two ends of the crease, (column, row) in the input."""
-    candidates: tuple[Valley, ...] = field(default=())
+    candidates: tuple[_Valley, ...] = field(default=())
     """All transverse valleys that were seen, from the tip down."""
     verdict: str = ""
     """What was decided and why, in words."""
@@ -132,7 +132,7 @@ def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: fl
     return warp(small, transform, size), np.asarray(warp(share, transform, size) > 0.9, dtype=np.bool_)
 
 
-def _judge(candidates: tuple[Valley, ...], width_mm: float, length_mm: float) -> tuple[Valley | None, str]:
+def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, str]:
     """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
@@ -151,7 +151,7 @@ def _judge(candidates: tuple[Valley, ...], width_mm: float, length_mm: float) ->
             f"{width_mm:.1f} mm wide can be; {keep}"
         )
 
-    def weight(valley: Valley) -> float:
+    def weight(valley: _Valley) -> float:
         offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
         return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
 
@@ -168,7 +168,7 @@ def _judge(candidates: tuple[Valley, ...], width_mm: float, length_mm: float) ->
     return best, f"cut at the first flexion crease, {best.distance_mm:.1f} mm below the tip{extra}."
 
 
-def _ends(valley: Valley, upright: Upright) -> tuple[tuple[float, float], tuple[float, float]]:
+def _ends(valley: _Valley, upright: Upright) -> tuple[tuple[float, float], tuple[float, float]]:
     half = 0.5 * (valley.right - valley.left)
     rise = half * float(np.tan(valley.tilt_rad))
     points = np.array([[valley.left, valley.row + rise, 1.0], [valley.right, valley.row - rise, 1.0]], dtype=np.float64)
@@ -180,7 +180,7 @@ def _ends(valley: Valley, upright: Upright) -> tuple[tuple[float, float], tuple[
 
 
 @dataclass(frozen=True, slots=True)
-class Valley:
+class _Valley:
     """A line across the finger that is darker than the skin above and below it (rows, columns: upright frame)."""
 
     row: float
@@ -198,7 +198,7 @@ class Valley:
     distance_mm: float = float("nan")
     """From the tip."""
 
-    def moved(self, factor: float, tip_row: float, px_per_mm: float) -> Valley:
+    def moved(self, factor: float, tip_row: float, px_per_mm: float) -> _Valley:
         """The same valley on a grid `factor` times finer, with its distance from `tip_row` there."""
         row = (self.row + 0.5) * factor - 0.5
         return replace(
@@ -210,7 +210,7 @@ class Valley:
         )
 
 
-def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[Valley, ...]:
+def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[_Valley, ...]:
     """All dark lines across an upright finger, from the tip down.
 
     A place of the blurred `image` (H, W) responds by how much darker it is than the skin `_SIDE_MM` above and below,
@@ -218,7 +218,7 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     """
     response, valid = _response(image, inside, px_per_mm)
     core = valid & (depth_inside(inside) > 0.08 * _width(inside))
-    found: list[Valley] = []
+    found: list[_Valley] = []
     best: tuple[FloatArray, FloatArray, FloatArray] | None = None
     for tilt_deg in np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0):
         depth, coverage = _along_lines(response, core, inside, float(np.deg2rad(tilt_deg)))
@@ -244,7 +244,7 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
         if len(columns) == 0 or (found and row - found[-1].row <= reach):
             continue
         found.append(
-            Valley(
+            _Valley(
                 row=_refine(depth, int(row)),
                 left=float(columns[0]),
                 right=float(columns[-1]),

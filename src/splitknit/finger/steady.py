@@ -50,7 +50,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     if not wanted or not enough:
         return capture, finger
     registered = register(capture, finger, settings)
-    if motion.correct == "auto" and not worth_undoing(registered, seen_mm, settings):
+    if motion.correct == "auto" and not _worth_undoing(registered, seen_mm, settings):
         return capture, finger
     _check(registered, settings)
     steadied = resampled(capture, finger, registered)
@@ -99,7 +99,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
     else:
         skin = grey = linear_stack(white, capture.encoding, "grey", window, binning)
     mask = _reduced(finger.wider[window], grey.shape[1:])
-    lights = lights_over(capture, white, window, BLOCK_MM)
+    lights = _lights_over(capture, white, window, BLOCK_MM)
     shots = _shots(white)
     reference = len(white.pixels) // 2
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
@@ -112,7 +112,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
         if name == "white" or band.colours:
             continue
         stack = linear_stack(band, capture.encoding, "grey", window, binning)
-        vectors = lights_over(capture, band, window, BLOCK_MM)
+        vectors = _lights_over(capture, band, window, BLOCK_MM)
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
         told = _told(flows[name], mask, px)
@@ -123,7 +123,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
     return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
 
 
-def worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettings) -> bool:
+def _worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
@@ -224,7 +224,7 @@ def around(capture: Capture, finger: Finger) -> Window:
     )
 
 
-def lights_over(capture: Capture, band: Band, window: Window, pitch_mm: float) -> NDArray[np.float64]:
+def _lights_over(capture: Capture, band: Band, window: Window, pitch_mm: float) -> NDArray[np.float64]:
     """(L, 3, h, w) light vectors on the finger plane, on nodes about `pitch_mm` apart evenly over a window."""
     camera = capture.rig.camera
     rows, columns = (

@@ -60,10 +60,10 @@ def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) 
     lights = rig.select(band.lights).light_vectors()
     colour = np.array([rig.leds[group[0]].colour for group in band.lights])
     seen = stack.reshape(len(stack), -1)[:, mask.ravel()].astype(np.float64)
-    return colour_factors(seen[:, :: max(1, seen.shape[1] // _SAMPLE)], lights, colour)
+    return _colour_factors(seen[:, :: max(1, seen.shape[1] // _SAMPLE)], lights, colour)
 
 
-def colour_factors(
+def _colour_factors(
     seen: NDArray[np.float64], lights: NDArray[np.float64], colour: NDArray[np.str_]
 ) -> NDArray[np.float64]:
     """(L,) brightness of the skin in the colour of each light, by alternating least squares.
@@ -135,7 +135,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
         "coloured exposures are put together from colour images only, but the white band is grey; capture in colour.",
     )
     count = 3 * exposures
-    around = around_the_finger(capture)
+    around = _around_the_finger(capture)
     require(
         len(around) >= count,
         f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}.",
@@ -166,7 +166,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     return replace(capture, rig=rig, bands={**capture.bands, "white": band})
 
 
-def around_the_finger(capture: Capture) -> list[int]:
+def _around_the_finger(capture: Capture) -> list[int]:
     """White images in the order of their lights' azimuths."""
     white = capture.bands["white"]
     vectors = capture.rig.select(white.leds).light_vectors()

@@ -18,7 +18,7 @@ from splitknit.io.tiff import SIGNATURES, decode_page, quiet_tifffile, tiff_page
 from splitknit.model import FloatArray
 
 
-def write_float_tiff(
+def _write_float_tiff(
     path: str | os.PathLike[str], field: FloatArray, description: Mapping[str, Any], **tags: Any
 ) -> None:
     """Write one page of float32. Equal input gives equal bytes.
@@ -49,8 +49,8 @@ def write_float_tiff(
         file.write(stream.getbuffer())
 
 
-def read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray, dict[str, Any]]:
-    """Read what :func:`write_float_tiff` wrote: (H, W) or (H, W, 3) float32, and the description.
+def _read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray, dict[str, Any]]:
+    """Read what :func:`_write_float_tiff` wrote: (H, W) or (H, W, 3) float32, and the description.
 
     Parameters
     ----------
@@ -105,10 +105,10 @@ def write_height_tiff(
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
     description = {**(metadata or {}), "pitch_mm": float(pitch_mm), "unit": "mm"}
     per_cm = 10.0 / float(pitch_mm)
-    write_float_tiff(path, height, description, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
+    _write_float_tiff(path, height, description, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
 
 
-def read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
+def _read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
     """Read a height map that :func:`write_height_tiff` wrote.
 
     Returns
@@ -122,7 +122,7 @@ def read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, d
     BadInput
         If the file is missing, damaged or not one of ours.
     """
-    height, metadata = read_float_tiff(path, "a height map")
+    height, metadata = _read_float_tiff(path, "a height map")
     pitch_mm: Any = metadata.get("pitch_mm")
     sound = type(pitch_mm) in (int, float) and 0 < pitch_mm < np.inf
     good = height.ndim == 2 and metadata["unit"] == "mm" and sound
@@ -152,10 +152,10 @@ def write_light_tiff(
     image = np.ascontiguousarray(light, dtype=np.float32)
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
     require(good, f"light must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
-    write_float_tiff(path, image, {**(metadata or {}), "unit": unit})
+    _write_float_tiff(path, image, {**(metadata or {}), "unit": unit})
 
 
-def read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
+def _read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
     """Read what :func:`write_light_tiff` wrote: (H, W) or (H, W, 3) float32, and all of the description.
 
     Raises
@@ -163,4 +163,4 @@ def read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str,
     BadInput
         If the file is missing, damaged or not one of ours.
     """
-    return read_float_tiff(path, "a light image")
+    return _read_float_tiff(path, "a light image")

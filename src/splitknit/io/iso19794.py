@@ -113,7 +113,7 @@ def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None
         stream.write(data)
 
 
-def read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
+def _read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a record's file; see :func:`decode_iso19794`."""
     return decode_iso19794(read_record_bytes(path), os.fspath(path))
 
@@ -138,7 +138,7 @@ _NORMAL_MM, _COMPACT_MM = 0.01, 0.1
 _NORMAL_STEPS, _COMPACT_STEPS = 256, 64
 
 
-def encode_card(view: FingerView, compact: bool = True) -> bytes:
+def _encode_card(view: FingerView, compact: bool = True) -> bytes:
     """Bytes of a view's minutiae for a card: 3 bytes each where `compact`, 5 otherwise.
 
     Raises
@@ -171,7 +171,7 @@ def encode_card(view: FingerView, compact: bool = True) -> bytes:
     return table.tobytes()
 
 
-def decode_card(
+def _decode_card(
     data: bytes, size: tuple[int, int], ppcm: tuple[int, int], compact: bool = True, name: str = "the list"
 ) -> FingerView:
     """Read minutiae of a card onto the pixels of an image.

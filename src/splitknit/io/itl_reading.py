@@ -45,7 +45,7 @@ LEAST_PPI, MOST_PPI = 490.0, 5080.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TransactionPrint:
+class _TransactionPrint:
     """One print and what a Type-14 record says of it."""
 
     image: NDArray[np.uint8]
@@ -78,7 +78,7 @@ class TransactionPrint:
 
 
 @dataclass(frozen=True, slots=True)
-class TransactionFacts:
+class _TransactionFacts:
     """What the whole transaction says."""
 
     date: datetime.date
@@ -109,11 +109,11 @@ class TransactionFacts:
 class Transaction:
     """What a transaction holds."""
 
-    prints: tuple[TransactionPrint, ...]
-    facts: TransactionFacts
+    prints: tuple[_TransactionPrint, ...]
+    facts: _TransactionFacts
 
 
-def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFacts) -> bytes:
+def encode_transaction(prints: Sequence[_TransactionPrint], facts: _TransactionFacts) -> bytes:
     """Bytes of a transaction.
 
     Parameters
@@ -151,7 +151,7 @@ def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFac
 
 
 def write_transaction(
-    path: str | os.PathLike[str], prints: Sequence[TransactionPrint], facts: TransactionFacts
+    path: str | os.PathLike[str], prints: Sequence[_TransactionPrint], facts: _TransactionFacts
 ) -> None:
     """Write a transaction to a file, whole or not at all; see :func:`encode_transaction`."""
     data = encode_transaction(prints, facts)
@@ -168,7 +168,7 @@ def _itl_package() -> Any:
     return nistitl
 
 
-def _record(nistitl: Any, item: TransactionPrint, number: int, agency: str, date: str) -> Any:
+def _record(nistitl: Any, item: _TransactionPrint, number: int, agency: str, date: str) -> Any:
     """Type-14 record; its resolution is in pixels per inch (SLC 1)."""
     rows, columns = item.image.shape
     record = nistitl.AsciiRecord(14)
@@ -191,7 +191,7 @@ def _record(nistitl: Any, item: TransactionPrint, number: int, agency: str, date
     return record
 
 
-def _stored_pixels(item: TransactionPrint) -> bytes:
+def _stored_pixels(item: _TransactionPrint) -> bytes:
     if item.compression == "wsq":
         return encode_wsq(item.image, item.ppi)
     return encode_print_png(item.image, item.ppi) if item.compression == "png" else item.image.tobytes()
@@ -235,7 +235,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
     return Transaction(prints, _facts(records[0], name))
 
 
-def read_transaction(path: str | os.PathLike[str]) -> Transaction:
+def _read_transaction(path: str | os.PathLike[str]) -> Transaction:
     """Read a transaction's file; see :func:`decode_transaction`."""
     return decode_transaction(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
@@ -271,16 +271,16 @@ def _check_frame(data: bytes, name: str) -> None:
     require(count > 0, f"{name} is empty; an ANSI/NIST-ITL transaction is expected.")
 
 
-def _facts(record: Any, name: str) -> TransactionFacts:
+def _facts(record: Any, name: str) -> _TransactionFacts:
     texts = {key: _text(record, key, f"the Type-1 record of {name}") for key in ("TOT", "DAT", "DAI", "ORI", "TCN")}
     try:
         date = datetime.datetime.strptime(texts["DAT"], "%Y%m%d").date()
-        return TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
+        return _TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
     except ValueError as error:  # BadInput is one
         raise BadInput(f"{name} has a Type-1 record that cannot be read: {_short(error)}") from error
 
 
-def _print(record: Any, name: str) -> TransactionPrint:
+def _print(record: Any, name: str) -> _TransactionPrint:
     rows, columns = _number(record, "VLL", name), _number(record, "HLL", name)
     require(rows * columns <= _MOST_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
     compression = _text(record, "CGA", name)
@@ -294,7 +294,7 @@ def _print(record: Any, name: str) -> TransactionPrint:
     require(isinstance(data, bytes) and len(data) > 0, f"{name} holds no image (field 14.999).")
     ppi = _resolution(record, name)
     try:
-        return TransactionPrint(
+        return _TransactionPrint(
             _pixels(data, names[compression], (rows, columns), name),
             name_of(_number(record, "FGP", name), FINGER_CODES, "finger position"),
             name_of(_number(record, "IMP", name), ITL_IMPRESSIONS, "impression type"),

@@ -128,7 +128,7 @@ def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Itera
         yield records.tobytes()
 
 
-def write_mesh_stl(
+def _write_mesh_stl(
     path: str | os.PathLike[str], vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = ""
 ) -> None:
     """Write what :func:`stl_chunks` yields; equal meshes give equal bytes."""
@@ -158,7 +158,7 @@ _MAX_BYTES = 700_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GlbMesh:
+class _GlbMesh:
     """What a ``.glb`` file of ours holds."""
 
     vertices_mm: FloatArray
@@ -250,7 +250,7 @@ def _document(blocks: list[Any], extras: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def write_glb(  # noqa: PLR0917 - a mesh is these arrays
+def _write_glb(  # noqa: PLR0917 - a mesh is these arrays
     path: str | os.PathLike[str],
     vertices_mm: FloatArray,
     normals: FloatArray,
@@ -265,8 +265,8 @@ def write_glb(  # noqa: PLR0917 - a mesh is these arrays
             stream.write(chunk)
 
 
-def read_glb(path: str | os.PathLike[str]) -> GlbMesh:
-    """Read a file that :func:`write_glb` wrote.
+def _read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
+    """Read a file that :func:`_write_glb` wrote.
 
     Raises
     ------
@@ -293,4 +293,4 @@ def read_glb(path: str | os.PathLike[str]) -> GlbMesh:
         faces = blocks[3].reshape(-1, 3)
         require(faces.max(initial=0) < len(blocks[0]) == len(blocks[1]) == len(blocks[2]), damaged)
     places, normals, colours = (block.copy() for block in blocks[:3])
-    return GlbMesh(places, normals, colours[:, 0], faces.astype(np.int32), scale, extras)
+    return _GlbMesh(places, normals, colours[:, 0], faces.astype(np.int32), scale, extras)

@@ -135,7 +135,7 @@ def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None
         stream.write(data)
 
 
-def read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:
+def _read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:
     """Read minutiae that :func:`write_minutiae3d` wrote, or anybody else.
 
     Raises

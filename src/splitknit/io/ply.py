@@ -119,7 +119,7 @@ def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
         stream.write(buffer[: len(part)].data)
 
 
-def read_ply(path: str | os.PathLike[str]) -> Mesh:
+def _read_ply(path: str | os.PathLike[str]) -> Mesh:
     """Read a PLY file that :func:`write_ply` wrote.
 
     Raises

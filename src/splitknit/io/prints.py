@@ -145,7 +145,7 @@ _CM_PER_INCH = 2.54
 _PRINT = ImageSettings(max_pixels=64_000_000, max_bytes=500_000_000)
 
 
-def write_print_tiff(
+def _write_print_tiff(
     path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
 ) -> None:
     """Write a print as an uncompressed TIFF that every reader of prints takes; equal input gives equal bytes.
@@ -182,7 +182,7 @@ def write_print_tiff(
         file.write(stream.getbuffer())
 
 
-def read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
+def _read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey TIFF with its resolution (None where the tags do not say) and, if it is one of ours, its texts.
 
     Raises

@@ -83,7 +83,7 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
     require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
     rows, columns = array.shape
     data = _run("encode", array.size, rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes())
-    if data is None or wsq_header(data, "the compressed print").rows != rows:
+    if data is None or _wsq_header(data, "the compressed print").rows != rows:
         raise BadInput("the print cannot be compressed as WSQ; write it as PNG.")
     return data
 
@@ -106,7 +106,7 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     BadInput
         If it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
     """
-    header = wsq_header(data, name)
+    header = _wsq_header(data, name)
     decoded = _run("decode", header.rows * header.columns, data)
     size = header.rows.to_bytes(4, "big") + header.columns.to_bytes(4, "big")
     if decoded is None or decoded[:8] != size or len(decoded) != 8 + header.rows * header.columns:
@@ -115,14 +115,14 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     return PrintFile(pixels.copy(), None if header.ppi is None else float(header.ppi), {})
 
 
-def write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0) -> None:
+def _write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0) -> None:
     """Write a print as WSQ; see :func:`encode_wsq`."""
     data = encode_wsq(image, ppi)
     with atomic_file(path) as stream:
         stream.write(data)
 
 
-def read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
+def _read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
     """Read a WSQ file; see :func:`decode_wsq`."""
     return decode_wsq(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
@@ -171,7 +171,7 @@ _MOST_PIXELS = 25_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class WsqHeader:
+class _WsqHeader:
     """The facts of the frame header and of the comment."""
 
     rows: int
@@ -180,7 +180,7 @@ class WsqHeader:
     """Of the comment (NIST_COM), if it says."""
 
 
-def wsq_header(data: bytes, name: str) -> WsqHeader:
+def _wsq_header(data: bytes, name: str) -> _WsqHeader:
     """Walk all segments of a WSQ file to its end marker.
 
     Raises
@@ -218,7 +218,7 @@ def wsq_header(data: bytes, name: str) -> WsqHeader:
             place, blocks = found.start(), blocks + 1
     if size is None or blocks == 0:
         raise BadInput(f"{name} is damaged: the WSQ file holds no image; copy it again.")
-    return WsqHeader(*size, ppi)
+    return _WsqHeader(*size, ppi)
 
 
 def _frame(body: bytes, name: str) -> tuple[int, int]:

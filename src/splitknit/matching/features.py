@@ -147,7 +147,7 @@ def uniform_bins() -> Codes:
 _UNIFORM = uniform_bins()
 
 
-def cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = None) -> NDArray[np.float32]:
+def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = None) -> NDArray[np.float32]:
     """Histograms of codes (H, W) in whole cells, normalised: shape (rows, columns, 59 or 256).
 
     Raises
@@ -179,7 +179,7 @@ def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | No
     """Feature vector of one channel (H, W): the normalised histograms of all cells."""
     settings = settings or LbpSettings()
     codes = lbp_codes(image, settings.radius(px_per_mm), settings.interpolation)
-    return cell_histograms(codes, settings.cell(px_per_mm), settings).ravel()
+    return _cell_histograms(codes, settings.cell(px_per_mm), settings).ravel()
 
 
 Vector = NDArray[np.float32]

@@ -90,7 +90,7 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     """
     settings = settings or TemplateSettings()
     if not bool(band.valid.any()) or band.area_mm2 < settings.least_area_mm2:
-        return failed_template(band.pitch_mm)
+        return _failed_template(band.pitch_mm)
     rows = np.flatnonzero(band.valid.any(axis=1))
     columns = np.flatnonzero(band.valid.any(axis=0))
     box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
@@ -103,7 +103,7 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     return Template(np.where(valid, level, np.uint8(0)), valid, band.pitch_mm)
 
 
-def failed_template(pitch_mm: float = 0.1) -> Template:
+def _failed_template(pitch_mm: float = 0.1) -> Template:
     """Return the template of a failure to acquire."""
     return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
 
@@ -132,7 +132,7 @@ def unpack(payload: bytes) -> Template:
         If the payload is damaged.
     """
     if not payload:
-        return failed_template()
+        return _failed_template()
     wrong = "the template's content contradicts itself; enroll the finger again."
     require(len(payload) >= _HEAD.size, wrong)
     height, width, count, pitch_um = _HEAD.unpack_from(payload)

@@ -74,7 +74,7 @@ def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
     )
     shifts = [coarse * factor + step for step in range(-factor, factor + 1)]
     best = max(shifts, key=lambda shift: (_overlap(database, query, shift), -abs(shift)))
-    return MaskAlignment(best, intersection_over_union(database, query, best))
+    return MaskAlignment(best, _intersection_over_union(database, query, best))
 
 
 def _tip_column(mask: BoolArray) -> int:
@@ -83,7 +83,7 @@ def _tip_column(mask: BoolArray) -> int:
     return int(np.flatnonzero(mask[row]).mean())
 
 
-def intersection_over_union(database: BoolArray, query: BoolArray, right: int = 0) -> float:
+def _intersection_over_union(database: BoolArray, query: BoolArray, right: int = 0) -> float:
     """(5.1) of two masks whose first rows and, after `right` columns, first columns coincide."""
     both = _overlap(database, query, right)
     union = np.count_nonzero(database) + np.count_nonzero(query) - both

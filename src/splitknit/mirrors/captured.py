@@ -227,7 +227,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
     rig = with_images(
         capture.rig.select(capture.bands["white"].leds),
-        glasses_of(shape, capture.rig),
+        _glasses_of(shape, capture.rig),
         points,
         turned.astype(np.float64),
     )
@@ -247,7 +247,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
 
 
-def glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
+def _glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
     """The rig's mirrors, in the poses that the outlines gave."""
     return tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in rig.mirrors)
 

@@ -105,7 +105,7 @@ def first_body(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ellipses:
+class _Ellipses:
     """One ellipse for each row that both views have."""
 
     axis: Array
@@ -145,7 +145,7 @@ class Ellipses:
         return np.asarray(x), np.asarray(y), z
 
 
-def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> Ellipses:
+def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> _Ellipses:
     """Align the views as the thesis does, and pair their rows.
 
     Both medial lines are turned to one direction, both tips put into one row, and each row's half-widths become the
@@ -175,7 +175,7 @@ def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> Ellipses:
     back, middle, half = back[common], middle[common], half[common]
     rise = np.interp(back, back_side, half_side)
     centre = tip_is_outward * np.interp(back, back_side, middle_side - line_side)
-    return Ellipses(front.axis, back, front.tip_mm, middle, half, rise, np.asarray(centre))
+    return _Ellipses(front.axis, back, front.tip_mm, middle, half, rise, np.asarray(centre))
 
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ class MirrorShape:
     """A finger's shape from its outlines."""
 
     camera: Camera
-    model: Body | Ellipses
+    model: Body | _Ellipses
     facts: Mapping[str, Any]
     """What was found: mirrors' poses, misfits, the sections' form."""
     outlines: Mapping[str, tuple[Rows, ...]] = field(default_factory=dict)
@@ -216,14 +216,14 @@ class MirrorShape:
 
         With `binning`, of blocks of so many pixels a side.
         """
-        if isinstance(self.model, Ellipses):
+        if isinstance(self.model, _Ellipses):
             return self.model.heights(self.camera, rows, columns, binning)
         x, y, z, inside, _ = heights_on(self.model, self.camera, rows, columns, binning)
         return x, y, np.where(inside, z, np.float32(np.nan))
 
     def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
         """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and which are known."""
-        if isinstance(self.model, Ellipses):
+        if isinstance(self.model, _Ellipses):
             _, _, z = self.model.heights(self.camera, rows, columns)
             known = np.isfinite(z)
             return nearest(z, known), known

@@ -76,7 +76,7 @@ _STEEPER, _FLATTER = 8.0, 0.15
 _LEAST, _MOST = 1e-7, 1e7
 
 
-def levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSettings) -> Minimum:
+def _levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSettings) -> Minimum:
     """Minimise every problem from `start` (P, n).
 
     All arithmetic is elementwise over n: a problem's result depends on nothing but itself.
@@ -293,7 +293,7 @@ def directions(parameters: Array) -> tuple[Array, Array, Array]:
 def fitted(pixels: Pixels, g: Array) -> tuple[Array, Minimum]:
     """Normals (3, n) and the minimum, from the Lambertian albedo-scaled normals `g` (3, n)."""
     normals, _ = unit_normals(g)
-    minimum = levenberg_marquardt(pixels, pixels.start(normals), pixels.settings.fit)
+    minimum = _levenberg_marquardt(pixels, pixels.start(normals), pixels.settings.fit)
     return directions(minimum.parameters)[0], minimum
 
 

@@ -57,7 +57,7 @@ class QualityFigures:
     """mm, 0 or more: sideways from the middle of the finger's area to the middle of the ridges."""
 
 
-def quality_figures(
+def _quality_figures(
     values: FloatArray,
     weight: FloatArray,
     found: RidgeField,
@@ -297,7 +297,7 @@ def print_quality(
     periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
     """
     settings = settings or PrintQualitySettings()
-    figures = quality_figures(
+    figures = _quality_figures(
         values,
         weight,
         found,

@@ -59,7 +59,7 @@ LONGEST_PX = 700
 """Longer side of a picture."""
 
 
-def titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
+def _titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
     """A photograph with a caption and a scale bar."""
     return captioned(title, image, caption, pitch_mm=pitch_mm, photo=True)
 
@@ -146,7 +146,7 @@ def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
         "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
         "rig file has the mirrors. Good: the dots lie on the orange lines."
     )
-    return [titled("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale)]
+    return [_titled("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale)]
 
 
 def _line(

@@ -433,7 +433,7 @@ def _write_pages(  # noqa: PLR0917
 ) -> Mapping[str, Any]:
     """Write what people look at: the preview and the report."""
     views = render_views(result, upright_frame(result, LONGEST_PX))
-    write_picture(target / "preview.png", side_by_side(views.above, views.left), origin)
+    write_picture(target / "preview.png", _side_by_side(views.above, views.left), origin)
     report = make_report(result, capture, prints, views, truth=truth, others=others, files=FILES)
     write_report(target, report.html, report.facts)
     return report.facts
@@ -444,17 +444,17 @@ def preview(result: Reconstruction) -> Any:
     from PIL import Image  # noqa: PLC0415 - slow to import
 
     views = render_views(result, upright_frame(result, LONGEST_PX))
-    return Image.fromarray(side_by_side(views.above, views.left))
+    return Image.fromarray(_side_by_side(views.above, views.left))
 
 
 def preview_html(result: Reconstruction) -> str:
     """The same as an image element, small, for notebooks."""
     views = render_views(result, upright_frame(result, 400))
-    data = data_uri(side_by_side(views.above, views.left), photo=True)
+    data = data_uri(_side_by_side(views.above, views.left), photo=True)
     return f'<img src="{data}" alt="surface from above and from the left">'
 
 
-def side_by_side(*panels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _side_by_side(*panels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Pictures beside each other, on their own paper."""
     height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
     padded = []

@@ -51,7 +51,7 @@ RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
-class LedPart:
+class _LedPart:
     """A light-emitting diode at the current it is meant for."""
 
     name: str
@@ -67,7 +67,7 @@ class LedPart:
 
 
 @dataclass(frozen=True, slots=True)
-class Transistor:
+class _Transistor:
     """An NPN transistor."""
 
     name: str
@@ -85,7 +85,7 @@ class Transistor:
 
 
 @dataclass(frozen=True, slots=True)
-class Gpio:
+class _Gpio:
     """An output of the Raspberry Pi's processor."""
 
     high_v: tuple[float, float]
@@ -94,10 +94,10 @@ class Gpio:
     """Largest current of one output."""
 
 
-WHITE_LED = LedPart("white, 0.5 W", 4.0, 0.2, 0.1, 0.12)
-NIR_LED = LedPart("850 nm", 1.6, 0.15, 0.1, 0.12)
-BC337 = Transistor("BC337-40", (250.0, 630.0), (0.66, 0.85), (0.05, 0.25), 0.8, 0.5)
-RASPBERRY_PI = Gpio((3.15, 3.40), 0.008)
+WHITE_LED = _LedPart("white, 0.5 W", 4.0, 0.2, 0.1, 0.12)
+NIR_LED = _LedPart("850 nm", 1.6, 0.15, 0.1, 0.12)
+BC337 = _Transistor("BC337-40", (250.0, 630.0), (0.66, 0.85), (0.05, 0.25), 0.8, 0.5)
+RASPBERRY_PI = _Gpio((3.15, 3.40), 0.008)
 """3.3 V +-3 %, less what a driver of 8 mA drops (about 40 ohms at a few mA)."""
 
 
@@ -165,9 +165,9 @@ class CircuitSettings(Checked):
     """Relative, half the range."""
     resistor_spread: Annotated[float, Limits(0, 0.3)] = 0.01
     """Relative, half the range: metal film."""
-    white: LedPart = field(default_factory=lambda: WHITE_LED)
-    nir: LedPart = field(default_factory=lambda: NIR_LED)
-    transistor: Transistor = field(default_factory=lambda: BC337)
+    white: _LedPart = field(default_factory=lambda: WHITE_LED)
+    nir: _LedPart = field(default_factory=lambda: NIR_LED)
+    transistor: _Transistor = field(default_factory=lambda: BC337)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -176,7 +176,7 @@ class CircuitSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class Resistor:
+class _Resistor:
     """One resistor of a stage."""
 
     role: str
@@ -192,8 +192,8 @@ class Stage:
     """One LED's stage, and what it does at its corners."""
 
     band: str
-    led: LedPart
-    resistors: tuple[Resistor, ...]
+    led: _LedPart
+    resistors: tuple[_Resistor, ...]
     current_a: tuple[float, float, float]
     """Of the LED: smallest, typical, largest."""
     gpio_a: float
@@ -233,7 +233,7 @@ def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
     return stage
 
 
-def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
+def _sink(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
     t, high = s.transistor, RASPBERRY_PI.high_v
     # with the supply missing, the base feeds the emitter resistor: the base resistor limits what the line gives
     typical_drop = sum(high) / 2 - sum(t.base_v) / 2
@@ -270,7 +270,7 @@ def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     return Stage(band, led, tuple(resistors), (low, middle, top), line, fault, heat)
 
 
-def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
+def _switch(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
     t, high = s.transistor, RASPBERRY_PI.high_v
     least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
     saturated = sum(t.saturation_v) / 2
@@ -299,8 +299,8 @@ def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat)
 
 
-def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> Resistor:
-    return Resistor(role, ohm, _rating_for(heat_w, _MAX_HEAT), heat_w)
+def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> _Resistor:
+    return _Resistor(role, ohm, _rating_for(heat_w, _MAX_HEAT), heat_w)
 
 
 def _check(stage: Stage, s: CircuitSettings) -> None:

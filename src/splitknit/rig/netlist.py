@@ -31,7 +31,7 @@ _RESISTOR_FOOTPRINTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Component:
+class _Component:
     """One part on the board."""
 
     ref: str
@@ -42,7 +42,7 @@ class Component:
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class _Node:
     """One pin on a net."""
 
     ref: str
@@ -68,8 +68,8 @@ class Circuit:
 
     settings: CircuitSettings
     channels: tuple[Channel, ...]
-    components: tuple[Component, ...]
-    nets: Mapping[str, tuple[Node, ...]]
+    components: tuple[_Component, ...]
+    nets: Mapping[str, tuple[_Node, ...]]
 
 
 def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit:
@@ -105,84 +105,86 @@ def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit
     return Circuit(settings, channels, tuple(components), {name: tuple(nodes) for name, nodes in nets.items()})
 
 
-def _supply(s: CircuitSettings) -> tuple[list[Component], dict[str, list[Node]]]:
+def _supply(s: CircuitSettings) -> tuple[list[_Component], dict[str, list[_Node]]]:
     """The Pi's header, the LEDs' supply with its fuse, and what stores charge."""
     components = [
-        Component(
+        _Component(
             "J1",
             "Raspberry Pi GPIO",
             "Connector_Generic",
             "Conn_02x20_Odd_Even",
             "Connector_PinSocket_2.54mm:PinSocket_2x20_P2.54mm_Vertical",
         ),
-        Component(
+        _Component(
             "J2",
             f"{s.supply_v:g} V DC, centre +",
             "Connector",
             "Barrel_Jack",
             "Connector_BarrelJack:BarrelJack_Horizontal",
         ),
-        Component(
+        _Component(
             "F1",
             f"{1000 * FUSE_HOLD_A:.0f} mA hold, resettable",
             "Device",
             "Polyfuse",
             "Fuse:Fuse_BelFuse_0ZRE0016FF_L9.9mm_W3.8mm",
         ),
-        Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
-        Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
-        Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
+        _Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
+        _Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
+        _Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
     ]
     nets = {
         "GND": [
-            *(Node("J1", str(pin), "GND") for pin in GROUND_PINS),
-            Node("J2", "2", "sleeve"),
-            Node("C1", "2", "-"),
-            Node("C2", "2"),
-            Node("D90", "2", "A"),
+            *(_Node("J1", str(pin), "GND") for pin in GROUND_PINS),
+            _Node("J2", "2", "sleeve"),
+            _Node("C1", "2", "-"),
+            _Node("C2", "2"),
+            _Node("D90", "2", "A"),
         ],
-        "SUPPLY_IN": [Node("J2", "1", "tip"), Node("F1", "1")],
+        "SUPPLY_IN": [_Node("J2", "1", "tip"), _Node("F1", "1")],
         # a supply the wrong way round is shorted by the diode and trips the fuse
-        "V_LED": [Node("F1", "2"), Node("D90", "1", "K"), Node("C1", "1", "+"), Node("C2", "1")],
+        "V_LED": [_Node("F1", "2"), _Node("D90", "1", "K"), _Node("C1", "1", "+"), _Node("C2", "1")],
     }
     return components, nets
 
 
-def _add_stage(channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[Node]]) -> None:
+def _add_stage(
+    channel: Channel, s: CircuitSettings, components: list[_Component], nets: dict[str, list[_Node]]
+) -> None:
     """Add one stage's parts, their references numbered by the channel: R101 ... R104, Q1, D1."""
     n, stage = channel.number, channel.stage
     refs = {role: f"R{100 * (k + 1) + n}" for k, role in enumerate(("base", "emitter", "series", "pull_down"))}
     for resistor in stage.resistors:
         footprint = _RESISTOR_FOOTPRINTS[resistor.rating_w]
         value = f"{ohm_text(resistor.ohm)} {resistor.rating_w:g} W"
-        components.append(Component(refs[resistor.role], value, "Device", "R", footprint))
+        components.append(_Component(refs[resistor.role], value, "Device", "R", footprint))
     components.append(
-        Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline")
+        _Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline")
     )
     led = f"{channel.name} ({stage.led.name})"
     components.append(
-        Component(f"D{n}", led, "Device", "LED", "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical")
+        _Component(f"D{n}", led, "Device", "LED", "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical")
     )
     line, base = f"GPIO{channel.gpio}", f"BASE{n}"
     require(channel.gpio in HEADER_OF_GPIO, f"GPIO {channel.gpio} is not on the Raspberry Pi's header.")
     nets[line] = [
-        Node("J1", str(HEADER_OF_GPIO[channel.gpio]), line),
-        Node(refs["base"], "1"),
-        Node(refs["pull_down"], "1"),
+        _Node("J1", str(HEADER_OF_GPIO[channel.gpio]), line),
+        _Node(refs["base"], "1"),
+        _Node(refs["pull_down"], "1"),
     ]
-    nets["GND"].append(Node(refs["pull_down"], "2"))
-    nets[base] = [Node(refs["base"], "2"), Node(f"Q{n}", "2", "B")]
+    nets["GND"].append(_Node(refs["pull_down"], "2"))
+    nets[base] = [_Node(refs["base"], "2"), _Node(f"Q{n}", "2", "B")]
     if stage.ohm("emitter"):
-        nets[f"EMITTER{n}"] = [Node(f"Q{n}", "3", "E"), Node(refs["emitter"], "1")]
-        nets["GND"].append(Node(refs["emitter"], "2"))
+        nets[f"EMITTER{n}"] = [_Node(f"Q{n}", "3", "E"), _Node(refs["emitter"], "1")]
+        nets["GND"].append(_Node(refs["emitter"], "2"))
     else:
-        nets["GND"].append(Node(f"Q{n}", "3", "E"))
-    nets[f"COLLECTOR{n}"] = [Node(f"Q{n}", "1", "C"), Node(f"D{n}", "1", "K")]
+        nets["GND"].append(_Node(f"Q{n}", "3", "E"))
+    nets[f"COLLECTOR{n}"] = [_Node(f"Q{n}", "1", "C"), _Node(f"D{n}", "1", "K")]
     if stage.ohm("series"):
-        nets[f"ANODE{n}"] = [Node(f"D{n}", "2", "A"), Node(refs["series"], "1")]
-        nets["V_LED"].append(Node(refs["series"], "2"))
+        nets[f"ANODE{n}"] = [_Node(f"D{n}", "2", "A"), _Node(refs["series"], "1")]
+        nets["V_LED"].append(_Node(refs["series"], "2"))
     else:
-        nets["V_LED"].append(Node(f"D{n}", "2", "A"))
+        nets["V_LED"].append(_Node(f"D{n}", "2", "A"))
 
 
 def ohm_text(ohm: float) -> str:
@@ -223,7 +225,7 @@ def kicad_netlist(circuit: Circuit, version: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _node(node: Node) -> str:
+def _node(node: _Node) -> str:
     function = f" (pinfunction {_quoted(node.function)})" if node.function else ""
     return f'(node (ref {_quoted(node.ref)}) (pin {_quoted(node.pin)}){function} (pintype "passive"))'
 

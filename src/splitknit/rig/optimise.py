@@ -60,7 +60,7 @@ def sweep(
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")
     _check_possible(candidates, study)
-    folder = SweepFolder(out, study)
+    folder = _SweepFolder(out, study)
     records: dict[str, dict[str, Any]] = {}
     for candidate in candidates:
         known = folder.read(candidate)
@@ -271,7 +271,7 @@ _STRAY = re.compile(r"(.*/)?(\.[^/]*\.tmp|\.DS_Store|Thumbs\.db|desktop\.ini)")
 """What a killed run or a file manager leaves behind."""
 
 
-class SweepFolder:
+class _SweepFolder:
     """A folder of finished candidates of one study."""
 
     def __init__(self, out: Path, study: Study) -> None:

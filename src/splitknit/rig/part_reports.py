@@ -191,7 +191,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
 
 
 @dataclass(frozen=True, slots=True)
-class Overhang:
+class _Overhang:
     """What hangs over, with z upwards as printed and the lowest point on the bed."""
 
     steep_mm2: float
@@ -204,7 +204,9 @@ class Overhang:
     """Height above the bed of that layer; 0 where nothing is bridged."""
 
 
-def _overhang(triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25) -> Overhang:
+def _overhang(
+    triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25
+) -> _Overhang:
     """Measure steep faces and bridges of a closed mesh.
 
     Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
@@ -231,7 +233,7 @@ def _overhang(triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0
         width = _bridge(corners, bed + middle, layer_mm, pitch_mm)
         if width > best:
             best, height = width, layer * layer_mm
-    return Overhang(area, area / float(areas.sum()), best, height)
+    return _Overhang(area, area / float(areas.sum()), best, height)
 
 
 def _layers_over(heights: NDArray[np.float64], layer_mm: float) -> list[int]:
@@ -311,7 +313,7 @@ _REACH_MM = 8.0
 
 
 @dataclass(frozen=True, slots=True)
-class Soundness:
+class _Soundness:
     """Whether a mesh bounds a body."""
 
     triangles: int
@@ -331,7 +333,7 @@ class Soundness:
         return self.triangles > 0 and self.open_edges == 0 and self.turned_edges == 0 and self.volume_mm3 > 0
 
 
-def _check_soundness(triangles: Triangles) -> Soundness:
+def _check_soundness(triangles: Triangles) -> _Soundness:
     """Count edges and measure the volume.
 
     Parameters
@@ -351,7 +353,7 @@ def _check_soundness(triangles: Triangles) -> Soundness:
     ways = np.unique(starts * count + ends, return_counts=True)[1]
     exact = corners.astype(np.float64)
     cross = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
-    return Soundness(
+    return _Soundness(
         triangles=len(corners),
         edges=len(keys),
         open_edges=int((uses != 2).sum()),
@@ -363,7 +365,7 @@ def _check_soundness(triangles: Triangles) -> Soundness:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wall:
+class _Wall:
     """The thinnest place that was found."""
 
     thickness_mm: float
@@ -373,7 +375,7 @@ class Wall:
     samples: int
 
 
-def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> Wall:
+def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> _Wall:
     """Measure the thickness from points on the surface straight inwards to the opposite face.
 
     Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin, and
@@ -392,10 +394,10 @@ def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> 
     distance, hit = _first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
     met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
     if not bool(met.any()):
-        return Wall(_REACH_MM, points[0], len(points))
+        return _Wall(_REACH_MM, points[0], len(points))
     thickness = np.where(met, distance, np.inf)
     thinnest = int(np.argmin(thickness))
-    return Wall(float(thickness[thinnest]) + 1e-4, points[thinnest], len(points))
+    return _Wall(float(thickness[thinnest]) + 1e-4, points[thinnest], len(points))
 
 
 def _surface_points(

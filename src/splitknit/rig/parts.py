@@ -77,7 +77,7 @@ _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
 
 
-def base_part(dimensions: RigDimensions) -> Shape:
+def _base_part(dimensions: RigDimensions) -> Shape:
     """Return the base: the finger lies on its back in a round groove and stops at a low wall.
 
     Shallow pockets take the mirror holders, a ring-shaped one the calibration disc.
@@ -99,7 +99,7 @@ def base_part(dimensions: RigDimensions) -> Shape:
     return cut(fused(plate, [block, stop]), [trough, above])
 
 
-def window_base_part(dimensions: RigDimensions) -> Shape:
+def _window_base_part(dimensions: RigDimensions) -> Shape:
     """Return the base for the camera below: the finger lies pad down over an open window.
 
     The middle phalanx rests in a 45 deg groove that fills the cylinder's opening, the fingertip on a 45 deg ledge; the
@@ -173,7 +173,7 @@ def _mirror_pockets(dimensions: RigDimensions) -> list[Shape]:
     ]
 
 
-def mirror_holder_part(dimensions: RigDimensions) -> Shape:
+def _mirror_holder_part(dimensions: RigDimensions) -> Shape:
     """Return the holder of one mirror, in the place of the right one; left and tip are the same, turned."""
     d = dimensions
     x, y, _ = holder_places(d)[0]
@@ -188,7 +188,7 @@ _CABLE_DEG = 70.0
 """Azimuth of the cable hole: at the back, on the side of the Pi's power socket, beside lugs and boards."""
 
 
-def cylinder_part(dimensions: RigDimensions) -> Shape:
+def _cylinder_part(dimensions: RigDimensions) -> Shape:
     """Return the cylinder, which holds the LEDs and the camera at their height over the finger.
 
     The hand comes into a niche with a 45 deg roof; the niche's end wall has the semicircular opening for the finger.
@@ -221,7 +221,7 @@ def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[t
     return [(-half, floor - below), (half, floor - below), (half, roof - half), (0.0, roof), (-half, roof - half)]
 
 
-def frame_part(dimensions: RigDimensions) -> Shape:
+def _frame_part(dimensions: RigDimensions) -> Shape:
     """Return the frame: tilted holes with shoulders for the LEDs, posts for the camera's board, the lens's opening."""
     joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
     body = tube(dimensions, low, high, joint.plate_mm)
@@ -285,7 +285,7 @@ def _first_led_mark(dimensions: RigDimensions) -> Shape:
     return cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
 
 
-def box_part(dimensions: RigDimensions) -> Shape:
+def _box_part(dimensions: RigDimensions) -> Shape:
     """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
     joint = dimensions.settings.joint
     low, high = dimensions.box_z_mm, dimensions.lid_z_mm
@@ -333,7 +333,7 @@ def _cable_hole(dimensions: RigDimensions) -> Shape:
     return turned_to(_CABLE_DEG - 90.0, fused(rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
 
 
-def lid_part(dimensions: RigDimensions) -> Shape:
+def _lid_part(dimensions: RigDimensions) -> Shape:
     """Return the lid: closes the box against light; with the camera below it is the foot."""
     low, high = dimensions.lid_z_mm, dimensions.top_z_mm
     plate = turned([(0.0, low), (dimensions.ring_mm, low), (dimensions.ring_mm, high), (0.0, high)])
@@ -358,19 +358,19 @@ def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
     return [(i * step, j * step) for i in steps for j in steps if math.hypot(i, j) * step <= reach]
 
 
-def disc_part(dimensions: RigDimensions) -> Shape:
+def _disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
     depth = dimensions.settings.calibration.dot_depth_mm
     return cut(_cup(dimensions), _dots(dimensions, depth, dimensions.settings.calibration.dot_mm / 2))
 
 
-def flat_disc_part(dimensions: RigDimensions) -> Shape:
+def _flat_disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc whose dots are the pegs of another part, flush with its face."""
     calibration = dimensions.settings.calibration
     return cut(_cup(dimensions), _dots(dimensions, DISC_MM + 1.0, calibration.dot_mm / 2))
 
 
-def dots_part(dimensions: RigDimensions) -> Shape:
+def _dots_part(dimensions: RigDimensions) -> Shape:
     """Return a sheet with pegs that are pushed into the flat disc from behind."""
     d, calibration = dimensions, dimensions.settings.calibration
     low, high = -DISC_MM - MIN_WALL_MM, -DISC_MM
@@ -395,7 +395,7 @@ def _cup(dimensions: RigDimensions) -> Shape:
     return cut(body, [box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
 
 
-def nail_part(dimensions: RigDimensions) -> Shape:
+def _nail_part(dimensions: RigDimensions) -> Shape:
     """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
     tip = NOZZLE_MM / 2
     return cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)

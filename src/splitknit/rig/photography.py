@@ -33,7 +33,7 @@ PLANCK_LIGHT = 1.98645e-25
 
 
 @dataclass(frozen=True, slots=True)
-class Lamp:
+class _Lamp:
     """One band's LED and how well the sensor sees it."""
 
     efficiency: float
@@ -44,7 +44,7 @@ class Lamp:
     """Electrons of a green pixel per photon of this light, colour filter included."""
 
 
-LAMPS = {"white": Lamp(0.31, 560.0, 0.22), "nir": Lamp(0.40, 850.0, 0.20)}
+LAMPS = {"white": _Lamp(0.31, 560.0, 0.22), "nir": _Lamp(0.40, 850.0, 0.20)}
 """By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a
 phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %. Near infrared: data sheets of
 850 nm emitters; the camera without infrared filter."""
@@ -109,12 +109,12 @@ class Exposure:
         return self.level > 1.0
 
 
-def intensity_w_sr(power_w: float, lamp: Lamp, lobe_exponent: float) -> float:
+def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
     """Radiant intensity of an LED on its axis."""
     return power_w * lamp.efficiency * (lobe_exponent + 1.0) / (2.0 * np.pi)
 
 
-def electrons_per_s(radiance: float, lamp: Lamp, settings: PhotonSettings) -> float:
+def electrons_per_s(radiance: float, lamp: _Lamp, settings: PhotonSettings) -> float:
     """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2 sr)."""
     on_sensor = np.pi * radiance * _TRANSMISSION / (4.0 * (settings.f_number * (1 + MAGNIFICATION)) ** 2)
     photons = on_sensor * (_PIXEL_UM * 1e-6) ** 2 * lamp.wavelength_nm * 1e-9 / PLANCK_LIGHT

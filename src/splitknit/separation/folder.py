@@ -60,7 +60,7 @@ def separate_to_folder(
     check_target(out, MARKER, "an earlier separation", keep=folder)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
-        light = read_light(plan, folder)
+        light = _read_light(plan, folder)
         progress("separating", 0.5)
         try:
             parts = _separate(plan, light)
@@ -74,7 +74,7 @@ def separate_to_folder(
     return {**facts, "out": str(out)}
 
 
-def _separate(plan: PatternFolder, light: PatternLight) -> Separation:
+def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
     """Run the method."""
     settings = StackSettings(clip_level=light.clip_level)
     common: dict[str, Any] = {"mask": light.mask, "settings": settings}
@@ -144,7 +144,7 @@ def _with_names(message: str, plan: PatternFolder) -> str:
     return re.sub(r"(images? )(\d+)(?: and (\d+))?", named, message)
 
 
-def _write(parts: Separation, plan: PatternFolder, light: PatternLight, target: Path) -> dict[str, Any]:
+def _write(parts: Separation, plan: PatternFolder, light: _PatternLight, target: Path) -> dict[str, Any]:
     """Write images; return facts."""
     origin = provenance({"separate": plan.settings()}, light.hashes)
     files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
@@ -158,7 +158,7 @@ def _write(parts: Separation, plan: PatternFolder, light: PatternLight, target: 
     return {**origin, **_figures(parts, plan, light), "files": [*files, "report.json"]}
 
 
-def _figures(parts: Separation, plan: PatternFolder, light: PatternLight) -> dict[str, Any]:
+def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> dict[str, Any]:
     """What the report says about the result."""
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
@@ -228,7 +228,7 @@ def _phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PatternLight:
+class _PatternLight:
     """The images of a folder as linear light without the black level."""
 
     stack: FloatArray
@@ -245,7 +245,7 @@ class PatternLight:
     """SHA-256 by name."""
 
 
-def read_light(plan: PatternFolder, folder: Path) -> PatternLight:
+def _read_light(plan: PatternFolder, folder: Path) -> _PatternLight:
     """Read all files of a plan; hashes go by names relative to the folder, wherever that lies."""
     images = list(plan.images)
     states = list(plan.patterns) if isinstance(plan.patterns, tuple) else []
@@ -269,7 +269,7 @@ def read_light(plan: PatternFolder, folder: Path) -> PatternLight:
         white = _as(linear_image(singles["white"], plan.encoding), shape) - black
     table = decode_table(pixels.dtype, plan.encoding)
     grey = shape[2] == 1
-    return PatternLight(
+    return _PatternLight(
         stack[..., 0] if grey else stack,
         white if white is None or not grey else white[..., 0],
         None

@@ -208,7 +208,7 @@ _Length = Annotated[float, Limits(0.0, 200.0)]
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorParts(Checked):
+class _MirrorParts(Checked):
     """The printed parts that carry the mirrors: dimensions as ``splitknit rig cad`` draws them, mm.
 
     The values are those of a rig whose mirrors show the whole side of most fingers: larger mirrors, and a finger plane
@@ -283,7 +283,7 @@ class MirrorViews(Checked):
     """Bright specks on the mirrors."""
     truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
     """Of the grid around the finger in the truth."""
-    parts: MirrorParts = field(default_factory=MirrorParts)
+    parts: _MirrorParts = field(default_factory=_MirrorParts)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -329,7 +329,7 @@ def _nominal_mirrors(views: MirrorViews, camera: Camera) -> tuple[Mirror, ...]:
     )
 
 
-def stop_y_mm(parts: MirrorParts, camera: Camera) -> float:
+def stop_y_mm(parts: _MirrorParts, camera: Camera) -> float:
     """Return where the fingertip stops, in the rig's frame."""
     return min(camera.image_size[0] / camera.px_per_mm / 2 - parts.tip_margin_mm, parts.phalanx_mm / 2)
 
@@ -338,7 +338,7 @@ def stop_y_mm(parts: MirrorParts, camera: Camera) -> float:
 class HolderProfile:
     """Section of a holder with its mirror: points (distance from the holder's front, height over its foot), mm."""
 
-    parts: MirrorParts
+    parts: _MirrorParts
 
     @property
     def front(self) -> Array:

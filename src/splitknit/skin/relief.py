@@ -49,7 +49,7 @@ class LocalWienerSettings(Checked):
         return max(16, _OVERLAP * round(self.window_mm / pitch_mm / _OVERLAP))
 
 
-def window_power(image: FloatArray, side: int) -> FloatArray:
+def _window_power(image: FloatArray, side: int) -> FloatArray:
     """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise gives."""
     window = _window(side)
     rows = range(0, image.shape[0] - side + 1, side // 2)
@@ -63,7 +63,7 @@ def window_power(image: FloatArray, side: int) -> FloatArray:
     return np.asarray(total / (len(rows) * len(columns)), dtype=np.float32)
 
 
-def local_wiener(
+def _local_wiener(
     relief: FloatArray, noise_power: FloatArray, settings: LocalWienerSettings, pitch_mm: float
 ) -> tuple[FloatArray, FloatArray]:
     """Denoise `relief`.
@@ -72,7 +72,7 @@ def local_wiener(
     ----------
     relief : (H, W), finite everywhere
     noise_power : (side, side // 2 + 1)
-        Of :func:`window_power` for pure noise, in the relief's units squared; side = `settings.window_px(pitch_mm)`.
+        Of :func:`_window_power` for pure noise, in the relief's units squared; side = `settings.window_px(pitch_mm)`.
     settings : LocalWienerSettings
     pitch_mm : float
 
@@ -362,7 +362,7 @@ def denoise(
     side = settings.window_px(grid.pitch_mm)
     if min(grid.shape) < side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
-    clean, deviation = local_wiener(relief_mm, window_power(pure, side), settings, grid.pitch_mm)
+    clean, deviation = _local_wiener(relief_mm, _window_power(pure, side), settings, grid.pitch_mm)
     return clean * grid.mask, deviation
 
 

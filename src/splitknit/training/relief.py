@@ -98,7 +98,7 @@ class ReliefSettings(FieldsSettings):
     """Weight of the glare."""
 
 
-class ReliefTrainer(FieldsTrainer):
+class _ReliefTrainer(FieldsTrainer):
     """The network of the relief in training."""
 
     def __init__(self, settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> None:
@@ -266,7 +266,7 @@ def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Seq
 # --- training, network and card --------------------------------------------------------------------------------------
 
 
-def train_relief(
+def _train_relief(
     out: Path,
     data: ReliefData,
     settings: ReliefSettings,
@@ -316,7 +316,7 @@ def train_relief(
     )
     require_subjects(len(crops), "train on", refused)
     require_subjects(len(judges), "judge the network on", refused)
-    trainer = ReliefTrainer(settings, crops, list(fingers.values()))
+    trainer = _ReliefTrainer(settings, crops, list(fingers.values()))
     lines = {
         "training": lambda entry: UNIT_UM * math.sqrt(entry["relief"]),
         "held out": lambda entry: UNIT_UM * entry["held_out_rms"],

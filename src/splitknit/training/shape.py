@@ -124,7 +124,7 @@ class ShapeSettings(FieldsSettings):
         )
 
 
-class ShapeTrainer(FieldsTrainer):
+class _ShapeTrainer(FieldsTrainer):
     """The shape network in training."""
 
     def __init__(self, settings: ShapeSettings, samples: Sequence[Sample]) -> None:
@@ -269,7 +269,7 @@ def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArr
 # --- training, network and card --------------------------------------------------------------------------------------
 
 
-def train_shape(
+def _train_shape(
     out: Path,
     data: ShapeData,
     settings: ShapeSettings,
@@ -310,7 +310,7 @@ def train_shape(
     )
     require_subjects(len(fingers), "train on", refused)
     require_subjects(len(judges), "judge the network on", refused)
-    trainer = ShapeTrainer(settings, list(fingers.values()))
+    trainer = _ShapeTrainer(settings, list(fingers.values()))
     lines = {
         "training": lambda entry: UNIT * math.sqrt(entry["slope"] / 2),  # of one slope
         "held out": lambda entry: UNIT * entry["held_out_after"],

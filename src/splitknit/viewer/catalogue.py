@@ -178,7 +178,7 @@ def _find_results(root: Path) -> list[Path]:
     return sorted(found)
 
 
-def read_report(folder: Path) -> dict[str, Any]:
+def _read_report(folder: Path) -> dict[str, Any]:
     """Return a result's ``report.json``, or nothing where it is missing or damaged."""
     try:
         document = json.loads(read_below(folder, "report.json", _REPORT_BYTES))
@@ -188,7 +188,7 @@ def read_report(folder: Path) -> dict[str, Any]:
 
 
 def _entry(key: str, name: str, folder: Path, capture: Path | None) -> Entry:
-    report = read_report(folder)
+    report = _read_report(folder)
     places = [folder.parent / "capture", folder.parent.parent / "capture"]
     if capture is not None:
         places = [_resolved(capture), _resolved(capture) / name]

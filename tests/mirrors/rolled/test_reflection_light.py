@@ -8,13 +8,13 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.mirrors.rolled.reflection import (
     Plane,
+    _reflected_corners,
     facing_share,
     led_image,
     mirrored_share,
     plane_of,
     reflect_points,
     reflect_vectors,
-    reflected_corners,
 )
 from splitknit.model import Led, Mirror
 
@@ -27,7 +27,7 @@ def test_reflecting_twice_changes_nothing_and_points_of_the_mirror_stay() -> Non
     points = np.random.default_rng(0).normal(size=(5, 7, 3)) * 10
     assert np.allclose(reflect_points(reflect_points(points, RIGHT), RIGHT), points)
     assert np.allclose(reflect_points(CORNERS, RIGHT), CORNERS)
-    assert np.allclose(reflected_corners(CORNERS, RIGHT), CORNERS)
+    assert np.allclose(_reflected_corners(CORNERS, RIGHT), CORNERS)
 
 
 def test_a_mirror_of_45_deg_shows_height_as_breadth_and_is_left_handed() -> None:

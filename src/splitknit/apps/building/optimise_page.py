@@ -51,7 +51,7 @@ def table(records: Records, summary: Mapping[str, Any]) -> bytes:
     writer = csv.DictWriter(text, names, lineterminator="\n")
     writer.writeheader()
     for one in records:
-        candidate = candidate_of(one)
+        candidate = _candidate_of(one)
         row: dict[str, Any] = {"name": candidate.name, "volume_l": f"{candidate.volume_l:.4f}"}
         row |= {axis: getattr(candidate, axis) for axis in AXES}
         row["tilt_deg"] = "centre" if candidate.tilt_deg is None else candidate.tilt_deg
@@ -71,7 +71,7 @@ def charts(records: Records, summary: Mapping[str, Any]) -> dict[str, Markup]:
         "heat_map": _heat_map(records, summary, what, unit),
         "pareto_front": _pareto(records, summary, what, unit),
     }
-    best = candidate_of(next(one for one in records if one["candidate"]["name"] == summary["best"]))
+    best = _candidate_of(next(one for one in records if one["candidate"]["name"] == summary["best"]))
     for axis in ("power_w", "tilt_deg", "px_per_mm"):
         dots = _along(records, summary, best, axis)
         if len(dots) > 1:
@@ -136,7 +136,7 @@ def verdict(summary: Mapping[str, Any]) -> str:
 
 def describe(record: Mapping[str, Any]) -> str:
     """A rig in words."""
-    one = candidate_of(record)
+    one = _candidate_of(record)
     tilt = "aimed at the middle" if one.tilt_deg is None else f"tilted by {one.tilt_deg:g} deg"
     return (
         f"height {one.height_mm:g} mm, radius {one.radius_mm:g} mm, {one.power_w:g} W, beams {tilt}, "
@@ -144,7 +144,7 @@ def describe(record: Mapping[str, Any]) -> str:
     )
 
 
-def candidate_of(record: Mapping[str, Any]) -> Candidate:
+def _candidate_of(record: Mapping[str, Any]) -> Candidate:
     """The candidate of a record."""
     return Candidate(**{name: value for name, value in record["candidate"].items() if name != "name"})
 
@@ -196,7 +196,7 @@ def _pareto(records: Records, summary: Mapping[str, Any], what: str, unit: str) 
 
     dots = []
     for one in done:
-        candidate = candidate_of(one)
+        candidate = _candidate_of(one)
         front = candidate.name in summary["pareto"]
         dots.append(
             Dot(
@@ -218,7 +218,7 @@ def _along(records: Records, summary: Mapping[str, Any], best: Candidate, axis: 
     others = [name for name in AXES if name != axis]
     dots = []
     for one in records:
-        candidate = candidate_of(one)
+        candidate = _candidate_of(one)
         its = summary["compared"].get(candidate.name)
         if its is None or any(getattr(candidate, name) != getattr(best, name) for name in others):
             continue
@@ -228,7 +228,7 @@ def _along(records: Records, summary: Mapping[str, Any], best: Candidate, axis: 
 
 
 def _row(record: Mapping[str, Any], its: Mapping[str, Any], front: bool) -> dict[str, Any]:
-    candidate, mean = candidate_of(record), record["mean"]
+    candidate, mean = _candidate_of(record), record["mean"]
     return {
         "candidate": candidate,
         "tilt": "centre" if candidate.tilt_deg is None else f"{candidate.tilt_deg:g}",

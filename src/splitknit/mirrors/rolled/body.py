@@ -98,7 +98,7 @@ def body_between_mirrors(  # noqa: PLR0917
             if left is not None:
                 cut.append(name)
                 outline = left
-        parts = touching_both(camera, outline)
+        parts = _touching_both(camera, outline)
         if len(parts.offset_mm) < FEW:
             useless.append(name)
             continue
@@ -120,7 +120,7 @@ def body_between_mirrors(  # noqa: PLR0917
     )
     whole_first = sorted(rows, key=lambda name: (name in cut, name))
     body = first_body(front, {name: rows[name] for name in whole_first}, seen, poses, chosen)
-    planes = touching_both(camera, front.beyond(body.tip_mm - body.length_mm))
+    planes = _touching_both(camera, front.beyond(body.tip_mm - body.length_mm))
     if cut:  # the first guess is further off
         chosen = replace(chosen, rounds=max(chosen.rounds, CUT_ROUNDS))
     fit: Fit = fit_body(body, planes, seen, poses, chosen)
@@ -153,7 +153,7 @@ def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows 
     return replace(rows, left_mm=nothing) if side == "left" else replace(rows, right_mm=nothing)
 
 
-def touching_both(camera: Camera, rows: Rows) -> Touching:
+def _touching_both(camera: Camera, rows: Rows) -> Touching:
     """Planes that touch the finger along both sides of a view's outline."""
     parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in ("left", "right")]
     return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))

@@ -142,6 +142,6 @@ def mirrored_share(points_mm: Array, image: Led, plane: Plane, corners_mm: Array
     return np.asarray(np.clip(0.5 + within / EDGE_MM, 0.0, 1.0) * there, dtype=np.float32)
 
 
-def reflected_corners(corners_mm: Array, plane: Plane) -> Array:
+def _reflected_corners(corners_mm: Array, plane: Plane) -> Array:
     """Outline (K, 3) of another mirror as this one shows it."""
     return reflect_points(np.asarray(corners_mm, dtype=np.float64), plane)

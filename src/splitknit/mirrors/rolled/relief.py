@@ -88,7 +88,7 @@ def view_relief(  # noqa: PLR0917
     glasses : all mirrors of the rig
     chart, radius_mm : the finger without its ridges
     settings : of the pipeline
-    prior : see :func:`splitknit.mirrors.rolled.relief.held_normals`
+    prior : see :func:`splitknit.mirrors.rolled.relief._held_normals`
     """
     white = capture.bands["white"]
     camera = capture.rig.camera
@@ -156,7 +156,7 @@ def _ridges(  # noqa: PLR0917
     light = replace(light, trust=np.maximum(light.trust * _enlarged(inner, factor, grid.shape), np.float32(1e-3)))
     networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
-        g = held_normals(images.stack / light.entering, light, smooth, grid, prior)
+        g = _held_normals(images.stack / light.entering, light, smooth, grid, prior)
         found = relief_by_network(images, grid, smooth, light, networks.relief, g)
         return found.relief_mm, found.deviation_mm, found.trust * lit, "network"
     trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
@@ -216,7 +216,7 @@ def _window(mask: BoolArray, px_per_mm: float) -> Window:
 # shape's.
 
 
-def held_normals(  # noqa: PLR0917
+def _held_normals(  # noqa: PLR0917
     stack: FloatArray, light: FineLight, smooth_mm: FloatArray, grid: Grid, prior: float, chunk: int = 64
 ) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.

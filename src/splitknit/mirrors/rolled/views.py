@@ -35,7 +35,7 @@ NO_MIRRORS = (
 )
 
 
-def check_mirrors(capture: Capture) -> None:
+def _check_mirrors(capture: Capture) -> None:
     """Refuse what has no mirrors, or a camera whose rays spread.
 
     Raises
@@ -62,7 +62,7 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> MirrorVie
     BadInput
         If there are no mirrors beside the finger, or fewer than two views can be used.
     """
-    check_mirrors(capture)
+    _check_mirrors(capture)
     camera = capture.rig.camera
     binning = view_binning(camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)

@@ -215,7 +215,7 @@ class TwinCamera(Closing):
 
 
 @dataclass(frozen=True, slots=True)
-class Faults:
+class _Faults:
     """Faults by the number of the full-size photograph (from 0, previews not counted) from which on they hold."""
 
     moves_mm: Mapping[int, tuple[float, float]] = field(default_factory=dict)
@@ -235,7 +235,7 @@ class Faults:
 class FaultyScene:
     """A scene with faults."""
 
-    def __init__(self, scene: Scene, faults: Faults) -> None:
+    def __init__(self, scene: Scene, faults: _Faults) -> None:
         """Spoil `scene`."""
         self.scene, self.faults = scene, faults
         self._number = -1
