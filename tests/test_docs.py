@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import itertools
 import json
 import re
@@ -147,3 +148,15 @@ def test_captures_by_hand_are_read(tmp_path: Path) -> None:
         assert len(capture.bands["white"].leds) == 4
     assert capture.bands["white"].exposure.tolist() == pytest.approx([0.02, 0.02, 0.04, 0.04])
     assert capture.tip_direction_deg == 20
+
+
+@pytest.mark.parametrize("name", ["split_and_knit", "metric", "reconstruct_skin"])
+def test_the_architecture_page_quotes_the_algorithm(name: str) -> None:
+    """Every line of the functions, docstrings left out, in a block of the page."""
+    from splitknit import pipeline
+
+    lines = inspect.getsource(getattr(pipeline, name)).rstrip().split("\n")
+    words = ast.parse("\n".join(lines)).body[0].body[0]
+    code = "\n".join(lines[: words.lineno - 1] + lines[words.end_lineno :])
+    page = (ROOT / "docs" / "explain" / "architecture.md").read_text(encoding="utf-8")
+    assert f"```python\n{code}\n```" in page, f"docs/explain/architecture.md does not quote pipeline.{name} as it is"

@@ -29,7 +29,6 @@ from splitknit.integration.knit import add, crossover
 from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
-from splitknit.io.capture import read_capture
 from splitknit.model import Band, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
@@ -106,6 +105,8 @@ def reconstruct(
     """
     chosen = settings if isinstance(settings, PipelineSettings) else override(preset_settings(preset), settings or {})
     if not isinstance(capture, Capture):
+        from splitknit.io.capture import read_capture  # noqa: PLC0415 - large, and needed for paths alone
+
         capture = read_capture(capture)
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
