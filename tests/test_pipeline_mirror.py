@@ -72,7 +72,7 @@ def test_refusals(photographed: Photographed, tmp_path: Path, capsys: pytest.Cap
         reconstruct(replace(bare, mask=mask), "snk", {"shape.source": "mirror"})
     with pytest.raises(BadInput, match="keeps the visible surface whole"):
         reconstruct(capture, "pr", {"shape.source": "mirror", "direct.method": "none"})
-    with pytest.raises(BadInput, match="nir, white or mirror"):
+    with pytest.raises(BadInput, match="'nir', 'white', 'mirror'"):
         reconstruct(capture, "metric", {"shape.source": "sonar"})
     write_capture(replace(bare, mask=mask), tmp_path / "bare")
     code = main(["reconstruct", str(tmp_path / "bare"), "--out", str(tmp_path / "out"), "--shape", "mirror"])

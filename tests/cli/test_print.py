@@ -198,7 +198,7 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
     flat = changed("flat", ridge_mm=np.zeros_like(arrays["ridge_mm"]))
     for method in ("relief", "unroll"):
         assert "no ridges" in refusal(capsys, flat, "--method", method, "--out", out)
-    assert "other shapes" in refusal(capsys, changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out)
+    assert "another shape" in refusal(capsys, changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out)
     assert "mask is empty" in refusal(capsys, changed("mask", mask=np.zeros_like(arrays["mask"])), "--out", out)
     (tmp_path / "scale" / "height.npz").write_bytes(b"PK nonsense")
     refusal(capsys, tmp_path / "scale", "--out", out)

@@ -74,6 +74,7 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.plain import capture_from_plain_images, read_lights_txt
 from splitknit.io.ply import _read_ply, write_ply
 from splitknit.io.prints import _read_print_tiff, _write_print_tiff, read_print_png, write_print_png
+from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
@@ -321,10 +322,16 @@ def _results() -> list[Files]:
     return _npz(_arrays())
 
 
+_REPORT = (
+    b'{"preset": "ea", "settings": {"mask": {}}, "quality": {}, "facts": {}, "warnings": ["dark"], "timings_s": {}}'
+)
+
+
 def _result(folder: Path, files: Files) -> object:
     path = folder / "height.npz"
     return _any(
         lambda: read_matched(path),
+        lambda: read_result(folder),
         lambda: read_source(path, photo=False, surface=True),
         lambda: read_side(folder, "metric", MatchingSettings()),
     )
@@ -866,7 +873,7 @@ TARGETS = (
     Target("plain_images", _plain_images, _plain_capture),
     Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
     Target("npz", _results, _of_files("height.npz", read_npz)),
-    Target("result", _results, _result),
+    Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
     Target("float_tiff", _tiff_samples, _of_files("x.tiff", _tiffs)),
     Target("ply", _plys, _of_files("x.ply", _read_ply)),
     Target("glb", _glbs, _of_files("x.glb", _read_glb)),

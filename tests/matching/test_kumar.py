@@ -36,7 +36,7 @@ def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:
 def test_smoothing_is_of_the_thesis_s_cases_only() -> None:
     with pytest.raises(BadInput, match="method=thesis"):
         override(preset_settings("metric"), {"smooth.sigma_mm": 0.1})
-    with pytest.raises(BadInput, match="between 0 and 1"):
+    with pytest.raises(BadInput, match="must be from 0 to 1"):
         override(preset_settings("ea"), {"smooth.sigma_mm": -0.1})
 
 

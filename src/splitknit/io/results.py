@@ -119,7 +119,7 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         If the file is damaged, or an array is missing, of another shape, or impossible.
     """
     arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional)))
-    for name in (*_FRAME, *names):
+    for name in (*names, *_FRAME):
         remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
         require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
     shape = arrays["mask"].shape
