@@ -175,7 +175,6 @@ def interrupt(event, arguments):
             os.kill(os.getpid(), number)
 
 sys.addaudithook(interrupt)
-from splitknit.cli.main import main
 sys.exit(main())
 """
 

@@ -391,7 +391,6 @@ KILLED = """
 import sys
 sys.path.insert(0, sys.argv[2])
 from test_gallery import KEY, SETTINGS, new
-from splitknit.gallery.gallery import Gallery
 gallery = Gallery.open(sys.argv[1], KEY if sys.argv[3] == "encrypted" else None)
 def captures():
     for k in range(400):
@@ -430,7 +429,6 @@ MANY_KILLED = """
 import os, pathlib, random, signal, sys, time
 sys.path.insert(0, sys.argv[2])
 from test_gallery import KEY, new
-from splitknit.gallery.gallery import Gallery
 path, key = sys.argv[1], KEY if sys.argv[3] == "encrypted" else None
 random.seed(int(sys.argv[4]))
 

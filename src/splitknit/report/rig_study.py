@@ -10,8 +10,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from splitknit.apps.building.optimise_charts import Cell, Dot, heat_map, scatter, standalone
 from splitknit.report import render
+from splitknit.report.rig_charts import Cell, Dot, heat_map, scatter, standalone
 from splitknit.rig.candidates import CAMERAS, MATERIALS, METHODS, Candidate, Study
 from splitknit.rig.optimise import THESIS
 
