@@ -80,6 +80,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
         albedo = np.where(arrays["mask"], level, np.float32(np.nan))
+    warnings = facts.get("warnings", [])
+    require(isinstance(warnings, list), f"{folder}: its report.json is damaged; {_AGAIN}.")
     known: dict[str, Any] = {
         name: _json_of(facts.get(name, {}), folder) for name in ("settings", "quality", "facts", "timings_s")
     }
@@ -87,7 +89,7 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         **arrays,
         albedo=albedo,
         preset=str(facts.get("preset", "")),
-        warnings=tuple(str(warning) for warning in facts.get("warnings", ())),
+        warnings=tuple(str(warning) for warning in warnings),
         hashes=_json_of(origin.get("inputs", {}), file),
         **known,
     )
@@ -130,7 +132,8 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds and len(shape) == 2
         require(fits, f"{path}: '{name}' has another shape than a result's; {_AGAIN}.")
     matrix = arrays["input_from_upright"].astype(np.float64)
-    usable = bool(np.isfinite(matrix).all()) and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
+    usable = bool(np.isfinite(matrix).all()) and float(np.abs(matrix).max()) < 1e7
+    usable = usable and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
     rows, columns = arrays["upright_size"].tolist()
     usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
