@@ -240,7 +240,7 @@ def test_other_populations_versions_and_folders_are_refused(people: Path, store:
         run_batch(other, store, EA, jobs=1)
     kept = (store / "store.json").read_text()
     for change, words in (
-        ({"format_version": 2}, "version 2"),
+        ({"format_version": 3}, "version 3"),
         ({"version": "9.9"}, "made by splitknit 9.9"),
         ({"cases": 3}, "damaged"),
         ({"cases": {"ea": 3}}, "damaged"),

@@ -22,7 +22,7 @@ from splitknit.io.provenance import plain_json, provenance, settings_hash
 from splitknit.matching.thesis import FingerImages
 
 STORE_FILE = "store.json"
-FORMAT, VERSION = "splitknit-batch", 1
+FORMAT, VERSION = "splitknit-batch", 2
 
 
 @dataclass(frozen=True, slots=True)
