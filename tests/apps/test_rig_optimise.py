@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import pytest
 
 import splitknit.rig.optimise as module
-from splitknit.apps.building.optimise_charts import Cell, Dot, heat_map, scatter, standalone
+from splitknit.apps.building.optimise_page import Cell, Dot, heat_map, scatter, standalone
 from splitknit.cli.main import main
 
 Captured = pytest.CaptureFixture[str]

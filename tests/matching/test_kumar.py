@@ -10,9 +10,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import smoothed
 from splitknit.io.capture import read_capture
-from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
-from splitknit.matching.surface_codes import surface_code
 from splitknit.model import Surface, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings
@@ -36,7 +35,7 @@ def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:
 def test_smoothing_is_of_the_thesis_s_cases_only() -> None:
     with pytest.raises(BadInput, match="method=thesis"):
         override(preset_settings("metric"), {"smooth.sigma_mm": 0.1})
-    with pytest.raises(BadInput, match="between 0 and 1"):
+    with pytest.raises(BadInput, match="from 0 to 1"):
         override(preset_settings("ea"), {"smooth.sigma_mm": -0.1})
 
 

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.finger_codes import ISO_2005_IMPRESSIONS
 from splitknit.io.fmr_bytes import (
     ISO_2005,
     ISO_STEPS,
@@ -45,7 +44,7 @@ from splitknit.io.fmr_bytes import (
     read_record_bytes,
     require_standard,
 )
-from splitknit.io.minutiae_record import BIFURCATION, MOST_MINUTIAE, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import BIFURCATION, ISO_2005_IMPRESSIONS, MOST_MINUTIAE, FingerView, MinutiaeRecord
 
 _HEADER = struct.Struct(">8sIHHHHHBB")
 _LEAST_RESOLUTION = 99

@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, read_json
-from splitknit.io.finger_codes import FINGER_CODES
-from splitknit.io.minutiae_record import BIFURCATION
+from splitknit.io.minutiae_record import BIFURCATION, FINGER_CODES
 from splitknit.io.provenance import canonical_json
 
 FORMAT, VERSION = "splitknit-minutiae3d", 1

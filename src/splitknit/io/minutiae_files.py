@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.finger_codes import ANSI_2004_IMPRESSIONS, ANSI_2009_IMPRESSIONS, FINGER_CODES, code_of, name_of
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -36,7 +35,16 @@ from splitknit.io.fmr_bytes import (
     standard_of,
 )
 from splitknit.io.iso19794 import decode_iso19794
-from splitknit.io.minutiae_record import FAILED, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import (
+    ANSI_2004_IMPRESSIONS,
+    ANSI_2009_IMPRESSIONS,
+    FAILED,
+    FINGER_CODES,
+    FingerView,
+    MinutiaeRecord,
+    code_of,
+    name_of,
+)
 
 # Minutiae records of ANSI/INCITS 378-2009 and of its amendment 1 (2010): byte for byte.
 #

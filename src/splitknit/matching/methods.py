@@ -23,10 +23,9 @@ from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.score import FmrTable, joined_similarity
-from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings, surface_images
 from splitknit.matching.surface_code import surface_code_match
-from splitknit.matching.surface_codes import surface_code
 from splitknit.matching.template import VERSION, Template, pack
 from splitknit.matching.thesis import thesis_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
