@@ -97,9 +97,7 @@ def write_csv(path: Path, table: Any) -> None:
 def _names_of(capture: str) -> dict[str, str]:
     """Finger (of the world), subject and session of a capture's name.
 
-    Examples
-    --------
-    >>> names_of("S01/session_2/right_index")
+    >>> _names_of("S01/session_2/right_index")
     {'finger': 'S01/right_index', 'subject': 'S01', 'session': '2'}
     """
     subject, session, finger = parts if len(parts := capture.split("/")) == 3 else ("", "", "")
@@ -365,13 +363,7 @@ def _without(store: Store, case: Case, kind: str) -> list[str]:
 def _score_tasks(
     store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
 ) -> list[ScoreTask]:
-    """Comparisons that are not in the store.
-
-    Raises
-    ------
-    BadInput
-        If there are captures of one session only.
-    """
+    """Comparisons that are not in the store. Raises BadInput if there are captures of one session only."""
     features = places_of(store.files("features", case.name))
     places = features if matcher.source == "features" else places_of(store.files(matcher.source, case.name))
     captures = [capture for capture in population.captures if capture.name in places]

@@ -339,14 +339,8 @@ def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
 def _developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[np.uint16]:
     """White-balanced colours from raw values.
 
-    Parameters
-    ----------
-    raw : (H, W) 10-bit values, blue green / green red
-    gains : of red and blue
-
-    Returns
-    -------
-    (H, W, 3) uint16, linear: red, green, blue; no light is at 64 of 1023 still, so that noise is not clipped
+    `raw`: (H, W) 10-bit values, blue green / green red; `gains`: of red and blue. Returns (H, W, 3) uint16, linear:
+    red, green, blue; no light is at 64 of 1023 still, so that noise is not clipped.
     """
     # OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
     colours = np.asarray(cv2.cvtColor(np.ascontiguousarray(raw), cv2.COLOR_BayerRG2RGB), dtype=np.uint16)
@@ -367,12 +361,8 @@ INSTALL += "with --system-site-packages"
 
 
 def _open_lights(rig: Rig) -> PiLightBank:
-    """Take the GPIO lines of the rig's LEDs, all off.
-
-    Raises
-    ------
-    BadInput
-        If gpiozero is missing, this is no Raspberry Pi, or a line is in use.
+    """Take the GPIO lines of the rig's LEDs, all off. Raises BadInput if gpiozero is missing, this is no Raspberry Pi,
+    or a line is in use.
     """
     pins = pins_of(rig)
     try:
@@ -394,13 +384,7 @@ def _open_lights(rig: Rig) -> PiLightBank:
 
 
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
-    """Open and start the camera.
-
-    Raises
-    ------
-    BadInput
-        If picamera2 is missing or there is no camera.
-    """
+    """Open and start the camera. Raises BadInput if picamera2 is missing or there is no camera."""
     try:
         import picamera2  # type: ignore[import-not-found]  # noqa: PLC0415 - only a Pi has it
     except ImportError as error:

@@ -138,12 +138,8 @@ _NORMAL_STEPS, _COMPACT_STEPS = 256, 64
 
 
 def _encode_card(view: FingerView, compact: bool = True) -> bytes:
-    """Bytes of a view's minutiae for a card: 3 bytes each where `compact`, 5 otherwise.
-
-    Raises
-    ------
-    BadInput
-        If there are more than 255, or one lies further right or down than the format reaches (25.5 mm, 163.83 mm).
+    """Bytes of a view's minutiae for a card: 3 bytes each where `compact`, 5 otherwise. Raises BadInput if there are
+    more than 255, or one lies further right or down than the format reaches (25.5 mm, 163.83 mm).
     """
     require(
         view.count <= MOST_MINUTIAE, f"a card takes at most {MOST_MINUTIAE} minutiae, not {view.count}; see best()."
@@ -175,23 +171,10 @@ def _decode_card(
 ) -> FingerView:
     """Read minutiae of a card onto the pixels of an image.
 
-    Parameters
-    ----------
-    data : the list
-    size : (rows, columns) of the image
-    ppcm : its pixels per cm along columns and rows
-    compact : 3 bytes a minutia, otherwise 5
-    name : of the list, for messages
-
-    Returns
-    -------
-    FingerView
-        Of an unknown finger and impression, with qualities of 0.
-
-    Raises
-    ------
-    BadInput
-        If the length is not that of a list, a reserved bit or type is used, or a minutia lies outside the image.
+    `data`: the list; `size`: (rows, columns) of the image; `ppcm`: its pixels per cm along columns and rows; `compact`:
+    3 bytes a minutia, otherwise 5; `name`: of the list, for messages. Returns FingerView, of an unknown finger and
+    impression, with qualities of 0. Raises BadInput if the length is not that of a list, a reserved bit or type is
+    used, or a minutia lies outside the image.
     """
     row = _COMPACT if compact else _NORMAL
     count, rest = divmod(len(data), row.itemsize)

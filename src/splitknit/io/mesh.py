@@ -268,10 +268,7 @@ def _write_glb(  # noqa: PLR0917 - a mesh is these arrays
 def _read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
     """Read a file that :func:`_write_glb` wrote.
 
-    Raises
-    ------
-    BadInput
-        If it is missing, damaged, or laid out in another way.
+    Raises BadInput if it is missing, damaged, or laid out in another way.
     """
     data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
     damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."

@@ -73,17 +73,8 @@ _EXTENDED = struct.Struct(">H")
 
 
 def _encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> bytes:
-    """Bytes of a record; directions are rounded to 2 deg.
-
-    Parameters
-    ----------
-    record : what to write
-    amendment : as amendment 1 of 2010, which differs in the version alone
-
-    Raises
-    ------
-    BadInput
-        If the standard has no way to say what the record holds.
+    """Bytes of a record; directions are rounded to 2 deg. `record`: what to write; `amendment`: as amendment 1 of 2010,
+    which differs in the version alone. Raises BadInput if the standard has no way to say what the record holds.
     """
     standard, magic = (ANSI_2009_AM1, MAGIC_035) if amendment else (ANSI_2009, MAGIC_030)
     check_writable(record, standard, 16, 8)
@@ -96,15 +87,8 @@ def _encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byt
 def _decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes.
 
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
+    or says what the standard does not allow.
     """
     amended = standard_of(data) == ANSI_2009_AM1
     standard = ANSI_2009_AM1 if amended else ANSI_2009
@@ -189,12 +173,8 @@ _CODES = ViewCodes(ANSI_2004, ANSI_STEPS, ANSI_2004_IMPRESSIONS, {"contactless_r
 
 
 def _encode_ansi378(record: MinutiaeRecord) -> bytes:
-    """Bytes of a record; directions are rounded to 2 deg.
-
-    Raises
-    ------
-    BadInput
-        If the standard has no way to say what the record holds.
+    """Bytes of a record; directions are rounded to 2 deg. Raises BadInput if the standard has no way to say what the
+    record holds.
     """
     check_writable(record, ANSI_2004, 12, 4)
     (rows, columns), resolution = common_image(record, ANSI_2004)
@@ -209,17 +189,8 @@ def _encode_ansi378(record: MinutiaeRecord) -> bytes:
 
 
 def _decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
-    """Read the bytes of a record; writing it again gives the same bytes.
-
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+    """Read the bytes of a record; writing it again gives the same bytes. `data`: the whole file; `name`: of the file,
+    for messages. Raises BadInput if it is truncated, of another standard, or says what the standard does not allow.
     """
     require_standard(data, ANSI_2004, MAGIC_20, name)
     cursor = Cursor(data, name)

@@ -181,12 +181,8 @@ class _WsqHeader:
 
 
 def _wsq_header(data: bytes, name: str) -> _WsqHeader:
-    """Walk all segments of a WSQ file to its end marker.
-
-    Raises
-    ------
-    BadInput
-        If it is no WSQ file, ends early, is damaged, or claims more than 25 million pixels.
+    """Walk all segments of a WSQ file to its end marker. Raises BadInput if it is no WSQ file, ends early, is damaged,
+    or claims more than 25 million pixels.
     """
     require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (it begins with FF A0); name another file.")
     truncated = f"{name} is truncated: the WSQ file ends within the image; copy it again."

@@ -166,15 +166,8 @@ _CLOSED_MM, _OPENED_MM = 1.0, 0.6
 def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     """Distance of every pixel to the print's outline.
 
-    Parameters
-    ----------
-    print_image : (H, W) uint8 at 500 ppi
-        Ridges dark on white paper.
-
-    Returns
-    -------
-    (H, W) float32
-        In mm; 0 on the paper. The image's border is an outline, too: the finger goes on beyond it.
+    `print_image`: (H, W) uint8 at 500 ppi, ridges dark on white paper. Returns (H, W) float32, in mm; 0 on the paper.
+    The image's border is an outline, too: the finger goes on beyond it.
     """
     closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
     ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)

@@ -261,12 +261,9 @@ _LEAST, _MOST = 1e-7, 1e7
 def _levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSettings) -> Minimum:
     """Minimise every problem from `start` (P, n).
 
-    All arithmetic is elementwise over n: a problem's result depends on nothing but itself.
-
-    References
-    ----------
-    D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", SIAM J. Appl. Math. 11 (1963);
-    the damping scales the diagonal, as he has it.
+    All arithmetic is elementwise over n: a problem's result depends on nothing but itself. Source: D. W. Marquardt, "An
+    algorithm for least-squares estimation of nonlinear parameters", SIAM J. Appl. Math. 11 (1963); the damping scales
+    the diagonal, as he has it.
     """
     best, pixels = start.copy(), np.arange(start.shape[1])
     count = np.full(start.shape[1], settings.iterations, dtype=np.int16)

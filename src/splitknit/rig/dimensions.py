@@ -78,17 +78,9 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
     """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
 
-    Parameters
-    ----------
-    rig : Rig
-    offset_mm : how far from the middle the nail may stand, along x and along y
-    margin_mm : between a shadow's tip and the border of the picture
-    radius_mm : of the nail's foot; a shadow's tip must come out from under it
-
-    Raises
-    ------
-    BadInput
-        If the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
+    `offset_mm`: how far from the middle the nail may stand, along x and along y; `margin_mm`: between a shadow's tip
+    and the border of the picture; `radius_mm`: of the nail's foot; a shadow's tip must come out from under it. Raises
+    BadInput if the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
     """
     camera = rig.camera
     half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
@@ -171,13 +163,7 @@ class LedHole:
 
 
 def _led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
-    """Return the hole of one LED.
-
-    Raises
-    ------
-    BadInput
-        If the LED has no place.
-    """
+    """Return the hole of one LED. Raises BadInput if the LED has no place."""
     require(
         led.position_mm is not None and not led.also,
         f"LED {index} of the rig has no position_mm (it is distant light or a group), but parts need its place.",

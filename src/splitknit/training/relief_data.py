@@ -153,11 +153,8 @@ def _sample_of(
 ) -> NDArray[np.float16]:
     """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
 
-    Parameters
-    ----------
-    capture, truth : of the simulator
-    settings : of the reconstruction
-    mix : fraction of the reconstruction's smooth shape in [0, 1]; the rest is the true shape
+    `capture`, `truth`: of the simulator; `settings`: of the reconstruction; `mix`: fraction of the reconstruction's
+    smooth shape in [0, 1]; the rest is the true shape.
     """
     finger = find_finger(capture, settings)
     white, nir, _ = bands_of(capture, settings)

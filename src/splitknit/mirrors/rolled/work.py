@@ -230,18 +230,9 @@ def _held_normals(  # noqa: PLR0917
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
 
     An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they tell
-    little of the slope towards it. Minimises
-
-        sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2,
-
-    t the part of g across the shape's normal.
-
-    Parameters
-    ----------
-    stack : (C, L, h, w) images over the light that enters
-    light : on the smooth surface
-    smooth_mm : (h, w)
-    prior : variance of the images' relative error over that of the slopes; zero holds nothing
+    little of the slope towards it. Minimises  sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across
+    the shape's normal. `stack`: (C, L, h, w) images over the light that enters; `light`: on the smooth surface;
+    `smooth_mm`: (h, w); `prior`: variance of the images' relative error over that of the slopes; zero holds nothing.
     """
     channels, count = stack.shape[:2]
     slopes = (grid.smooth(s, grid.mask, 0.3) for s in height_gradients(smooth_mm, grid.pitch_mm))
