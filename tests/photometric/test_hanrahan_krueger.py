@@ -11,7 +11,6 @@ from skin_ball import EQUAL, THIN, ball, ring
 from splitknit.errors import BadInput
 from splitknit.imaging import chunks
 from splitknit.model import Camera, Led, Rig
-from splitknit.photometric import equations
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger, hanrahan_krueger_near
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, LevenbergSettings, reflected
 from splitknit.photometric.lambertian import lambertian
@@ -104,7 +103,7 @@ def test_bytes_do_not_depend_on_threads_or_chunks(monkeypatch):
         return [a.tobytes() for a in (normals, albedo, fit.share, fit.depth, fit.misfit, fit.iterations)]
 
     first = content()
-    monkeypatch.setattr(equations.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(chunks.os, "cpu_count", lambda: 1)
     assert content() == first
     monkeypatch.setattr(chunks, "_pixels_per_chunk", lambda lights: 300)
     assert content() == first

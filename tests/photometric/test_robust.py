@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric import equations
+from splitknit.imaging import chunks
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import RobustSettings, light_weights, robust
 
@@ -134,9 +134,9 @@ def test_bytes_do_not_depend_on_the_chunks(monkeypatch):
     lights = ring(9)
     stack, _, mask = sphere(lights, gloss=0.3, noise=0.002)
     first = robust(stack, lights, mask)[0].tobytes()
-    monkeypatch.setattr(equations.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(chunks.os, "cpu_count", lambda: 1)
     assert robust(stack, lights, mask)[0].tobytes() == first
-    monkeypatch.setattr(equations, "_pixels_per_chunk", lambda lights: 700)
+    monkeypatch.setattr(chunks, "_pixels_per_chunk", lambda lights: 700)
     assert robust(stack, lights, mask)[0].tobytes() == first
 
 

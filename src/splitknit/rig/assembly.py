@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import os
 import re
@@ -80,7 +79,6 @@ KINDS: tuple[PartKind, ...] = (
         "each layer cools.",
     ),
 )
-_MAKERS = {"calibration_disc": "disc", "calibration_disc_flat": "flat_disc", "calibration_dots": "dots"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,18 +113,14 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
     """
     check_dimensions(dimensions)
     require_build123d()
+    from splitknit.rig.parts import MAKERS  # noqa: PLC0415 - needs build123d
+
     parts = []
     for done, kind in enumerate(KINDS):
         if progress is not None:
             progress(kind.name, done / len(KINDS))
-        parts.append(RigPart(kind, _maker(kind)(dimensions)))
+        parts.append(RigPart(kind, MAKERS[kind.name](dimensions)))
     return tuple(parts)
-
-
-def _maker(kind: PartKind) -> Callable[[RigDimensions], Any]:
-    module = importlib.import_module("splitknit.rig.parts")
-    maker: Callable[[RigDimensions], Any] = getattr(module, f"{_MAKERS.get(kind.name, kind.name)}_part")
-    return maker
 
 
 # --- STL files --------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ Needs build123d; imported where parts are made.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -399,3 +400,19 @@ def _nail_part(dimensions: RigDimensions) -> Shape:
     """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
     tip = NOZZLE_MM / 2
     return cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
+
+
+MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
+    "base": _base_part,
+    "window_base": _window_base_part,
+    "mirror_holder": _mirror_holder_part,
+    "cylinder": _cylinder_part,
+    "frame": _frame_part,
+    "box": _box_part,
+    "lid": _lid_part,
+    "calibration_disc": _disc_part,
+    "calibration_disc_flat": _flat_disc_part,
+    "calibration_dots": _dots_part,
+    "nail": _nail_part,
+}
+"""What draws each part."""

@@ -251,7 +251,7 @@ def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Seq
 # --- training, network and card --------------------------------------------------------------------------------------
 
 
-def _train_relief(
+def train_relief(
     out: Path,
     data: ReliefData,
     settings: ReliefSettings,

@@ -254,7 +254,7 @@ def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArr
 # --- training, network and card --------------------------------------------------------------------------------------
 
 
-def _train_shape(
+def train_shape(
     out: Path,
     data: ShapeData,
     settings: ShapeSettings,
