@@ -39,8 +39,6 @@ from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Camera
 from splitknit.settings import Checked, Limits
 
-# --- model: residuals of all rows, and how they depend on the unknowns ------------------------------------------------
-
 Points = NDArray[np.float64]
 
 
@@ -219,8 +217,6 @@ def _places(tips: Sequence[Tip], camera: Camera, nail_px: Points) -> tuple[NDArr
     place_of = np.array([names.index(key) for key in keys], dtype=np.intp)
     return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
 
-
-# --- fit --------------------------------------------------------------------------------------------------------------
 
 HIGHEST = 0.6
 """A nail is taken to be lower than this part of the LEDs' height."""

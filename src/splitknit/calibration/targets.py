@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import FloatArray
 
-# --- checkerboards ----------------------------------------------------------------------------------------------------
-
 Points = NDArray[np.float64]
 _WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
 
@@ -228,8 +226,6 @@ def _contrast(image: FloatArray, grid: Points) -> NDArray[np.float64]:
     steps = np.abs(values - np.roll(values, 1, axis=0))
     return np.asarray(steps.min(axis=0))
 
-
-# --- calibration disc -------------------------------------------------------------------------------------------------
 
 _STARTS = 8
 """Dots from which a grid is tried."""

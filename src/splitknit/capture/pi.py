@@ -24,8 +24,6 @@ from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import BadInput, require
 from splitknit.model import Rig
 
-# --- LEDs -------------------------------------------------------------------------------------------------------------
-
 SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
 
@@ -74,8 +72,6 @@ class PiLightBank(GuardedLights):
         for line in lines:
             line.close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
 
-
-# --- camera -----------------------------------------------------------------------------------------------------------
 
 SENSOR_SIZE = (2464, 3280)
 """Rows, columns of the IMX219."""
@@ -353,8 +349,6 @@ def _developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[n
         result[..., c] = table.astype(np.uint16)[np.minimum(colours[..., c], (1 << RAW_BITS) - 1)]
     return result
 
-
-# --- both, opened together --------------------------------------------------------------------------------------------
 
 INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment "
 INSTALL += "with --system-site-packages"

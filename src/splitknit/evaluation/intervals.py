@@ -426,9 +426,7 @@ def _dot(a: Row, b: Row) -> float:
 # Impostor scores that share either finger thus rise and fall together. Copies of one finger in a replicate are not
 # compared with each other: there is no score for it.
 #
-# References
-# ----------
-# T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network statistics", Connections
+# Source: T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network statistics", Connections
 # 22(2), 1999 (the vertex bootstrap). A. B. Owen, "The pigeonhole bootstrap", Annals of Applied Statistics 1(2), 2007
 # (two-way; the variance is right or a little large). R. M. Bolle, N. K. Ratha, S. Pankanti, "Error analysis of pattern
 # recognition systems - the subsets bootstrap", Computer Vision and Image Understanding 93(1), 2004 (one-way: by one

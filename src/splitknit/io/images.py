@@ -250,9 +250,7 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 # be found is a file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to
 # the same pixels as OpenCV, whose decoder prints on stderr where a file is damaged.
 #
-# References
-# ----------
-# ITU-T T.81 (1992), annex B: markers and segments.
+# Source: ITU-T T.81 (1992), annex B: markers and segments.
 
 
 _JPEG_SIGNATURE = b"\xff\xd8\xff"

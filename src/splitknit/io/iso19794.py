@@ -126,9 +126,7 @@ def _read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
 # not kept: the card and what surrounds the list know them. A list has no mark by which it could be told from other
 # bytes.
 #
-# References
-# ----------
-# ISO/IEC 19794-2:2005, clause 8 (finger minutiae card formats).
+# Source: ISO/IEC 19794-2:2005, clause 8 (finger minutiae card formats).
 
 
 _NORMAL = np.dtype([("x", ">u2"), ("y", ">u2"), ("direction", "u1")])

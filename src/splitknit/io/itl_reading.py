@@ -30,9 +30,7 @@ from splitknit.io.wsq_image import decode_wsq, encode_wsq
 # 0502
 # (ANSI/NIST-ITL 1-2011, update 2015). Equal input gives equal bytes: date and control number are given, not made up.
 #
-# References
-# ----------
-# ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.
+# Source: ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.
 
 
 VERSION = "0502"

@@ -63,9 +63,7 @@ from splitknit.io.minutiae_record import (
 #     20  0                                 17  minutiae, as in ANSI/INCITS 378-2004
 #                                               length of the extended data (2 bytes), extended data
 #
-# References
-# ----------
-# ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
+# Source: ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
 
 _HEADER = struct.Struct(">8sIHHBHBB")
 _VIEW = struct.Struct(">BBBBHHHHHHB")
@@ -161,9 +159,7 @@ def _decode_view(cursor: Cursor, what: str) -> FingerView:
 #     24  number of views
 #     25  0
 #
-# References
-# ----------
-# ANSI/INCITS 378-2004, clause 6.
+# Source: ANSI/INCITS 378-2004, clause 6.
 
 _START = struct.Struct(">8sH")
 _LONG = struct.Struct(">I")

@@ -135,9 +135,7 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 # Prints as 8-bit grey TIFF with their resolution in the tags and their texts in the description.
 #
-# References
-# ----------
-# TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
+# Source: TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
 
 
 _INCH, _CENTIMETRE = 2, 3

@@ -19,8 +19,6 @@ from splitknit.io.mesh import HEADER_BYTES, RECORD
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import RigDimensions
 
-# --- parts ------------------------------------------------------------------------------------------------------------
-
 STACK = ("base", "cylinder", "frame", "box", "lid")
 """The rig with the camera above, from below upwards."""
 STACK_BELOW = ("window_base", "cylinder", "frame", "box", "lid")
@@ -123,8 +121,6 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
     return tuple(parts)
 
 
-# --- STL files --------------------------------------------------------------------------------------------------------
-
 Triangles = NDArray[np.float32]
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
 _MAX_BYTES = 700_000_000
@@ -188,8 +184,6 @@ def unit_normals(triangles: Triangles) -> NDArray[np.float64]:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
-
-# --- triangles and STEP files -----------------------------------------------------------------------------------------
 
 TOLERANCE_MM = 0.01
 """Between a curved face and its triangles: far below what a printer holds."""

@@ -15,8 +15,6 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.rig.photography import LAMPS, MIN_LEVEL, PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
 from splitknit.settings import Checked, Limits
 
-# --- candidates -------------------------------------------------------------------------------------------------------
-
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""
 _FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
@@ -169,8 +167,6 @@ def rig_of(
             )
     return Rig(_camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
 
-
-# --- constraints, by geometry alone -----------------------------------------------------------------------------------
 
 Array = NDArray[np.float64]
 
@@ -409,8 +405,6 @@ def _depth(photons: PhotonSettings, finger: Print) -> Finding:
     words += f"{seen:.1f} mm." if ok else f"{seen:.1f} mm: stop down."
     return Finding("depth_of_field", ok, False, sharp - seen, words)
 
-
-# --- study ------------------------------------------------------------------------------------------------------------
 
 FIRST_SEED = 400
 """Of the fingers."""

@@ -48,8 +48,6 @@ from splitknit.rig.part_settings import (
     PartSettings,
 )
 
-# --- calibration nail -------------------------------------------------------------------------------------------------
-
 _STEP_MM = 0.5
 
 
@@ -113,9 +111,6 @@ def _places(rig: Rig) -> NDArray[np.float64]:
     places = [led.position_mm for led in rig.leds]
     require(None not in places, "the nail's height needs the place of every LED (position_mm).")
     return np.asarray(places, dtype=np.float64)
-
-
-# --- holes of the LEDs ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,8 +178,6 @@ def _led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
         back_mm=shoulder + LED_POCKET_MM,
     )
 
-
-# --- parts ------------------------------------------------------------------------------------------------------------
 
 SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 """Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that parts fit one way."""
@@ -397,8 +390,6 @@ def _gusset(settings: PartSettings) -> float:
 def _boards_high(settings: PartSettings) -> float:
     return PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM + 1.6 + PCB_PARTS_MM
 
-
-# --- mirror holders ---------------------------------------------------------------------------------------------------
 
 _LIP_WALL_MM = 1.2
 

@@ -27,8 +27,6 @@ from splitknit.rig.part_settings import (
     PrinterSettings,
 )
 
-# --- dimensions for ``parts.json`` ------------------------------------------------------------------------------------
-
 
 def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
     """Return the dimensions of the rig and of its parts, mm and degrees."""
@@ -98,8 +96,6 @@ def _led(hole: LedHole) -> dict[str, Any]:
         "shoulder_behind_light_mm": hole.shoulder_mm,
     }
 
-
-# --- parts ------------------------------------------------------------------------------------------------------------
 
 _FACETS_MM = 0.1
 """How much thinner facets make a round wall."""

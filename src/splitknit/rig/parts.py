@@ -72,8 +72,6 @@ from splitknit.rig.solids import (
     turned_to,
 )
 
-# --- at the finger: base, window base, mirror holder ------------------------------------------------------------------
-
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
 
@@ -182,8 +180,6 @@ def _mirror_holder_part(dimensions: RigDimensions) -> Shape:
     outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
     return prism_y(outline, y - half, y + half)
 
-
-# --- tubes: cylinder, LED and camera frame, circuit box, lid ----------------------------------------------------------
 
 _CABLE_DEG = 70.0
 """Azimuth of the cable hole: at the back, on the side of the Pi's power socket, beside lugs and boards."""
@@ -342,8 +338,6 @@ def _lid_part(dimensions: RigDimensions) -> Shape:
     pockets = feet(dimensions, high, -1.0, _FEET_DEG)
     return cut(body, [groove(dimensions, low), *pockets, *head_holes(dimensions, low, SCREWS_B_DEG)])
 
-
-# --- in the finger's place: calibration disc and nail -----------------------------------------------------------------
 
 _BORDER_MM = 2.0
 _PEG_SLACK_MM = 0.1

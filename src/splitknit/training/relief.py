@@ -130,9 +130,6 @@ class _ReliefTrainer(FieldsTrainer):
         return _judge_middle(self.run, sample, self.settings.stride)
 
 
-# --- loss and figures ---------------------------------------------------------------------------------------------
-
-
 def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
@@ -206,9 +203,6 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     }
 
 
-# --- patches ---------------------------------------------------------------------------------------------------------
-
-
 def _draw_patch(
     samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator, whole: Sequence[Sample] = ()
 ) -> FloatArray:
@@ -246,9 +240,6 @@ def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Seq
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
     patches = np.stack([_draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
     return one_scale(patches, _MIN_DEVIATION)
-
-
-# --- training, network and card --------------------------------------------------------------------------------------
 
 
 def train_relief(

@@ -202,9 +202,6 @@ def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: flo
     return fine_lighting(rig, low, height, factor, grid)
 
 
-# --- pieces ---------------------------------------------------------------------------------------------------------
-
-
 def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
     """Samples (n, 41, h, w) of pieces of the finger `number`, see :mod:`splitknit.training.fields`.
 

@@ -151,9 +151,6 @@ class _ShapeTrainer(FieldsTrainer):
         return _judge_whole(self.run, sample, self.settings.stride)
 
 
-# --- loss and figures ------------------------------------------------------------------------------------------------
-
-
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
@@ -208,9 +205,6 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
-# --- patches ---------------------------------------------------------------------------------------------------------
-
-
 def _draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.random.Generator) -> FloatArray:
     """Cut a patch (35, side, side) anywhere in any sample, as it is; zero where it reaches over the sample. Raises
     BadInput if patches with enough skin cannot be found.
@@ -249,9 +243,6 @@ def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArr
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
     patches = np.stack([_draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
     return one_scale(patches, _MIN_DEVIATION)
-
-
-# --- training, network and card --------------------------------------------------------------------------------------
 
 
 def train_shape(
