@@ -144,7 +144,8 @@ def _write_mesh_stl(
 # mesh
 # scales it by 0.001, so that every program shows the finger at its true size.
 #
-# Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4 (GLB).
+# Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4
+# (GLB).
 
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942

@@ -157,7 +157,8 @@ def _package_folder() -> Path:
 # WSQ has no checksums: a changed byte inside the image data cannot be distinguished from a picture. What can be found
 # is a file that ends early, has a damaged header, or claims more pixels than any print has.
 #
-# Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and segments.
+# Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and
+# segments.
 
 SIGNATURE = b"\xff\xa0"
 _END, _FRAME, _BLOCK = 0xA1, 0xA2, 0xA3

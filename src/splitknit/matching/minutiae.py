@@ -32,8 +32,9 @@ from splitknit.model import FloatArray
 # Overlapping windows are transformed; in each, what runs along the local ridges and has their local period is kept. Dry
 # ridges close, scratches are bridged, noise goes; what is no ridge stays white.
 #
-# Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern Recognition 40,
-# 2007 (windows, filters); A. Bazen and S. Gerez, IEEE TPAMI 24, 2002 (direction from averaged squared gradients).
+# Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
+# Recognition 40, 2007 (windows, filters); A. Bazen and S. Gerez, IEEE TPAMI 24, 2002 (direction from averaged squared
+# gradients).
 
 
 _DIRECTIONS, _PERIODS = 64, 24
