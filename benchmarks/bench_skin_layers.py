@@ -13,10 +13,16 @@ from scipy.optimize import least_squares
 
 from cases import shadow_case
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, directions, fitted
+from splitknit.photometric.hanrahan_krueger_fit import (
+    HanrahanKruegerSettings,
+    Pixels,
+    SkinLayers,
+    directions,
+    fitted,
+    reflected,
+)
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
-from splitknit.photometric.skin_layers import SkinLayers, reflected
 from timing import machine, print_table, race
 
 NOISE = 0.01

@@ -16,7 +16,7 @@ from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle, by_circle
 from splitknit.calibration.nail import by_joint_fit
 from splitknit.model import Rig
-from splitknit.rig.netlist import design_circuit
+from splitknit.rig.circuit_files import design_circuit
 from splitknit.simulator.calibration_set.solids import NailScene
 from splitknit.simulator.rigs import built_rig
 

@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from splitknit.io.finger_codes import ANSI_2004_IMPRESSIONS, ANSI_2009_IMPRESSIONS, FINGER_CODES, ISO_2005_IMPRESSIONS
 from splitknit.io.fmr_bytes import ANSI_2004, ANSI_2009, ANSI_2009_AM1, ISO_2005
 from splitknit.io.iso19794 import encode_iso19794
 from splitknit.io.minutiae_files import _encode_ansi378, _encode_ansi378_2009
-from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import (
+    ANSI_2004_IMPRESSIONS,
+    ANSI_2009_IMPRESSIONS,
+    FINGER_CODES,
+    ISO_2005_IMPRESSIONS,
+    FingerView,
+    MinutiaeRecord,
+)
 
 THREE = """
  40 0a 00 14 40 32

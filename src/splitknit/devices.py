@@ -161,9 +161,6 @@ def relative_exposure(frame: Frame) -> float:
     return float(np.float64(frame.exposure_s) * frame.gain)
 
 
-# --- what keeps LEDs from staying lit --------------------------------------------------------------------------------
-
-
 class Closing(ABC):
     """What is given back at the end of a ``with`` block."""
 

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from splitknit.batch.chunks import column_type, read_chunk, read_origin, write_chunk
-from splitknit.batch.export import _names_of
+from splitknit.batch.engine import _names_of
 from splitknit.batch.scores import score_schema
 from splitknit.batch.store import Store
 from splitknit.errors import BadInput

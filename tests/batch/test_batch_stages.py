@@ -13,8 +13,7 @@ import pytest
 from batch_stores import EA, chunks, pairs_of
 
 from splitknit.batch.chunks import read_chunk, read_origin
-from splitknit.batch.engine import run_batch
-from splitknit.batch.export import to_scores
+from splitknit.batch.engine import run_batch, to_scores
 from splitknit.batch.settings import BatchSettings, Case, preset_cases
 from splitknit.batch.store import Store
 from splitknit.errors import BadInput

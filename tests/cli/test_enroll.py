@@ -20,7 +20,8 @@ from enrolled import facts_of, refusal_of, words_of
 from first_gallery import of_version_1
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.gallery import key_file, manage
+from splitknit.gallery import key as gallery_key
+from splitknit.gallery import manage
 from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.io.prints import read_print_png
 
@@ -233,24 +234,24 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 def test_a_key_comes_from_a_pipe_that_somebody_writes_into(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(key_file, "_WRITER_S", 0.3)
+    monkeypatch.setattr(gallery_key, "_WRITER_S", 0.3)
     pipe = tmp_path / "key"
     os.mkfifo(pipe)
     with pytest.raises(BadInput, match="a pipe that no program writes into"):
-        key_file.key_of(pipe)
+        gallery_key.key_of(pipe)
     key = tmp_path / "plain"
     key.write_text(PHRASE + "\n")
     slowly = 'sleep 0.1; exec >"$1"; sleep 0.5; printf %s "$2"; sleep 0.1; echo'
     with subprocess.Popen(["sh", "-c", slowly, "sh", pipe, PHRASE]) as writer:
-        assert key_file.key_of(pipe) == key_file.key_of(key)
+        assert gallery_key.key_of(pipe) == gallery_key.key_of(key)
     assert writer.returncode == 0
     ours, theirs = os.pipe()
     os.write(theirs, PHRASE.encode())
     os.close(theirs)
-    assert key_file.key_of(Path(f"/dev/fd/{ours}")) == key_file.key_of(key)  # --key-file <(...)
+    assert gallery_key.key_of(Path(f"/dev/fd/{ours}")) == gallery_key.key_of(key)  # --key-file <(...)
     os.close(ours)
     with pytest.raises(BadInput, match="is neither a file nor a pipe"):
-        key_file.key_of(Path("/dev/zero"))
+        gallery_key.key_of(Path("/dev/zero"))
 
 
 def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:

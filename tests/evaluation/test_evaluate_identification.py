@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.evaluation.identification import cmc, rank_one_interval
+from splitknit.evaluation.facts import cmc, rank_one_interval
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores, ids_of
 

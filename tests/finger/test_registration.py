@@ -10,8 +10,8 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.finger.registration import RegistrationSettings, register_shots, without_glare
-from splitknit.finger.registration_band import Seen, register_band
 from splitknit.finger.registration_flow import details_of, finger_family, places_of, still
+from splitknit.finger.steady import Seen, register_band
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)

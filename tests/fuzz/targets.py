@@ -53,8 +53,7 @@ from splitknit.evaluation.study import _read_exclusion_list, _read_systems
 from splitknit.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.identify import IdentifySettings, Question, identify_file
-from splitknit.gallery.key import Key, ScryptSettings
-from splitknit.gallery.key_file import key_of
+from splitknit.gallery.key import Key, ScryptSettings, key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.float_tiff import _read_height_tiff, _read_light_tiff, write_height_tiff, write_light_tiff

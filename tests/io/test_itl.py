@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
 from splitknit.io import itl_reading
-from splitknit.io.finger_codes import FINGER_CODES
 from splitknit.io.itl_reading import (
     Transaction,
     _read_transaction,
@@ -24,6 +23,7 @@ from splitknit.io.itl_reading import (
     encode_transaction,
     write_transaction,
 )
+from splitknit.io.minutiae_record import FINGER_CODES
 
 nistitl = pytest.importorskip("nistitl")
 FACTS = _TransactionFacts(datetime.date(2026, 11, 20), "P01-7", "OTHER", "LAB", "RIG3")

@@ -10,9 +10,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import smoothed
 from splitknit.io.capture import read_capture
-from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
-from splitknit.matching.surface_codes import surface_code
 from splitknit.model import Surface, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings

@@ -12,8 +12,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
 from splitknit.matching.elastic import PatchSettings
-from splitknit.matching.phase import PhaseSettings
-from splitknit.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
+from splitknit.matching.ridge import PhaseSettings, Prepared, RidgeMatchSettings, ridge_match
 from splitknit.matching.ridge_band import RidgeBand, RidgeBandSettings, ridge_band
 from splitknit.matching.template import Template, _failed_template, make_template
 

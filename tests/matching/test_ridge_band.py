@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.matching.phase import _PLANE_PX, PhaseSettings, peaks, views
+from splitknit.matching.ridge import _PLANE_PX, PhaseSettings, peaks, views
 from splitknit.matching.ridge_band import RidgeBandSettings, print_band, ridge_band
 
 PITCH = 0.05

@@ -13,10 +13,10 @@ from splitknit.errors import BadInput
 from splitknit.mirrors.rolled.blend import coverage_deg
 from splitknit.mirrors.rolled.finger import Rolled, _apart, _base, rolled_finger
 from splitknit.mirrors.rolled.register import ridge_band
-from splitknit.mirrors.rolled.relief import _lit
 from splitknit.mirrors.rolled.search import SearchSettings
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import _check_mirrors, _notes
+from splitknit.mirrors.rolled.work import _lit
 from splitknit.model import Capture
 from splitknit.presets import preset_settings
 from splitknit.skin.grid import Grid

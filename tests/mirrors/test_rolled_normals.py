@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.mirrors.rolled.relief import _held_normals
+from splitknit.mirrors.rolled.work import _held_normals
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import FineLight
 

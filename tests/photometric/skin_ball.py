@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
-from splitknit.photometric.skin_layers import SkinLayers, reflected
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, SkinLayers, reflected
 
 EQUAL = HanrahanKruegerSettings(weights="equal")
 THIN = SkinLayers(epidermis_thickness_mm=0.02)

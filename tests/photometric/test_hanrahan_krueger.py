@@ -12,9 +12,8 @@ from splitknit.errors import BadInput
 from splitknit.imaging import chunks
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger, hanrahan_krueger_near
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, LevenbergSettings
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, LevenbergSettings, reflected
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.skin_layers import reflected
 
 
 def error_deg(got, normals, mask):

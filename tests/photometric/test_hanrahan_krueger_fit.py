@@ -9,8 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 from skin_ball import EQUAL, THIN, ball, ring
 
-from splitknit.photometric.hanrahan_krueger_fit import Pixels, directions, fitted
-from splitknit.photometric.skin_layers import reflected
+from splitknit.photometric.hanrahan_krueger_fit import Pixels, directions, fitted, reflected
 
 
 def problem(stack, lights, settings, kind=np.float64):

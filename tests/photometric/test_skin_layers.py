@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.photometric.skin_layers import SkinLayers, _refracted, _scattered, _transmitted, reflected
+from splitknit.photometric.hanrahan_krueger_fit import SkinLayers, _refracted, _scattered, _transmitted, reflected
 
 LAYERS = SkinLayers(epidermis_thickness_mm=0.01)
 SHARE, DEPTH, BASE, EXPOSURE = LAYERS.epidermis_share, LAYERS.epidermis_depth, 0.4, 6.0

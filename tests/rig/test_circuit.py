@@ -24,7 +24,7 @@ from splitknit.rig.circuit import (
     _rating_for,
     design_stage,
 )
-from splitknit.rig.netlist import (
+from splitknit.rig.circuit_files import (
     GROUND_PINS,
     HEADER_OF_GPIO,
     Circuit,

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
-from surfaces import perspective_camera, perspective_plane, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
@@ -29,6 +28,7 @@ from splitknit.simulator.light.skin import (
     load_walks,
 )
 from splitknit.simulator.surface import Surface
+from surfaces import perspective_camera, perspective_plane, ridged_egg
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = Pose(yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4)

@@ -14,7 +14,7 @@ from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import relief as app
 from splitknit.training.networks import fields_network
-from splitknit.training.relief import ReliefSettings, _train_relief, network_metrics, write_network
+from splitknit.training.relief import ReliefSettings, network_metrics, train_relief, write_network
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData
 from splitknit.training.trainer import HELD_OUT_FROM
 
@@ -62,7 +62,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
     heard: list[tuple[str, float]] = []
-    facts = _train_relief(
+    facts = train_relief(
         tmp_path / "run",
         DATA,
         SETTINGS,
@@ -97,7 +97,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
 
 
 def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numbers, monkeypatch) -> None:
-    _train_relief(tmp_path / "whole", DATA, SETTINGS)
+    train_relief(tmp_path / "whole", DATA, SETTINGS)
 
     class StopError(Exception):
         pass
@@ -111,9 +111,9 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
 
     for limit in (0.2, 0.75):  # between two fingers, and between two entries of the curve
         with pytest.raises(StopError):
-            _train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
+            train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
     numbers.clear()
-    _train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
     assert numbers == []  # all fingers were there, the refused one too
     whole, parts = files_of(tmp_path / "whole"), files_of(tmp_path / "parts")
     assert whole.keys() == parts.keys()
@@ -121,47 +121,47 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
         ["checkpoint.pt", "curve.csv"],
         ["curve.csv", "checkpoint.pt"],
     )
-    again = _train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    again = train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
     assert files_of(tmp_path / "parts") == parts and again["refused"] == 2
 
 
 def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> None:
     folder = tmp_path / "run"
-    _train_relief(folder, DATA, SETTINGS)
+    train_relief(folder, DATA, SETTINGS)
     with pytest.raises(BadInput, match="--resume"):
-        _train_relief(folder, DATA, SETTINGS)
+        train_relief(folder, DATA, SETTINGS)
     with pytest.raises(BadInput, match=r"other settings \(training.batch\)"):
-        _train_relief(folder, DATA, replace(SETTINGS, batch=3), resume=True)
+        train_relief(folder, DATA, replace(SETTINGS, batch=3), resume=True)
     with pytest.raises(BadInput, match=r"other settings \(data.fingers\)"):
-        _train_relief(folder, replace(DATA, fingers=4), SETTINGS, resume=True)
+        train_relief(folder, replace(DATA, fingers=4), SETTINGS, resume=True)
     sample = folder / "data" / "finger_0000010.npy"
     whole = sample.read_bytes()
     sample.write_bytes(whole[:500])
     with pytest.raises(BadInput, match=r"finger_0000010.npy' is damaged .*resume"):
-        _train_relief(folder, DATA, SETTINGS, resume=True)
+        train_relief(folder, DATA, SETTINGS, resume=True)
     np.save(sample, np.zeros((3, 4, 5), dtype=np.float16))
     with pytest.raises(BadInput, match=r"\(3, 4, 5\)"):
-        _train_relief(folder, DATA, SETTINGS, resume=True)
+        train_relief(folder, DATA, SETTINGS, resume=True)
     sample.write_bytes(whole)
     pieces = folder / "data" / "pieces_0000030.npy"
     there = pieces.read_bytes()
     np.save(pieces, np.zeros((41, 20, 20), dtype=np.float16))
     with pytest.raises(BadInput, match=r"pieces_0000030.npy' is damaged"):
-        _train_relief(folder, DATA, SETTINGS, resume=True)
+        train_relief(folder, DATA, SETTINGS, resume=True)
     pieces.write_bytes(there)
     (folder / "data" / "finger_0000010.json").write_text("{")
     with pytest.raises(BadInput, match=r"finger_0000010.json' is damaged"):
-        _train_relief(folder, DATA, SETTINGS, resume=True)
+        train_relief(folder, DATA, SETTINGS, resume=True)
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.txt").write_text("not a training")
     with pytest.raises(BadInput, match="name another folder"):
-        _train_relief(other, DATA, SETTINGS, resume=True)
+        train_relief(other, DATA, SETTINGS, resume=True)
 
 
 def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers) -> None:
     with pytest.raises(BadInput, match=r"not one finger to train on.*31: not one piece holds skin"):
-        _train_relief(tmp_path / "run", replace(DATA, fingers=1, first=31), SETTINGS)
+        train_relief(tmp_path / "run", replace(DATA, fingers=1, first=31), SETTINGS)
 
 
 def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:

@@ -19,8 +19,8 @@ from splitknit.training.shape import (
     SLOPES,
     WEIGHT,
     ShapeSettings,
-    _train_shape,
     network_metrics,
+    train_shape,
     write_network,
 )
 from splitknit.training.shape_data import ShapeData
@@ -72,7 +72,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
     heard: list[tuple[str, float]] = []
-    facts = _train_shape(
+    facts = train_shape(
         tmp_path / "run",
         DATA,
         SETTINGS,
@@ -105,7 +105,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
 
 
 def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numbers) -> None:
-    _train_shape(tmp_path / "whole", DATA, SETTINGS)
+    train_shape(tmp_path / "whole", DATA, SETTINGS)
 
     class StopError(Exception):
         pass
@@ -119,9 +119,9 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
 
     for limit in (0.2, 0.75):  # between two fingers, and between two entries of the curve
         with pytest.raises(StopError):
-            _train_shape(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
+            train_shape(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
     numbers.clear()
-    _train_shape(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    train_shape(tmp_path / "parts", DATA, SETTINGS, resume=True)
     assert numbers == []  # all fingers were there, the refused one too
     whole, parts = files_of(tmp_path / "whole"), files_of(tmp_path / "parts")
     assert whole.keys() == parts.keys()
@@ -130,16 +130,16 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
 
 def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> None:
     folder = tmp_path / "run"
-    _train_shape(folder, DATA, replace(SETTINGS, iterations=1))
+    train_shape(folder, DATA, replace(SETTINGS, iterations=1))
     with pytest.raises(BadInput, match=r"other settings \(training.wide_share\)"):
-        _train_shape(folder, DATA, replace(SETTINGS, iterations=1, wide_share=2.0), resume=True)
+        train_shape(folder, DATA, replace(SETTINGS, iterations=1, wide_share=2.0), resume=True)
     with pytest.raises(BadInput, match=r"other settings \(data.gain\)"):
-        _train_shape(folder, replace(DATA, gain=1.0), replace(SETTINGS, iterations=1), resume=True)
+        train_shape(folder, replace(DATA, gain=1.0), replace(SETTINGS, iterations=1), resume=True)
     np.save(folder / "data" / "finger_0000010.npy", np.zeros((3, 4, 5), dtype=np.float16))
     with pytest.raises(BadInput, match=r"finger_0000010.npy' is damaged .*\(3, 4, 5\).*resume"):
-        _train_shape(folder, DATA, replace(SETTINGS, iterations=1), resume=True)
+        train_shape(folder, DATA, replace(SETTINGS, iterations=1), resume=True)
     with pytest.raises(BadInput, match=r"not one finger to train on.*11: there is no finger"):
-        _train_shape(tmp_path / "other", replace(DATA, fingers=1, first=11), SETTINGS)
+        train_shape(tmp_path / "other", replace(DATA, fingers=1, first=11), SETTINGS)
 
 
 def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, capsys) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
-from splitknit.photometric.skin_layers import SkinLayers, reflected
+from splitknit.photometric.hanrahan_krueger_fit import SkinLayers, reflected
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "family"
 

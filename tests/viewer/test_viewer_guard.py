@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.viewer.catalogue import open_below, read_below
-from splitknit.viewer.guard import POLICY, new_token, refusal
+from splitknit.viewer.server import POLICY, new_token, refusal
 
 TOKEN, PORT = "t0ken", 8123
 

@@ -28,7 +28,7 @@ from splitknit.io.ply import _read_ply
 from splitknit.rig.assembly import read_stl
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service
-from splitknit.viewer.guard import HEADERS
+from splitknit.viewer.server import HEADERS
 from splitknit.viewer.surface import Surface, read_surface
 
 Serve = Callable[..., Asking]

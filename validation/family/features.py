@@ -34,9 +34,8 @@ from splitknit.evaluation.scores import Scores
 from splitknit.io.capture import read_capture
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
-from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match
-from splitknit.matching.surface_codes import surface_code
 from splitknit.model import Surface, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print

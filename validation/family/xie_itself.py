@@ -10,9 +10,8 @@ from xie_skin import Skin, layers, paint
 from xie_ways import SHIPPED, error_deg
 
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, SkinLayers
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.skin_layers import SkinLayers
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import lay_down
 

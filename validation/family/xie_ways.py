@@ -16,11 +16,10 @@ from splitknit.integration.poisson import poisson
 from splitknit.integration.shapelets import ShapeletSettings, shapelets
 from splitknit.model import BoolArray, FloatArray, Reconstruction, Rig
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger, hanrahan_krueger_near
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
+from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, SkinLayers
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light
 from splitknit.photometric.robust import robust
-from splitknit.photometric.skin_layers import SkinLayers
 from splitknit.presets import PRESETS
 
 Array = NDArray[Any]

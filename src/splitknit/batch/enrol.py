@@ -105,12 +105,8 @@ def enroll_population(
 
 
 def _found_in(folder: Path) -> list[Found]:
-    """Captures and results of an enrolment folder, by person, session and finger.
-
-    Raises
-    ------
-    BadInput
-        If there are none, or a folder has a name that no finger or session has.
+    """Captures and results of an enrolment folder, by person, session and finger. Raises BadInput if there are none, or
+    a folder has a name that no finger or session has.
     """
     require(folder.is_dir(), f"there is no folder '{folder}'; name an enrolment or a simulated population.")
     found = []

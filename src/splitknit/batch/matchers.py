@@ -21,7 +21,7 @@ from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra
 from splitknit.matching.minutiae_record import unpack_minutiae, unpack_space_minutiae
 from splitknit.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
 from splitknit.matching.score import similarity_of
-from splitknit.matching.space_minutiae import SLOPE_SIGMA_MM
+from splitknit.matching.space_features import SLOPE_SIGMA_MM
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
 from splitknit.matching.template import unpack

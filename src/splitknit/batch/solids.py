@@ -19,10 +19,9 @@ from splitknit.batch.prints import MinutiaeDone
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae_record import pack_space_minutiae
-from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import pack_surface_code
-from splitknit.matching.surface_codes import surface_code
 from splitknit.model import Surface
 
 VERSION = 1

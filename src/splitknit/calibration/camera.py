@@ -14,8 +14,6 @@ from splitknit.calibration.targets import Board
 from splitknit.errors import BadInput, require
 from splitknit.settings import Checked, Limits
 
-# --- Zhang's fit, with as many terms of distortion as the views determine ---------------------------------------------
-
 Points = NDArray[np.float64]
 TERMS = ("k1", "k2", "p1", "p2", "k3")
 """Of the distortion, in OpenCV's order."""
@@ -235,9 +233,6 @@ def _undetermined(why: str) -> str:
         f"the photographs do not determine the camera ({why}); tilt the board by 20 to 40 deg to several sides, "
         "and let it fill the picture."
     )
-
-
-# --- calibration ------------------------------------------------------------------------------------------------------
 
 
 _MIN_VIEWS = 5

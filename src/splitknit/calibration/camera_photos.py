@@ -271,13 +271,8 @@ def _board_photos(  # noqa: PLR0917
     expected_by: str,
     progress: Callable[[float], None],
 ) -> _BoardPhotos:
-    """Find the board in every photograph.
-
-    Raises
-    ------
-    BadInput
-        If a file is no image, sizes differ, or too few photographs show the board: then with the size of the board that
-        they do show, where one is found.
+    """Find the board in every photograph. Raises BadInput if a file is no image, sizes differ, or too few photographs
+    show the board: then with the size of the board that they do show, where one is found.
     """
     corners: dict[str, Points] = {}
     hashes: dict[str, str] = {}

@@ -36,20 +36,8 @@ class _Cells:
 def _cells_of(band: Band, encoding: str, across: int = _ACROSS) -> _Cells:
     """Linear grey light of a band in cells: black level and ambient light removed, the lens's fall-off left in.
 
-    Parameters
-    ----------
-    band : Band
-    encoding : ``linear`` or ``srgb``
-    across : cells along the image's longer side
-
-    Returns
-    -------
-    Cells
-
-    Raises
-    ------
-    BadInput
-        If the images are too small for the cells.
+    `encoding`: ``linear`` or ``srgb``; `across`: cells along the image's longer side. Raises BadInput if the images are
+    too small for the cells.
     """
     size = band.pixels.shape[1:3]
     require(

@@ -30,8 +30,6 @@ from splitknit.errors import require
 from splitknit.imaging.view import plane_points, shading_at
 from splitknit.model import Camera, Led
 
-# --- light on the card ------------------------------------------------------------------------------------------------
-
 Array = NDArray[np.float64]
 
 UNIT_MM2 = 1e4
@@ -132,8 +130,6 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     towards, _ = rays_to_led(led, points)
     return np.asarray(_facing_light(led, points) * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
-
-# --- parameters, residuals and slopes ---------------------------------------------------------------------------------
 
 _LEAST_EXPONENT = 0.02
 """Of a beam, where there is one: below it, an aim means nothing."""

@@ -44,13 +44,8 @@ class _CardFit:
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
     """Fit `order` to ln of the images.
 
-    Parameters
-    ----------
-    model : CardModel
-    start : first guess
-    order : which parameters are free
-    logarithm : (L, N) ln of the images
-    scale : residual (relative, common to all LEDs) beyond which a place counts less and less (Cauchy's weights)
+    `start`: first guess; `order`: which parameters are free; `logarithm`: (L, N) ln of the images; `scale`: residual
+    (relative, common to all LEDs) beyond which a place counts less and less (Cauchy's weights).
     """
     vector = model.project(model.vector(start, order), order)
     weight = np.ones(logarithm.shape[1])
@@ -144,16 +139,9 @@ def _card_gloss(  # noqa: PLR0917
 ) -> tuple[float, float]:
     """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error.
 
-    Parameters
-    ----------
-    camera, leds, pixels, card : as fitted
-    fit : model, its best parameters and their order
-    rest : (L, N) residuals of the fit, NaN where dust was found
-
-    Notes
-    -----
-    Least squares of the residuals on the spot and on all slopes of the model: what beams and aims could explain as
-    well is not counted. The greatest of a narrow and a wide spot, in its errors, is returned.
+    `fit`: model, its best parameters and their order; `rest`: (L, N) residuals of the fit, NaN where dust was found.
+    Least squares of the residuals on the spot and on all slopes of the model: what beams and aims could explain as well
+    is not counted. The greatest of a narrow and a wide spot, in its errors, is returned.
     """
     model, answer, order = fit
     angles = np.stack([_half_angles(camera, led, pixels, card) for led in leds])

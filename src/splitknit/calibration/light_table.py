@@ -24,8 +24,6 @@ from splitknit.errors import BadInput, refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera
 
-# --- table ------------------------------------------------------------------------------------------------------------
-
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
 COLUMNS = ("band", "led", "nail", "nail_x_px", "nail_y_px", "tip_x_px", "tip_y_px")
@@ -204,8 +202,6 @@ def _number(text: str, where: str, column: str) -> float:
     )
     return value
 
-
-# --- trust ------------------------------------------------------------------------------------------------------------
 
 Points = NDArray[np.float64]
 OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "unchecked", "off the circle"

@@ -69,18 +69,10 @@ class LedEstimate:
 def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Points:
     """Where the rays from shadow tips through nails meet the LED circle, beyond the nail.
 
-    Parameters
-    ----------
-    nails_mm, tips_mm : (N, 2) x and y on the finger plane, in the rig's frame; nails inside the circle
-    circle : Circle
+    `nails_mm`, `tips_mm`: (N, 2) x and y on the finger plane, in the rig's frame; nails inside the circle. Returns (N,
+    3) positions in mm, at the circle's height.
 
-    Returns
-    -------
-    (N, 3) positions in mm, at the circle's height
-
-    Examples
-    --------
-    >>> circle_positions(np.array([[10.0, 0.0]]), np.array([[4.0, 0.0]]), Circle(50.0, 140.0)).tolist()
+    >>> _circle_positions(np.array([[10.0, 0.0]]), np.array([[4.0, 0.0]]), Circle(50.0, 140.0)).tolist()
     [[50.0, 0.0, 140.0]]
     """
     along = nails_mm - tips_mm

@@ -83,12 +83,8 @@ def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> dict[str,
 
 
 def _checked_way(job: LightsJob) -> str:
-    """Return ``table``, ``images``, ``sphere`` or ``geometry``.
-
-    Raises
-    ------
-    BadInput
-        If none or several of them are asked for.
+    """Return ``table``, ``images``, ``sphere`` or ``geometry``. Raises BadInput if none or several of them are asked
+    for.
     """
     images = job.images is not None and job.sphere is None
     asked = {

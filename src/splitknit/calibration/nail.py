@@ -39,8 +39,6 @@ from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Camera
 from splitknit.settings import Checked, Limits
 
-# --- model: residuals of all rows, and how they depend on the unknowns ------------------------------------------------
-
 Points = NDArray[np.float64]
 
 
@@ -220,8 +218,6 @@ def _places(tips: Sequence[Tip], camera: Camera, nail_px: Points) -> tuple[NDArr
     return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
 
 
-# --- fit --------------------------------------------------------------------------------------------------------------
-
 HIGHEST = 0.6
 """A nail is taken to be lower than this part of the LEDs' height."""
 
@@ -381,19 +377,11 @@ def _covariance(model: _NailModel, x: Points, weights: Points) -> Points:
 def _radius_95(covariance: NDArray[np.float64]) -> float:
     """Radius about the estimate within which the truth lies with 95 % probability.
 
-    Parameters
-    ----------
-    covariance : (D, D) of a normal error, singular ones too
+    `covariance`: (D, D) of a normal error, singular ones too. The squared length of the error is a sum of squared
+    normal numbers of unequal variance. Its quantile is that of a scaled chi-squared number of the same mean and
+    variance (Satterthwaite 1946, Patnaik 1949), right within 4 % of the radius.
 
-    Notes
-    -----
-    The squared length of the error is a sum of squared normal numbers of unequal variance. Its quantile is that of a
-    scaled chi-squared number of the same mean and variance (Satterthwaite 1946, Patnaik 1949), right
-    within 4 % of the radius.
-
-    Examples
-    --------
-    >>> round(radius_95(np.eye(2)), 3)
+    >>> round(_radius_95(np.eye(2)), 3)
     2.448
     """
     values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)

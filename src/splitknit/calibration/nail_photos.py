@@ -79,13 +79,9 @@ def tips_of_photos(
 def _nail_files(folder: Path) -> Files:
     """Return the images of a folder: subfolders, one for each nail position, of white_0.png ... nir_6.png.
 
-    A folder without subfolders is one position. ``nails.json`` may list the files instead:
-    ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``, names relative to the folder.
-
-    Raises
-    ------
-    BadInput
-        If an image of a band that occurs is missing, or there are none.
+    A folder without subfolders is one position. ``nails.json`` may list the files instead: ``{"nails": [{"white": [7
+    names], "nir": [7 names]}, ...]}``, names relative to the folder. Raises BadInput if an image of a band that occurs
+    is missing, or there are none.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
     if (folder / LISTING).is_file():
@@ -188,11 +184,8 @@ def _nail_overview(
 ) -> ColourArray:
     """All photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray towards the LED (line).
 
-    Parameters
-    ----------
-    tiles : name, image (h, w) of any size, what was found in its stack, and the image's number in it
-    image_size : rows, columns of the photographs
-    width : of each tile in pixels
+    `tiles`: name, image (h, w) of any size, what was found in its stack, and the image's number in it; `image_size`:
+    rows, columns of the photographs; `width`: of each tile in pixels.
     """
     drawn = [
         _nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width)

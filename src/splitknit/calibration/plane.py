@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 
-# --- plane ------------------------------------------------------------------------------------------------------------
-
 Points = NDArray[np.float64]
 
 
@@ -196,9 +194,6 @@ def _deviations(turn: Points, shift: Points, covariance: Points) -> dict[str, fl
         slopes[:, k] = np.array([high[0] - low[0], *(high[1] - low[1])[:2]]) / (2 * step[k])
     variances = np.diag(slopes @ covariance @ slopes.T)
     return {"height_mm": float(np.sqrt(variances[0])), "tilt_deg": float(np.degrees(np.sqrt(variances[1:].max())))}
-
-
-# --- depth of field ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,6 @@ from splitknit.errors import BadInput, require
 from splitknit.model import Capture, Rig
 from splitknit.settings import Checked, Limits
 
-# --- calibration ------------------------------------------------------------------------------------------------------
-
 Array = NDArray[np.float64]
 PROVENANCE = "radiometry"
 """Where a rig's provenance holds what is found here."""
@@ -203,9 +201,6 @@ def _warnings(
 
 def _round(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-# --- a white card photographed again ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -201,11 +201,8 @@ class _CameraFacts:
 def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> _CameraFacts:
     """Measure dark frames and exposures, and compare the response with what the capture says of its images.
 
-    Raises
-    ------
-    BadInput
-        Naming the file, if an image is missing or of another kind than the card's, light fell on a dark frame, or the
-        response is not the one that the capture names.
+    Raises BadInput naming the file, if an image is missing or of another kind than the card's, light fell on a dark
+    frame, or the response is not the one that the capture names.
     """
     hashes: dict[str, str] = {}
     dark = None
@@ -381,13 +378,7 @@ class _RadiometryPlan:
 
 
 def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
-    """Read ``radiometry.json``; an empty plan where there is none.
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the field.
-    """
+    """Read ``radiometry.json``; an empty plan where there is none. Raises BadInput naming the file and the field."""
     file = folder / DOCUMENT
     if not file.is_file():
         return _RadiometryPlan()

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.model import PixelArray
 
-# --- response ---------------------------------------------------------------------------------------------------------
-
 Array = NDArray[np.float64]
 
 
@@ -222,9 +220,6 @@ def _polynomial(
     coefficients = solved / float(ones @ solved) * span[1]
     rms = float(np.sqrt(((left @ coefficients) ** 2 * used).sum() / used.sum()))
     return np.polynomial.Chebyshev(coefficients, domain=list(span)), rms
-
-
-# --- noise ------------------------------------------------------------------------------------------------------------
 
 
 _CURVATURE = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)

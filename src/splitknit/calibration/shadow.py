@@ -89,13 +89,9 @@ def _fit_shape(
 ) -> _Shape:
     """Fit the shape to the darkness (H, W) about its outer part, by least squares.
 
-    Parameters
-    ----------
-    darkness : (H, W) share of the light that is missing, about zero outside the shadow
-    usable : (H, W), false on the nail
-    start : near the truth
-    scale : of the picture
-    common : radius of the tip's shadow and of the penumbra, where they are known
+    `darkness`: (H, W) share of the light that is missing, about zero outside the shadow; `usable`: (H, W), false on the
+    nail; `start`: near the truth; `scale`: of the picture; `common`: radius of the tip's shadow and of the penumbra,
+    where they are known.
     """
     shape = start
     for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
@@ -359,26 +355,10 @@ def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[n
     The straight lines on a cone from its tip to its base are each lit alike along their whole length, and all their
     images pass through that of the tip, whatever camera looks on. So brightness changes across them only: its gradient
     g at the pixel p obeys g . (p - tip) = 0. Least squares over all pixels of the cone and all images, weighted anew by
-    how well each obeys. Brightness is taken against the mean over the LEDs, which stand evenly around.
-
-    Parameters
-    ----------
-    stack : (L, H, W) linear light, under another LED each
-    nail : (H, W) where the nail is seen
-    px_per_mm : scale on the finger plane
-
-    Returns
-    -------
-    (2,) column and row
-
-    Raises
-    ------
-    BadInput
-        If the nail's faces do not show where its tip is.
-
-    References
-    ----------
-    R. Parthasarathy, "Rapid, accurate particle tracking by calculation of radial symmetry centers", Nature Methods 9,
+    how well each obeys. Brightness is taken against the mean over the LEDs, which stand evenly around. `stack`: (L, H,
+    W) linear light, under another LED each; `nail`: (H, W) where the nail is seen; `px_per_mm`: scale on the finger
+    plane. Returns (2,) column and row. Raises BadInput if the nail's faces do not show where its tip is. Source: R.
+    Parthasarathy, "Rapid, accurate particle tracking by calculation of radial symmetry centers", Nature Methods 9,
     2012, for the same equation turned by 90 deg.
     """
     sigma = max(0.08 * px_per_mm, 0.7)

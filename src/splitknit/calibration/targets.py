@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import FloatArray
 
-# --- checkerboards ----------------------------------------------------------------------------------------------------
-
 Points = NDArray[np.float64]
 _WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
 
@@ -85,12 +83,8 @@ _CONTRAST = 0.4
 
 
 def _grey(pixels: Any) -> FloatArray:
-    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off.
-
-    Raises
-    ------
-    BadInput
-        If the image has another shape, is not finite, or shows nothing.
+    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off. Raises
+    BadInput if the image has another shape, is not finite, or shows nothing.
     """
     array = np.asarray(pixels)
     require(array.ndim in (2, 3) and array.size > 0, f"an image must be (H, W) or (H, W, C), but it is {array.shape}.")
@@ -233,8 +227,6 @@ def _contrast(image: FloatArray, grid: Points) -> NDArray[np.float64]:
     return np.asarray(steps.min(axis=0))
 
 
-# --- calibration disc -------------------------------------------------------------------------------------------------
-
 _STARTS = 8
 """Dots from which a grid is tried."""
 
@@ -254,13 +246,10 @@ _MAX_MISS = 0.25
 def _find_dots(pixels: Any) -> Points:
     """Centres (N, 2), column and row, of black round dots on a bright ground, in no order.
 
-    Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and
-    of one size. A centre is the dot's centre of darkness. Under a tilt that is not quite the picture of the dot's
-    middle, but the difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm.
-
-    Parameters
-    ----------
-    pixels : (H, W) or (H, W, C) image
+    Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and of
+    one size. A centre is the dot's centre of darkness. Under a tilt that is not quite the picture of the dot's middle,
+    but the difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm. `pixels`: (H, W) or (H, W, C)
+    image.
     """
     image = _grey(pixels)
     side = min(image.shape)
@@ -294,21 +283,9 @@ def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
 
     A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
     they are there, so that perspective and distortion do not accumulate. Several dots and steps are tried; the grid
-    that takes in most dots is it.
-
-    Parameters
-    ----------
-    centres : (N, 2) from :func:`_find_dots`
-
-    Returns
-    -------
-    numbers : (M, 2) whole steps along both axes of the grid, zero at a dot near the middle
-    places : (M, 2) their centres
-
-    Raises
-    ------
-    BadInput
-        If fewer than six dots form a grid.
+    that takes in most dots is it. `centres`: (N, 2) from :func:`_find_dots`. Returns `numbers`: (M, 2) whole steps
+    along both axes of the grid, zero at a dot near the middle; `places`: (M, 2) their centres. Raises BadInput if fewer
+    than six dots form a grid.
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))

@@ -15,8 +15,6 @@ from splitknit.errors import BadInput, check_image, check_mask, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 
-# --- exposure ---------------------------------------------------------------------------------------------------------
-
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
 
@@ -199,9 +197,6 @@ def clipped_share(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> flo
     full = float(np.iinfo(pixels.dtype).max)
     inside = pixels[region] >= 0.995 * full
     return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0
-
-
-# --- focus ------------------------------------------------------------------------------------------------------------
 
 
 _DETAIL_MM = 0.02

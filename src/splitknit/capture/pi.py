@@ -24,8 +24,6 @@ from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import BadInput, require
 from splitknit.model import Rig
 
-# --- LEDs -------------------------------------------------------------------------------------------------------------
-
 SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
 
@@ -74,8 +72,6 @@ class PiLightBank(GuardedLights):
         for line in lines:
             line.close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
 
-
-# --- camera -----------------------------------------------------------------------------------------------------------
 
 SENSOR_SIZE = (2464, 3280)
 """Rows, columns of the IMX219."""
@@ -339,14 +335,8 @@ def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
 def _developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[np.uint16]:
     """White-balanced colours from raw values.
 
-    Parameters
-    ----------
-    raw : (H, W) 10-bit values, blue green / green red
-    gains : of red and blue
-
-    Returns
-    -------
-    (H, W, 3) uint16, linear: red, green, blue; no light is at 64 of 1023 still, so that noise is not clipped
+    `raw`: (H, W) 10-bit values, blue green / green red; `gains`: of red and blue. Returns (H, W, 3) uint16, linear:
+    red, green, blue; no light is at 64 of 1023 still, so that noise is not clipped.
     """
     # OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
     colours = np.asarray(cv2.cvtColor(np.ascontiguousarray(raw), cv2.COLOR_BayerRG2RGB), dtype=np.uint16)
@@ -360,19 +350,13 @@ def _developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[n
     return result
 
 
-# --- both, opened together --------------------------------------------------------------------------------------------
-
 INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment "
 INSTALL += "with --system-site-packages"
 
 
 def _open_lights(rig: Rig) -> PiLightBank:
-    """Take the GPIO lines of the rig's LEDs, all off.
-
-    Raises
-    ------
-    BadInput
-        If gpiozero is missing, this is no Raspberry Pi, or a line is in use.
+    """Take the GPIO lines of the rig's LEDs, all off. Raises BadInput if gpiozero is missing, this is no Raspberry Pi,
+    or a line is in use.
     """
     pins = pins_of(rig)
     try:
@@ -394,13 +378,7 @@ def _open_lights(rig: Rig) -> PiLightBank:
 
 
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
-    """Open and start the camera.
-
-    Raises
-    ------
-    BadInput
-        If picamera2 is missing or there is no camera.
-    """
+    """Open and start the camera. Raises BadInput if picamera2 is missing or there is no camera."""
     try:
         import picamera2  # type: ignore[import-not-found]  # noqa: PLC0415 - only a Pi has it
     except ImportError as error:

@@ -82,9 +82,7 @@ class Session:
 def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
     """Return band to LEDs, white first; refuse a rig file of another camera or another bank of LEDs.
 
-    Raises
-    ------
-    BadInput
+    Raises BadInput.
     """
     rows, columns = camera.image_size
     require(
@@ -243,20 +241,10 @@ def _meter(
 ) -> _Metering:
     """Preview the finger under every LED and find the exposure of every band.
 
-    Parameters
-    ----------
-    camera, lights : the devices
-    bands : band to its LEDs, white first
-    names : of all LEDs, for messages
-    settings : what is wanted
-    px_per_mm : of full-size photographs
-    find_finger : False where a target is photographed: the whole picture counts
-    progress : called with the fraction that is done
-
-    Raises
-    ------
-    BadInput
-        If there is no finger, an LED does not light, the lid is open, or no exposure fits.
+    `bands`: band to its LEDs, white first; `names`: of all LEDs, for messages; `settings`: what is wanted; `px_per_mm`:
+    of full-size photographs; `find_finger`: False where a target is photographed: the whole picture counts; `progress`:
+    called with the fraction that is done. Raises BadInput if there is no finger, an LED does not light, the lid is
+    open, or no exposure fits.
     """
 
     def look(led: int, exposure_s: float, gain: float, band: str) -> Frame:

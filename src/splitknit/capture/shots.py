@@ -17,9 +17,6 @@ from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Band, BoolArray, FloatArray, PixelArray
 from splitknit.settings import Checked, Limits
 
-# --- checks -----------------------------------------------------------------------------------------------------------
-
-
 _MAX_SATURATED = 0.05
 """A shot is overexposed if more of the finger is at full scale (in two channels)."""
 _DRIFTED_MM = 0.12
@@ -142,9 +139,6 @@ def shrink_region(region: BoolArray, margin_px: float) -> BoolArray:
     depth = cv2.distanceTransform(np.pad(region.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     inner = np.asarray(depth > margin_px)
     return inner if inner.any() else region
-
-
-# --- shots ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

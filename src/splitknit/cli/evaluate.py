@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 def _gallery(options: argparse.Namespace, progress: Progress) -> Any:
     from splitknit.evaluation.gallery_scores import gallery_scores  # noqa: PLC0415
-    from splitknit.gallery.key_file import key_of  # noqa: PLC0415
+    from splitknit.gallery.key import key_of  # noqa: PLC0415
 
     require(not options.dissimilarity, "--dissimilarity is for --scores; a gallery's scores are similarities.")
     return gallery_scores(options.gallery, key=key_of(options.key_file), progress=progress.update)

@@ -9,7 +9,7 @@ from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
 from splitknit.cli.verb import Outcome, Progress, group, natural, new_verb
-from splitknit.gallery.key_file import NEW_KEY_VARIABLE, key_notes, key_of
+from splitknit.gallery.key import NEW_KEY_VARIABLE, key_notes, key_of
 
 
 def add_gallery_verbs(verbs: Any) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splitknit.gallery.key_file import COUNTER, KEY_VARIABLE
+from splitknit.gallery.key import COUNTER, KEY_VARIABLE
 
 if TYPE_CHECKING:
     pass

@@ -183,12 +183,7 @@ def _add_population_options(verb: argparse.ArgumentParser) -> None:
 
 
 def _refuse_population_options(options: argparse.Namespace) -> None:
-    """Refuse a population's options where one finger is simulated.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse a population's options where one finger is simulated. Raises BadInput."""
     unused = [name for name in _OPTIONS if getattr(options, name) is not None]
     require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +138,7 @@ def _run_separation(options: argparse.Namespace) -> Outcome:
 
     data = SeparationData(**_chosen(options, _SEPARATION_DATA, "labels"))
     settings = separation.SeparationSettings(**_chosen(options, _SEPARATION, "device", "precision"))
-    facts = _train(separation, options, "separation", data, settings)
+    facts = _train(separation.train_separation, options, "separation", data, settings)
     metrics = facts["metrics"]
     lines = [
         f"A network of width {options.width} was trained for {options.epochs} epochs in {facts['total_s']:.0f} s.",
@@ -155,7 +155,7 @@ def _run_relief(options: argparse.Namespace) -> Outcome:
 
     data = ReliefData(**_chosen(options, _RELIEF_DATA))
     settings = relief.ReliefSettings(**_chosen(options, _RELIEF, "device", "precision"))
-    facts = _train(relief, options, "relief", data, settings)
+    facts = _train(relief.train_relief, options, "relief", data, settings)
     used, mean = facts["data"], facts["metrics"]["mean"]
     formats = {
         "correlation": "ridge correlation {:.3f}",
@@ -179,7 +179,7 @@ def _run_shape(options: argparse.Namespace) -> Outcome:
 
     data = ShapeData(**_chosen(options, _SHAPE_DATA))
     settings = shape.ShapeSettings(**_chosen(options, _SHAPE, "device", "precision"))
-    facts = _train(shape, options, "shape", data, settings)
+    facts = _train(shape.train_shape, options, "shape", data, settings)
     mean = facts["metrics"]["mean"]
     lines = [
         f"A network was trained for {settings.iterations} iterations in {facts['total_s']:.0f} s "
@@ -193,9 +193,11 @@ def _run_shape(options: argparse.Namespace) -> Outcome:
     return facts, lines + _written(options.out, shape.FILES)
 
 
-def _train(module: Any, options: argparse.Namespace, network: str, data: Any, settings: Any) -> dict[str, Any]:
+def _train(
+    train: Callable[..., dict[str, Any]], options: argparse.Namespace, network: str, data: Any, settings: Any
+) -> dict[str, Any]:
     with Progress(options) as progress:
-        facts: dict[str, Any] = getattr(module, f"train_{network}")(
+        return train(
             options.out,
             data,
             settings,
@@ -204,7 +206,6 @@ def _train(module: Any, options: argparse.Namespace, network: str, data: Any, se
             progress=progress.update,
             chart=_curve_svg,
         )
-    return facts
 
 
 def _written(out: Path, files: Mapping[str, str]) -> list[str]:

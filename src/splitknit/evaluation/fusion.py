@@ -120,12 +120,8 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
 
 
 def _deal(ids: Ids, folds: int, seed: int) -> NDArray[np.int64]:
-    """Fold of each name (names,): as even as can be, in an order that the seed decides.
-
-    Raises
-    ------
-    BadInput
-        If fewer than three names occur: with two folds apart for testing, nothing is left to learn from.
+    """Fold of each name (names,): as even as can be, in an order that the seed decides. Raises BadInput if fewer than
+    three names occur: with two folds apart for testing, nothing is left to learn from.
     """
     used = np.unique(ids.codes)
     require(used.size >= 3, f"a fusion needs three subjects (or fingers) at least, but there are {used.size}.")
@@ -142,16 +138,8 @@ def _cross_fit(
 ) -> tuple[dict[tuple[int, int], LinearModel | LogisticModel], Table]:
     """Score every comparison by a model that saw nobody of either side's fold.
 
-    Parameters
-    ----------
-    table : (N, S) scores
-    genuine : (N,)
-    fold : (N, 2) of both sides
-    fit : makes a model from scores and labels
-
-    Returns
-    -------
-    models by pair of folds, and (N,) scores
+    `table`: (N, S) scores; `genuine`: (N,); `fold`: (N, 2) of both sides; `fit`: makes a model from scores and labels.
+    Returns models by pair of folds, and (N,) scores.
     """
     low, high = fold.min(axis=1), fold.max(axis=1)
     models: dict[tuple[int, int], LinearModel | LogisticModel] = {}

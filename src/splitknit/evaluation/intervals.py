@@ -426,16 +426,14 @@ def _dot(a: Row, b: Row) -> float:
 # Impostor scores that share either finger thus rise and fall together. Copies of one finger in a replicate are not
 # compared with each other: there is no score for it.
 #
-# References
-# ----------
-# T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network statistics", Connections
-# 22(2), 1999 (the vertex bootstrap). A. B. Owen, "The pigeonhole bootstrap", Annals of Applied Statistics 1(2), 2007
-# (two-way; the variance is right or a little large). R. M. Bolle, N. K. Ratha, S. Pankanti, "Error analysis of pattern
-# recognition systems - the subsets bootstrap", Computer Vision and Image Understanding 93(1), 2004 (one-way: by one
-# finger of a pair, which is too narrow for impostors). N. Poh, A. Martin, S. Bengio, "Performance generalization in
-# biometric authentication using joint user-specific and sample bootstraps", IEEE PAMI 29(3), 2007.
-# R. Fogliato, P. Patil, P. Perona, "Confidence intervals for error rates in 1:1 matching tasks", International Journal
-# of Computer Vision, 2024 (a review: bootstraps cover too often or too rarely where errors are few).
+# Source: T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network statistics",
+# Connections 22(2), 1999 (the vertex bootstrap). A. B. Owen, "The pigeonhole bootstrap", Annals of Applied Statistics
+# 1(2), 2007 (two-way; the variance is right or a little large). R. M. Bolle, N. K. Ratha, S. Pankanti, "Error analysis
+# of pattern recognition systems - the subsets bootstrap", Computer Vision and Image Understanding 93(1), 2004 (one-way:
+# by one finger of a pair, which is too narrow for impostors). N. Poh, A. Martin, S. Bengio, "Performance generalization
+# in biometric authentication using joint user-specific and sample bootstraps", IEEE PAMI 29(3), 2007. R. Fogliato, P.
+# Patil, P. Perona, "Confidence intervals for error rates in 1:1 matching tasks", International Journal of Computer
+# Vision, 2024 (a review: bootstraps cover too often or too rarely where errors are few).
 
 Weights = NDArray[np.float64]
 BATCH = 1_000_000

@@ -225,12 +225,8 @@ _MISSING = {
 
 
 def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
-    """Fuse all systems: their fused scores, facts for ``report.json``, and notes.
-
-    Raises
-    ------
-    BadInput
-        If there is one system only, or as :func:`splitknit.evaluation.fusion.fuse`.
+    """Fuse all systems: their fused scores, facts for ``report.json``, and notes. Raises BadInput if there is one
+    system only, or as :func:`splitknit.evaluation.fusion.fuse`.
     """
     require(
         len(systems) >= 2, "--fuse needs two systems at least; give several score files, or one with a column system."

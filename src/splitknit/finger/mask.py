@@ -42,11 +42,8 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
     I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
     the dichromatic model do, also settles the colour of the unlit background: where there is next to no light the three
-    channels of I_MSF are alike and noise does not turn into colour.
-
-    References
-    ----------
-    The thesis, eqs. 3.58-3.63, with (3.61) corrected (``I - I_min + I_min_avg``).
+    channels of I_MSF are alike and noise does not turn into colour. Source: the thesis, eqs. 3.58-3.63, with (3.61)
+    corrected (``I - I_min + I_min_avg``).
     """
     least = image.min(axis=2)
     average = max(float(np.maximum(least, 0.0).mean()), 1e-3 * float(np.abs(image).max()), 1e-12)
@@ -80,21 +77,11 @@ def _skin_evidence(
 
     For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is `share`
     of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
-    shadow on the finger stays finger.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) linear
-    seed : (H, W) surely finger
-    margin : pixels around `seed` that belong to neither side
-    share, noise_factor : see above
-    local : let the background follow a shadow's edge beside the finger; only for a `seed` that is already complete
-    samples : pixels to which the background is fitted
-
-    Returns
-    -------
-    evidence : (H, W) float32
-    usable : whether any signal tells `seed` from the background
+    shadow on the finger stays finger. `image`: (H, W) or (H, W, 3) linear; `seed`: (H, W) surely finger; `margin`:
+    pixels around `seed` that belong to neither side; `share`, `noise_factor`: see above; `local`: let the background
+    follow a shadow's edge beside the finger; only for a `seed` that is already complete; `samples`: pixels to which the
+    background is fitted. Returns `evidence`: (H, W) float32; `usable`: whether any signal tells `seed` from the
+    background.
     """
     outside = ~dilate(seed, margin)
     inside = erode(seed, 0.5 * margin)
@@ -419,19 +406,9 @@ def _two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[Boo
     """Split feature vectors into two clusters (Lloyd's algorithm, deterministic start).
 
     The start is the split at the middle of the direction of greatest variance, so no random number is involved.
-
-    Parameters
-    ----------
-    features : (N, D) float32
-
-    Returns
-    -------
-    second : (N,) bool, membership of the second cluster
-    separation : distance of the two means in units of the pooled standard deviation along the line that joins them
-
-    References
-    ----------
-    Lloyd, S., "Least squares quantization in PCM", IEEE Trans. Information Theory 28(2), 1982.
+    `features`: (N, D) float32. Returns `second`: (N,) bool, membership of the second cluster; `separation`: distance of
+    the two means in units of the pooled standard deviation along the line that joins them. Source: Lloyd, S., "Least
+    squares quantization in PCM", IEEE Trans. Information Theory 28(2), 1982.
     """
     values = features.astype(np.float64)
     centred = values - values.mean(axis=0)

@@ -73,30 +73,13 @@ class SpeckSettings(Checked):
 def _speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
     """Measure how much of the finger dark and bright specks cover.
 
-    Parameters
-    ----------
-    stack : (L, H, W) float32 linear grey
-    mask : (H, W) bool
-        The finger.
-    px_per_mm : float
-        Of the stack.
-
-    Returns
-    -------
-    dark, bright : float in [0, 1]
-        Fractions of the finger but for its edge; None where the images are coarser than 12 pixels a millimetre (by
-        more than a twentieth).
-
-    Notes
-    -----
-    Every image is divided by its own surroundings. A pixel counts as dark by the mean of its brighter half of the
-    images, as bright by that of its darker half. Closing by a straight line fills every dark mark that does not hold
-    the line; the smallest of the closings in all directions fills those that hold none of them. Bright marks are
-    found the same way with openings.
-
-    References
-    ----------
-    Soille, P. and Talbot, H., "Directional morphological filtering", IEEE PAMI 23(11), 2001.
+    `stack`: (L, H, W) float32 linear grey; `mask`: (H, W) bool, the finger; `px_per_mm`: float, of the stack. Returns
+    `dark`, `bright`: float in [0, 1], fractions of the finger but for its edge; None where the images are coarser than
+    12 pixels a millimetre (by more than a twentieth). Every image is divided by its own surroundings. A pixel counts as
+    dark by the mean of its brighter half of the images, as bright by that of its darker half. Closing by a straight
+    line fills every dark mark that does not hold the line; the smallest of the closings in all directions fills those
+    that hold none of them. Bright marks are found the same way with openings. Source: Soille, P. and Talbot, H.,
+    "Directional morphological filtering", IEEE PAMI 23(11), 2001.
     """
     if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
         return None, None

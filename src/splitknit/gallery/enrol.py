@@ -212,13 +212,7 @@ class Made:
 def _made_of(
     path: Path, preset: str, settings: MatchingSettings, keep: str = "none", progress: Progress = no_progress
 ) -> Made:
-    """Template and facts of one source.
-
-    Raises
-    ------
-    BadInput
-        If it cannot be read, or (a capture) not be reconstructed.
-    """
+    """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
     side = read_side(path, preset, settings, progress)
     assert side.template is not None
     empty = side.template.empty

@@ -66,13 +66,8 @@ def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) 
 def _colour_factors(
     seen: NDArray[np.float64], lights: NDArray[np.float64], colour: NDArray[np.str_]
 ) -> NDArray[np.float64]:
-    """(L,) brightness of the skin in the colour of each light, by alternating least squares.
-
-    Parameters
-    ----------
-    seen : (L, n) light of n pixels
-    lights : (L, 3)
-    colour : (L,) names
+    """(L,) brightness of the skin in the colour of each light, by alternating least squares. `seen`: (L, n) light of n
+    pixels; `lights`: (L, 3); `colour`: (L,) names.
     """
     names = np.unique(colour)
     factors = np.ones(len(lights))

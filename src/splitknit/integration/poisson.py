@@ -35,10 +35,8 @@ from splitknit.settings import Checked, Limits
 # a
 # coarser grid would weld them together: such a grid is solved directly instead, once it is small enough.
 #
-# References
-# ----------
-# U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5 (cell-centred
-# grids).
+# Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5
+# (cell-centred grids).
 
 
 # Differences between neighbouring pixels, their adjoint, and the difference that a gradient field predicts.

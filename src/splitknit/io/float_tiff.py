@@ -23,17 +23,9 @@ def _write_float_tiff(
 ) -> None:
     """Write one page of float32. Equal input gives equal bytes.
 
-    Parameters
-    ----------
-    path : the file
-    field : (H, W) or (H, W, 3) float32
-    description : what JSON can hold; with the ``unit`` of the values
-    tags : further arguments of tifffile's ``imwrite``, such as the resolution
-
-    Raises
-    ------
-    BadInput
-        If the file cannot be written.
+    `path`: the file; `field`: (H, W) or (H, W, 3) float32; `description`: what JSON can hold; with the ``unit`` of the
+    values; `tags`: further arguments of tifffile's ``imwrite``, such as the resolution. Raises BadInput if the file
+    cannot be written.
     """
     stream = io.BytesIO()
     quiet_tifffile().imwrite(
@@ -52,15 +44,8 @@ def _write_float_tiff(
 def _read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray, dict[str, Any]]:
     """Read what :func:`_write_float_tiff` wrote: (H, W) or (H, W, 3) float32, and the description.
 
-    Parameters
-    ----------
-    path : the file
-    what : it should be, for messages: "a height map"
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged or not one of ours.
+    `path`: the file; `what`: it should be, for messages: "a height map". Raises BadInput if the file is missing,
+    damaged or not one of ours.
     """
     data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     wrong = f"{name} is not {what} of splitknit"
@@ -111,16 +96,8 @@ def write_height_tiff(
 def _read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
     """Read a height map that :func:`write_height_tiff` wrote.
 
-    Returns
-    -------
-    height_mm : (H, W) float32, NaN outside the mask
-    pitch_mm : size of one pixel
-    metadata : all of the description
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged or not one of ours.
+    Returns `height_mm`: (H, W) float32, NaN outside the mask; `pitch_mm`: size of one pixel; `metadata`: all of the
+    description. Raises BadInput if the file is missing, damaged or not one of ours.
     """
     height, metadata = _read_float_tiff(path, "a height map")
     pitch_mm: Any = metadata.get("pitch_mm")
@@ -156,11 +133,7 @@ def write_light_tiff(
 
 
 def _read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
-    """Read what :func:`write_light_tiff` wrote: (H, W) or (H, W, 3) float32, and all of the description.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged or not one of ours.
+    """Read what :func:`write_light_tiff` wrote: (H, W) or (H, W, 3) float32, and all of the description. Raises
+    BadInput if the file is missing, damaged or not one of ours.
     """
     return _read_float_tiff(path, "a light image")

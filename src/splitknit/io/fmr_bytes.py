@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io.finger_codes import FINGER_CODES, code_of, name_of
-from splitknit.io.minutiae_record import MOST_MINUTIAE, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import FINGER_CODES, MOST_MINUTIAE, FingerView, MinutiaeRecord, code_of, name_of
 
 _MAX_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""

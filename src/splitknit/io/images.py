@@ -92,11 +92,8 @@ def image_size(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS)
 def _image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> _ImageInfo:
     """Read size, channels and type from the header in `data`; `name` is for messages.
 
-    Raises
-    ------
-    BadInput
-        If the header is damaged, of an unknown format, or claims more than `settings` allows, than 400 MB once decoded,
-        or than the file can hold.
+    Raises BadInput if the header is damaged, of an unknown format, or claims more than `settings` allows, than 400 MB
+    once decoded, or than the file can hold.
     """
     if data.startswith(png.SIGNATURE[:4]):
         header = png.png_header(data, name)
@@ -253,9 +250,7 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 # be found is a file that ends early, has a damaged header, or is of a kind that is not supported. Pillow decodes: to
 # the same pixels as OpenCV, whose decoder prints on stderr where a file is damaged.
 #
-# References
-# ----------
-# ITU-T T.81 (1992), annex B: markers and segments.
+# Source: ITU-T T.81 (1992), annex B: markers and segments.
 
 
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
@@ -281,11 +276,8 @@ class _JpegHeader:
 def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
     """Walk all segments of a JPEG file to its end marker and return the frame's size.
 
-    Raises
-    ------
-    BadInput
-        If the file ends early, has no frame, is CMYK, 12-bit, lossless or arithmetic-coded, or claims an image that is
-        too large to be decoded, or to be in the file.
+    Raises BadInput if the file ends early, has no frame, is CMYK, 12-bit, lossless or arithmetic-coded, or claims an
+    image that is too large to be decoded, or to be in the file.
     """
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
     frame: _JpegHeader | None = None
@@ -329,12 +321,8 @@ def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
 
 
 def _decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
-    """Decode a JPEG file to (H, W, C) uint8 in RGB order, C = 1 or 3, as stored: EXIF orientation is ignored.
-
-    Raises
-    ------
-    BadInput
-        If the file is truncated, damaged or of a kind that is not supported.
+    """Decode a JPEG file to (H, W, C) uint8 in RGB order, C = 1 or 3, as stored: EXIF orientation is ignored. Raises
+    BadInput if the file is truncated, damaged or of a kind that is not supported.
     """
     from PIL import JpegImagePlugin  # noqa: PLC0415 - slow to import
 

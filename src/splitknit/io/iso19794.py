@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.finger_codes import ISO_2005_IMPRESSIONS
 from splitknit.io.fmr_bytes import (
     ISO_2005,
     ISO_STEPS,
@@ -45,7 +44,7 @@ from splitknit.io.fmr_bytes import (
     read_record_bytes,
     require_standard,
 )
-from splitknit.io.minutiae_record import BIFURCATION, MOST_MINUTIAE, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import BIFURCATION, ISO_2005_IMPRESSIONS, MOST_MINUTIAE, FingerView, MinutiaeRecord
 
 _HEADER = struct.Struct(">8sIHHHHHBB")
 _LEAST_RESOLUTION = 99
@@ -127,9 +126,7 @@ def _read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
 # not kept: the card and what surrounds the list know them. A list has no mark by which it could be told from other
 # bytes.
 #
-# References
-# ----------
-# ISO/IEC 19794-2:2005, clause 8 (finger minutiae card formats).
+# Source: ISO/IEC 19794-2:2005, clause 8 (finger minutiae card formats).
 
 
 _NORMAL = np.dtype([("x", ">u2"), ("y", ">u2"), ("direction", "u1")])
@@ -139,12 +136,8 @@ _NORMAL_STEPS, _COMPACT_STEPS = 256, 64
 
 
 def _encode_card(view: FingerView, compact: bool = True) -> bytes:
-    """Bytes of a view's minutiae for a card: 3 bytes each where `compact`, 5 otherwise.
-
-    Raises
-    ------
-    BadInput
-        If there are more than 255, or one lies further right or down than the format reaches (25.5 mm, 163.83 mm).
+    """Bytes of a view's minutiae for a card: 3 bytes each where `compact`, 5 otherwise. Raises BadInput if there are
+    more than 255, or one lies further right or down than the format reaches (25.5 mm, 163.83 mm).
     """
     require(
         view.count <= MOST_MINUTIAE, f"a card takes at most {MOST_MINUTIAE} minutiae, not {view.count}; see best()."
@@ -176,23 +169,10 @@ def _decode_card(
 ) -> FingerView:
     """Read minutiae of a card onto the pixels of an image.
 
-    Parameters
-    ----------
-    data : the list
-    size : (rows, columns) of the image
-    ppcm : its pixels per cm along columns and rows
-    compact : 3 bytes a minutia, otherwise 5
-    name : of the list, for messages
-
-    Returns
-    -------
-    FingerView
-        Of an unknown finger and impression, with qualities of 0.
-
-    Raises
-    ------
-    BadInput
-        If the length is not that of a list, a reserved bit or type is used, or a minutia lies outside the image.
+    `data`: the list; `size`: (rows, columns) of the image; `ppcm`: its pixels per cm along columns and rows; `compact`:
+    3 bytes a minutia, otherwise 5; `name`: of the list, for messages. Returns FingerView, of an unknown finger and
+    impression, with qualities of 0. Raises BadInput if the length is not that of a list, a reserved bit or type is
+    used, or a minutia lies outside the image.
     """
     row = _COMPACT if compact else _NORMAL
     count, rest = divmod(len(data), row.itemsize)

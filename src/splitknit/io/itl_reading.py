@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.finger_codes import FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
+from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
 from splitknit.io.png import decode_png, png_header
 from splitknit.io.prints import encode_print_png
 from splitknit.io.wsq_image import decode_wsq, encode_wsq
@@ -30,9 +30,7 @@ from splitknit.io.wsq_image import decode_wsq, encode_wsq
 # 0502
 # (ANSI/NIST-ITL 1-2011, update 2015). Equal input gives equal bytes: date and control number are given, not made up.
 #
-# References
-# ----------
-# ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.
+# Source: ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.
 
 
 VERSION = "0502"
@@ -53,7 +51,7 @@ class _TransactionPrint:
     finger: str = "unknown"
     """``right_thumb`` to ``left_little``, or ``unknown`` (field 14.013)."""
     impression: str = "contactless"
-    """One of :data:`splitknit.io.finger_codes.IMPRESSIONS` (field 14.003)."""
+    """One of :data:`splitknit.io.minutiae_record.IMPRESSIONS` (field 14.003)."""
     ppi: float = 500.0
     """Pixels per inch (fields 14.008 to 14.010)."""
     compression: str = "none"

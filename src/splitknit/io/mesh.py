@@ -144,9 +144,8 @@ def _write_mesh_stl(
 # mesh
 # scales it by 0.001, so that every program shows the finger at its true size.
 #
-# References
-# ----------
-# Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4 (GLB).
+# Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4
+# (GLB).
 
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -268,10 +267,7 @@ def _write_glb(  # noqa: PLR0917 - a mesh is these arrays
 def _read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
     """Read a file that :func:`_write_glb` wrote.
 
-    Raises
-    ------
-    BadInput
-        If it is missing, damaged, or laid out in another way.
+    Raises BadInput if it is missing, damaged, or laid out in another way.
     """
     data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
     damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."

@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, read_json
-from splitknit.io.finger_codes import FINGER_CODES
-from splitknit.io.minutiae_record import BIFURCATION
+from splitknit.io.minutiae_record import BIFURCATION, FINGER_CODES
 from splitknit.io.provenance import canonical_json
 
 FORMAT, VERSION = "splitknit-minutiae3d", 1
@@ -136,12 +135,8 @@ def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None
 
 
 def _read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:
-    """Read minutiae that :func:`write_minutiae3d` wrote, or anybody else.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, no JSON, of another format or version, or a field is missing or not as it must be.
+    """Read minutiae that :func:`write_minutiae3d` wrote, or anybody else. Raises BadInput if the file is missing, no
+    JSON, of another format or version, or a field is missing or not as it must be.
     """
     document, _ = read_json(Path(path))
     name = os.fspath(path)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.finger_codes import ANSI_2004_IMPRESSIONS, ANSI_2009_IMPRESSIONS, FINGER_CODES, code_of, name_of
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -36,7 +35,16 @@ from splitknit.io.fmr_bytes import (
     standard_of,
 )
 from splitknit.io.iso19794 import decode_iso19794
-from splitknit.io.minutiae_record import FAILED, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import (
+    ANSI_2004_IMPRESSIONS,
+    ANSI_2009_IMPRESSIONS,
+    FAILED,
+    FINGER_CODES,
+    FingerView,
+    MinutiaeRecord,
+    code_of,
+    name_of,
+)
 
 # Minutiae records of ANSI/INCITS 378-2009 and of its amendment 1 (2010): byte for byte.
 #
@@ -55,9 +63,7 @@ from splitknit.io.minutiae_record import FAILED, FingerView, MinutiaeRecord
 #     20  0                                 17  minutiae, as in ANSI/INCITS 378-2004
 #                                               length of the extended data (2 bytes), extended data
 #
-# References
-# ----------
-# ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
+# Source: ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
 
 _HEADER = struct.Struct(">8sIHHBHBB")
 _VIEW = struct.Struct(">BBBBHHHHHHB")
@@ -65,17 +71,8 @@ _EXTENDED = struct.Struct(">H")
 
 
 def _encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> bytes:
-    """Bytes of a record; directions are rounded to 2 deg.
-
-    Parameters
-    ----------
-    record : what to write
-    amendment : as amendment 1 of 2010, which differs in the version alone
-
-    Raises
-    ------
-    BadInput
-        If the standard has no way to say what the record holds.
+    """Bytes of a record; directions are rounded to 2 deg. `record`: what to write; `amendment`: as amendment 1 of 2010,
+    which differs in the version alone. Raises BadInput if the standard has no way to say what the record holds.
     """
     standard, magic = (ANSI_2009_AM1, MAGIC_035) if amendment else (ANSI_2009, MAGIC_030)
     check_writable(record, standard, 16, 8)
@@ -88,15 +85,8 @@ def _encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byt
 def _decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes.
 
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
+    or says what the standard does not allow.
     """
     amended = standard_of(data) == ANSI_2009_AM1
     standard = ANSI_2009_AM1 if amended else ANSI_2009
@@ -169,9 +159,7 @@ def _decode_view(cursor: Cursor, what: str) -> FingerView:
 #     24  number of views
 #     25  0
 #
-# References
-# ----------
-# ANSI/INCITS 378-2004, clause 6.
+# Source: ANSI/INCITS 378-2004, clause 6.
 
 _START = struct.Struct(">8sH")
 _LONG = struct.Struct(">I")
@@ -181,12 +169,8 @@ _CODES = ViewCodes(ANSI_2004, ANSI_STEPS, ANSI_2004_IMPRESSIONS, {"contactless_r
 
 
 def _encode_ansi378(record: MinutiaeRecord) -> bytes:
-    """Bytes of a record; directions are rounded to 2 deg.
-
-    Raises
-    ------
-    BadInput
-        If the standard has no way to say what the record holds.
+    """Bytes of a record; directions are rounded to 2 deg. Raises BadInput if the standard has no way to say what the
+    record holds.
     """
     check_writable(record, ANSI_2004, 12, 4)
     (rows, columns), resolution = common_image(record, ANSI_2004)
@@ -201,17 +185,8 @@ def _encode_ansi378(record: MinutiaeRecord) -> bytes:
 
 
 def _decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
-    """Read the bytes of a record; writing it again gives the same bytes.
-
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+    """Read the bytes of a record; writing it again gives the same bytes. `data`: the whole file; `name`: of the file,
+    for messages. Raises BadInput if it is truncated, of another standard, or says what the standard does not allow.
     """
     require_standard(data, ANSI_2004, MAGIC_20, name)
     cursor = Cursor(data, name)

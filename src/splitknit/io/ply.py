@@ -120,12 +120,8 @@ def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
 
 
 def _read_ply(path: str | os.PathLike[str]) -> Mesh:
-    """Read a PLY file that :func:`write_ply` wrote.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, truncated, or laid out in another way.
+    """Read a PLY file that :func:`write_ply` wrote. Raises BadInput if the file is missing, truncated, or laid out in
+    another way.
     """
     data = read_bytes(path, _MAX_BYTES)
     name = os.fspath(path)

@@ -135,9 +135,7 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 # Prints as 8-bit grey TIFF with their resolution in the tags and their texts in the description.
 #
-# References
-# ----------
-# TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
+# Source: TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
 
 
 _INCH, _CENTIMETRE = 2, 3
@@ -150,16 +148,9 @@ def _write_print_tiff(
 ) -> None:
     """Write a print as an uncompressed TIFF that every reader of prints takes; equal input gives equal bytes.
 
-    Parameters
-    ----------
-    image : (H, W) uint8, ridges dark
-    ppi : pixels per inch, such as 500 or 1000
-    text : keyword to text, such as the provenance; kept in the description as JSON
-
-    Raises
-    ------
-    BadInput
-        If the image or the resolution is of another kind, or the file cannot be written.
+    `image`: (H, W) uint8, ridges dark; `ppi`: pixels per inch, such as 500 or 1000; `text`: keyword to text, such as
+    the provenance; kept in the description as JSON. Raises BadInput if the image or the resolution is of another kind,
+    or the file cannot be written.
     """
     array = np.ascontiguousarray(image)
     require(
@@ -184,11 +175,7 @@ def _write_print_tiff(
 
 def _read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey TIFF with its resolution (None where the tags do not say) and, if it is one of ours, its texts.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, not 8-bit grey, or its pixels are not square.
+    Raises BadInput if the file is missing, damaged, not 8-bit grey, or its pixels are not square.
     """
     data, name = read_bytes(path, _PRINT.max_bytes), os.fspath(path)
     require(data.startswith(SIGNATURES), f"{name} is not a TIFF file; name another one.")

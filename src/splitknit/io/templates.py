@@ -35,20 +35,10 @@ def encode_template(payload: bytes, version: int) -> bytes:
 def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
     """Payload of a template file's content, empty for a failure to acquire.
 
-    Parameters
-    ----------
-    data : the whole file
-    version : the only one that is accepted
-    name : of the file, for errors
+    `data`: the whole file; `version`: the only one that is accepted; `name`: of the file, for errors. Raises BadInput
+    if it is no template, of another version, incomplete or damaged.
 
-    Raises
-    ------
-    BadInput
-        If it is no template, of another version, incomplete or damaged.
-
-    Examples
-    --------
-    >>> decode_template(encode_template(b"ridges", 1), 1)
+    >>> _decode_template(encode_template(b"ridges", 1), 1)
     b'ridges'
     """
     if not data:

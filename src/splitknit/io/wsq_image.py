@@ -157,9 +157,8 @@ def _package_folder() -> Path:
 # WSQ has no checksums: a changed byte inside the image data cannot be distinguished from a picture. What can be found
 # is a file that ends early, has a damaged header, or claims more pixels than any print has.
 #
-# References
-# ----------
-# FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and segments.
+# Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and
+# segments.
 
 SIGNATURE = b"\xff\xa0"
 _END, _FRAME, _BLOCK = 0xA1, 0xA2, 0xA3
@@ -181,12 +180,8 @@ class _WsqHeader:
 
 
 def _wsq_header(data: bytes, name: str) -> _WsqHeader:
-    """Walk all segments of a WSQ file to its end marker.
-
-    Raises
-    ------
-    BadInput
-        If it is no WSQ file, ends early, is damaged, or claims more than 25 million pixels.
+    """Walk all segments of a WSQ file to its end marker. Raises BadInput if it is no WSQ file, ends early, is damaged,
+    or claims more than 25 million pixels.
     """
     require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (it begins with FF A0); name another file.")
     truncated = f"{name} is truncated: the WSQ file ends within the image; copy it again."

@@ -275,10 +275,8 @@ def _directions(channels: FloatArray, weights: FloatArray) -> FloatArray:
 # what is left of the alignment). Where nothing was seen, the noise is infinite. The posterior mean of z is what a code
 # keeps: it does not depend on which part was seen, but for being less certain.
 #
-# References
-# ----------
-# Rubin and Thayer 1982, EM algorithms for ML factor analysis (the model); Prince and Elder 2007, Probabilistic linear
-# discriminant analysis for inferences about identity.
+# Source: Rubin and Thayer 1982, EM algorithms for ML factor analysis (the model); Prince and Elder 2007, Probabilistic
+# linear discriminant analysis for inferences about identity.
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,12 +148,8 @@ _UNIFORM = uniform_bins()
 
 
 def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = None) -> NDArray[np.float32]:
-    """Histograms of codes (H, W) in whole cells, normalised: shape (rows, columns, 59 or 256).
-
-    Raises
-    ------
-    BadInput
-        If the image is smaller than a cell.
+    """Histograms of codes (H, W) in whole cells, normalised: shape (rows, columns, 59 or 256). Raises BadInput if the
+    image is smaller than a cell.
     """
     settings = settings or LbpSettings()
     rows, columns = codes.shape[0] // cell, codes.shape[1] // cell

@@ -23,10 +23,9 @@ from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.score import FmrTable, joined_similarity
-from splitknit.matching.space_minutiae import space_minutiae
+from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings, surface_images
 from splitknit.matching.surface_code import surface_code_match
-from splitknit.matching.surface_codes import surface_code
 from splitknit.matching.template import VERSION, Template, pack
 from splitknit.matching.thesis import thesis_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
@@ -193,12 +192,8 @@ _PPI = 500.0
 def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     """Compare by minutiae: similarity, false match rate, and what each side's print holds.
 
-    Surfaces are compared by their relief prints as they are, prints from files after enhancement.
-
-    Raises
-    ------
-    BadInput
-        If a side is a template of ridges, or nbis-py is not installed.
+    Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
+    side is a template of ridges, or nbis-py is not installed.
     """
     found, facts = [], []
     for side in (a, b):
@@ -263,12 +258,8 @@ def _print_of(side: Side) -> tuple[NDArray[np.uint8], float, bool]:
 
 
 def _in_space(method: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
-    """Compare by ``minutiae3d``, ``surface-code`` or ``tetrahedra``.
-
-    Raises
-    ------
-    BadInput
-        If a side is a template or a print, which have no surface, or nbis-py is not installed and minutiae are wanted.
+    """Compare by ``minutiae3d``, ``surface-code`` or ``tetrahedra``. Raises BadInput if a side is a template or a
+    print, which have no surface, or nbis-py is not installed and minutiae are wanted.
     """
     surfaces = [_surface(side, method) for side in (a, b)]
     compare = _by_codes if method == "surface-code" else partial(_by_space_minutiae, method)
@@ -318,12 +309,8 @@ def _by_codes(sides: tuple[Side, Side], surfaces: list[Surface], settings: Match
 
 
 def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
-    """Compare by voted minutiae: similarity, and what each side's images hold.
-
-    Raises
-    ------
-    BadInput
-        If a side is no capture, or nbis-py is not installed.
+    """Compare by voted minutiae: similarity, and what each side's images hold. Raises BadInput if a side is no capture,
+    or nbis-py is not installed.
     """
     for side in (a, b):
         if side.kind != "capture":

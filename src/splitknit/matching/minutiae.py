@@ -32,10 +32,9 @@ from splitknit.model import FloatArray
 # Overlapping windows are transformed; in each, what runs along the local ridges and has their local period is kept. Dry
 # ridges close, scratches are bridged, noise goes; what is no ridge stays white.
 #
-# References
-# ----------
-# S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern Recognition 40,
-# 2007 (windows, filters); A. Bazen and S. Gerez, IEEE TPAMI 24, 2002 (direction from averaged squared gradients).
+# Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
+# Recognition 40, 2007 (windows, filters); A. Bazen and S. Gerez, IEEE TPAMI 24, 2002 (direction from averaged squared
+# gradients).
 
 
 _DIRECTIONS, _PERIODS = 64, 24
@@ -166,15 +165,8 @@ _CLOSED_MM, _OPENED_MM = 1.0, 0.6
 def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     """Distance of every pixel to the print's outline.
 
-    Parameters
-    ----------
-    print_image : (H, W) uint8 at 500 ppi
-        Ridges dark on white paper.
-
-    Returns
-    -------
-    (H, W) float32
-        In mm; 0 on the paper. The image's border is an outline, too: the finger goes on beyond it.
+    `print_image`: (H, W) uint8 at 500 ppi, ridges dark on white paper. Returns (H, W) float32, in mm; 0 on the paper.
+    The image's border is an outline, too: the finger goes on beyond it.
     """
     closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
     ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)

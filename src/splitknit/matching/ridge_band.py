@@ -200,10 +200,7 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBand
 
 
 def _ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Direction across the ridges (counter-clockwise from x, y up) and its coherence, by the structure tensor.
-
-    References
-    ----------
+    """Direction across the ridges (counter-clockwise from x, y up) and its coherence, by the structure tensor. Source:
     Bigun and Granlund 1987, Optimal orientation detection of linear symmetry.
     """
     across = cv2.Sobel(ridges, cv2.CV_32F, 1, 0)

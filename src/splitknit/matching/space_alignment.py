@@ -97,11 +97,8 @@ class Framed:
 
 
 def _rigid_motion(a: Array, b: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and shift (3,) that take points `a` (n, 3) best to points `b` (n, 3).
-
-    References
-    ----------
-    W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32, 1976.
+    """Rotation (3, 3) and shift (3,) that take points `a` (n, 3) best to points `b` (n, 3). Source: W. Kabsch, "A
+    solution for the best rotation to relate two sets of vectors", Acta Cryst. A32, 1976.
     """
     middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
     u, _, vt = np.linalg.svd((a - middle_a).T @ (b - middle_b))

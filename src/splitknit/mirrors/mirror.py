@@ -149,16 +149,9 @@ def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> _Ellipses:
     """Align the views as the thesis does, and pair their rows.
 
     Both medial lines are turned to one direction, both tips put into one row, and each row's half-widths become the
-    half axes of an ellipse. Lengths agree already: a plane mirror does not change them.
-
-    Parameters
-    ----------
-    front, lateral : outlines of the views across their own medial lines
-    tip_is_outward : +1 where the pad is on the right of the lateral view's axis, -1 where it is on its left
-
-    References
-    ----------
-    The thesis, section 3.3.2.3, steps 2 to 7.
+    half axes of an ellipse. Lengths agree already: a plane mirror does not change them. `front`, `lateral`: outlines of
+    the views across their own medial lines; `tip_is_outward`: +1 where the pad is on the right of the lateral view's
+    axis, -1 where it is on its left. Source: the thesis, section 3.3.2.3, steps 2 to 7.
     """
     parts = []
     for rows in (front, lateral):

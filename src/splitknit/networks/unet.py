@@ -228,12 +228,8 @@ class _Tile:
 
 
 def _padded_index(length: int, stride: int) -> NDArray[np.intp]:
-    """Index of every row (or column) of an image that reflection lengthens to the next multiple of `stride`.
-
-    Raises
-    ------
-    BadInput
-        If `length` is below `stride`: there is too little to reflect.
+    """Index of every row (or column) of an image that reflection lengthens to the next multiple of `stride`. Raises
+    BadInput if `length` is below `stride`: there is too little to reflect.
     """
     require(length >= stride, f"an image side of {length} pixels is shorter than the network's stride of {stride}.")
     return np.pad(np.arange(length, dtype=np.intp), (0, -length % stride), mode="reflect")
@@ -242,17 +238,9 @@ def _padded_index(length: int, stride: int) -> NDArray[np.intp]:
 def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:
     """Cut a padded image into tiles of nearly one size, whose sides are at most `tile` without their margins.
 
-    Parameters
-    ----------
-    shape : rows, columns; both multiples of `stride`
-    tile : longest side in pixels; rounded up to a multiple of `stride`
-    reach : distance in pixels over which the network looks
-    stride : grid of the network in pixels
-
-    Returns
-    -------
-    list of Tile
-        Row by row. The targets cover the image without overlap.
+    `shape`: rows, columns; both multiples of `stride`; `tile`: longest side in pixels; rounded up to a multiple of
+    `stride`; `reach`: distance in pixels over which the network looks; `stride`: grid of the network in pixels. Returns
+    list of Tile, row by row. The targets cover the image without overlap.
     """
     require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
     rows, columns = (_spans(length, tile, reach, stride) for length in shape)

@@ -15,18 +15,17 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file, atomic_folder
-from splitknit.io.finger_codes import FINGER_CODES
 from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
-from splitknit.io.minutiae_record import FingerView, MinutiaeRecord, pixels_per_cm
+from splitknit.io.minutiae_record import FINGER_CODES, FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.npz import write_npz
 from splitknit.io.pictures import ColourArray, colour, on_paper
 from splitknit.io.prints import write_print_png
 from splitknit.io.provenance import JsonValue, canonical_json, provenance
 from splitknit.io.targets import check_target
 from splitknit.matching.minutiae_record import Minutiae
-from splitknit.matching.space_minutiae import in_space
+from splitknit.matching.space_features import in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin

@@ -22,9 +22,7 @@ from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
 # Smooth functions on coarse grids: read anywhere, read densely, and inverted.
 #
-# References
-# ----------
-# E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are read exactly.
+# Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are read exactly.
 
 
 def linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArray:

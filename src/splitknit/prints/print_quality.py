@@ -69,20 +69,10 @@ def _quality_figures(
 ) -> QualityFigures:
     """Measure the figures of a print's quality.
 
-    Parameters
-    ----------
-    values, weight, found, ppi : as in :func:`splitknit.prints.print_quality.print_quality`
-    least_purity : float
-        Fraction of what varies around a place that one wave must explain.
-    least_height_um : float, optional
-        Minimum height of ridges above their valleys; None where `values` are not in um.
-    period_tolerance : float
-        How far a period may lie from the median, relative.
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree or nothing lies on the finger.
+    `values`, `weight`, `found`, `ppi`: as in :func:`splitknit.prints.print_quality.print_quality`; `least_purity`:
+    float, fraction of what varies around a place that one wave must explain; `least_height_um`: float, optional,
+    minimum height of ridges above their valleys; None where `values` are not in um; `period_tolerance`: float, how far
+    a period may lie from the median, relative. Raises BadInput if the shapes disagree or nothing lies on the finger.
     """
     in_um = least_height_um is not None
     if values.ndim != 2 or values.shape != weight.shape:

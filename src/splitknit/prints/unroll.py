@@ -115,10 +115,8 @@ def _percentile(values: Array, weights: Array, share: float) -> float | None:
 # (`arc`). On a doubly curved tip that stretches what lies beside the line; so the sheet is then relaxed until every
 # small triangle is as nearly its true size and shape as the others allow (`free`).
 #
-# References
-# ----------
-# L. Liu, L. Zhang, Y. Xu, C. Gotsman and S. Gortler 2008, A local/global approach to mesh parameterization, eqs. 5-8
-# (as-rigid-as-possible).
+# Source: L. Liu, L. Zhang, Y. Xu, C. Gotsman and S. Gortler 2008, A local/global approach to mesh parameterization,
+# eqs. 5-8 (as-rigid-as-possible).
 
 _ENDS = ((1, 2), (2, 0), (0, 1))
 """Edge k of a triangle lies opposite corner k."""
@@ -292,10 +290,8 @@ def _turned_back(flat: Array, start: Array, inside: NDArray[np.bool_]) -> Array:
 
 # Unrolling by way of a simple body: one cylinder, or a tube whose circles change smoothly along the finger.
 #
-# References
-# ----------
-# Y. Chen, G. Parziale, E. Diaz-Santana and A. Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled
-# images (parametric: the cylinder). The tube is the same with one circle a cross-section.
+# Source: Y. Chen, G. Parziale, E. Diaz-Santana and A. Jain 2006, 3D touchless fingerprints: compatibility with legacy
+# rolled images (parametric: the cylinder). The tube is the same with one circle a cross-section.
 
 
 def _on_cylinder(grid: SurfaceGrid) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import os
 import re
@@ -19,8 +18,6 @@ from splitknit.io.atomic import atomic_file
 from splitknit.io.mesh import HEADER_BYTES, RECORD
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import RigDimensions
-
-# --- parts ------------------------------------------------------------------------------------------------------------
 
 STACK = ("base", "cylinder", "frame", "box", "lid")
 """The rig with the camera above, from below upwards."""
@@ -80,7 +77,6 @@ KINDS: tuple[PartKind, ...] = (
         "each layer cools.",
     ),
 )
-_MAKERS = {"calibration_disc": "disc", "calibration_disc_flat": "flat_disc", "calibration_dots": "dots"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,21 +111,15 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
     """
     check_dimensions(dimensions)
     require_build123d()
+    from splitknit.rig.parts import MAKERS  # noqa: PLC0415 - needs build123d
+
     parts = []
     for done, kind in enumerate(KINDS):
         if progress is not None:
             progress(kind.name, done / len(KINDS))
-        parts.append(RigPart(kind, _maker(kind)(dimensions)))
+        parts.append(RigPart(kind, MAKERS[kind.name](dimensions)))
     return tuple(parts)
 
-
-def _maker(kind: PartKind) -> Callable[[RigDimensions], Any]:
-    module = importlib.import_module("splitknit.rig.parts")
-    maker: Callable[[RigDimensions], Any] = getattr(module, f"{_MAKERS.get(kind.name, kind.name)}_part")
-    return maker
-
-
-# --- STL files --------------------------------------------------------------------------------------------------------
 
 Triangles = NDArray[np.float32]
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
@@ -194,8 +184,6 @@ def unit_normals(triangles: Triangles) -> NDArray[np.float64]:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
-
-# --- triangles and STEP files -----------------------------------------------------------------------------------------
 
 TOLERANCE_MM = 0.01
 """Between a curved face and its triangles: far below what a printer holds."""

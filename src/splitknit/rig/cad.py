@@ -393,13 +393,8 @@ def _write_pictures(
 ) -> list[str]:
     """Draw everything into a folder; return the names of the files.
 
-    Parameters
-    ----------
-    folder : an existing folder
-    parts : all parts by name
-    placed : their triangles in the rig's frame
-    below : the camera is below the finger
-    progress : called with what is drawn and the fraction done
+    `folder`: an existing folder; `parts`: all parts by name; `placed`: their triangles in the rig's frame; `below`: the
+    camera is below the finger; `progress`: called with what is drawn and the fraction done.
     """
     names = []
     for done, (name, triangles) in enumerate(placed.items()):

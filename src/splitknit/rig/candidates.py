@@ -15,8 +15,6 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.rig.photography import LAMPS, MIN_LEVEL, PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
 from splitknit.settings import Checked, Limits
 
-# --- candidates -------------------------------------------------------------------------------------------------------
-
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""
 _FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
@@ -170,8 +168,6 @@ def rig_of(
     return Rig(_camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
 
 
-# --- constraints, by geometry alone -----------------------------------------------------------------------------------
-
 Array = NDArray[np.float64]
 
 
@@ -257,11 +253,8 @@ def examine(
 
 
 def _glare_lobe_rad(roughness: float) -> float:
-    """Angle between normal and half vector at which a GGX surface's glare has fallen to half.
-
-    References
-    ----------
-    Walter et al. 2007, equation (33): D is half its largest value where tan^2 = a^2 (sqrt 2 - 1) / (1 - sqrt 2 a^2).
+    """Angle between normal and half vector at which a GGX surface's glare has fallen to half. Source: Walter et al.
+    2007, equation (33): D is half its largest value where tan^2 = a^2 (sqrt 2 - 1) / (1 - sqrt 2 a^2).
     """
     squared = min(roughness**2, 0.6)
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
@@ -412,8 +405,6 @@ def _depth(photons: PhotonSettings, finger: Print) -> Finding:
     words += f"{seen:.1f} mm." if ok else f"{seen:.1f} mm: stop down."
     return Finding("depth_of_field", ok, False, sharp - seen, words)
 
-
-# --- study ------------------------------------------------------------------------------------------------------------
 
 FIRST_SEED = 400
 """Of the fingers."""

@@ -104,14 +104,9 @@ RASPBERRY_PI = _Gpio((3.15, 3.40), 0.008)
 def _preferred(ohm: float, *, up: bool = True) -> float:
     """Return the nearest E24 value that is not below (`up`), or not above, `ohm`.
 
-    Raises
-    ------
-    BadInput
-        If `ohm` is not positive.
+    Raises BadInput if `ohm` is not positive.
 
-    Examples
-    --------
-    >>> preferred(25.1), preferred(25.1, up=False)
+    >>> _preferred(25.1), _preferred(25.1, up=False)
     (27.0, 24.0)
     """
     require(bool(np.isfinite(ohm)) and ohm > 0, f"a resistance must be a positive number, but it is {ohm} ohms.")
@@ -122,12 +117,8 @@ def _preferred(ohm: float, *, up: bool = True) -> float:
 
 
 def _rating_for(power_w: float, margin: float) -> float:
-    """Return the smallest rating that `power_w` uses no more than the share `margin` of.
-
-    Raises
-    ------
-    BadInput
-        If no leaded resistor is large enough.
+    """Return the smallest rating that `power_w` uses no more than the share `margin` of. Raises BadInput if no leaded
+    resistor is large enough.
     """
     for rating in RATINGS_W:
         if power_w <= margin * rating:

@@ -48,8 +48,6 @@ from splitknit.rig.part_settings import (
     PartSettings,
 )
 
-# --- calibration nail -------------------------------------------------------------------------------------------------
-
 _STEP_MM = 0.5
 
 
@@ -78,17 +76,9 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
     """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
 
-    Parameters
-    ----------
-    rig : Rig
-    offset_mm : how far from the middle the nail may stand, along x and along y
-    margin_mm : between a shadow's tip and the border of the picture
-    radius_mm : of the nail's foot; a shadow's tip must come out from under it
-
-    Raises
-    ------
-    BadInput
-        If the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
+    `offset_mm`: how far from the middle the nail may stand, along x and along y; `margin_mm`: between a shadow's tip
+    and the border of the picture; `radius_mm`: of the nail's foot; a shadow's tip must come out from under it. Raises
+    BadInput if the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
     """
     camera = rig.camera
     half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
@@ -121,9 +111,6 @@ def _places(rig: Rig) -> NDArray[np.float64]:
     places = [led.position_mm for led in rig.leds]
     require(None not in places, "the nail's height needs the place of every LED (position_mm).")
     return np.asarray(places, dtype=np.float64)
-
-
-# --- holes of the LEDs ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,13 +158,7 @@ class LedHole:
 
 
 def _led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
-    """Return the hole of one LED.
-
-    Raises
-    ------
-    BadInput
-        If the LED has no place.
-    """
+    """Return the hole of one LED. Raises BadInput if the LED has no place."""
     require(
         led.position_mm is not None and not led.also,
         f"LED {index} of the rig has no position_mm (it is distant light or a group), but parts need its place.",
@@ -197,8 +178,6 @@ def _led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
         back_mm=shoulder + LED_POCKET_MM,
     )
 
-
-# --- parts ------------------------------------------------------------------------------------------------------------
 
 SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 """Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that parts fit one way."""
@@ -411,8 +390,6 @@ def _gusset(settings: PartSettings) -> float:
 def _boards_high(settings: PartSettings) -> float:
     return PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM + 1.6 + PCB_PARTS_MM
 
-
-# --- mirror holders ---------------------------------------------------------------------------------------------------
 
 _LIP_WALL_MM = 1.2
 

@@ -306,12 +306,8 @@ def _nearest_distances(points: Array, others: Array) -> Array:
 
 
 def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
-    """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,).
-
-    Raises
-    ------
-    BadInput
-        If a set is empty, not (N, 3) or not finite.
+    """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,). Raises BadInput if a set is
+    empty, not (N, 3) or not finite.
     """
     for name, points in (("first", first), ("second", second)):
         require(
@@ -326,13 +322,10 @@ def _surface_distances(there: Array, back: Array) -> _SurfaceDistances:
     """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`_both_ways`, or a part of them.
 
     Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
-    distances are found on the whole surfaces and those of the middle are kept.
-
-    References
-    ----------
-    F. Hausdorff, Grundzuege der Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A. Klanderman, W. J. Rucklidge,
-    Comparing images using the Hausdorff distance, IEEE PAMI 15 (1993), equations (1) and (2); the percentile is their
-    partial distance, equation (8).
+    distances are found on the whole surfaces and those of the middle are kept. Source: F. Hausdorff, Grundzuege der
+    Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A. Klanderman, W. J. Rucklidge, Comparing images using the
+    Hausdorff distance, IEEE PAMI 15 (1993), equations (1) and (2); the percentile is their partial distance, equation
+    (8).
     """
     require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
     return _SurfaceDistances(

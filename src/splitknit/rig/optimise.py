@@ -227,16 +227,10 @@ def _mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tupl
 def _compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict[str, dict[str, Any]]:
     """How much worse than the best every candidate is, finger by finger.
 
-    Parameters
-    ----------
-    records : of :func:`splitknit.rig.evaluate_rig.evaluate`, all of them done and of the same fingers
-    objective : name of the figure, as ``hausdorff_mm``
-
-    Returns
-    -------
-    By name of the candidate: ``value`` and ``low``, ``high`` (95 % interval of the mean over the fingers; None for one
-    finger), ``worse_by`` and ``worse_low``, ``worse_high`` (the same of the paired difference from the best), and
-    ``as_good``: the interval of the difference holds zero.
+    `records`: of :func:`splitknit.rig.evaluate_rig.evaluate`, all of them done and of the same fingers; `objective`:
+    name of the figure, as ``hausdorff_mm``. Returns by name of the candidate: ``value`` and ``low``, ``high`` (95 %
+    interval of the mean over the fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (the
+    same of the paired difference from the best), and ``as_good``: the interval of the difference holds zero.
     """
     values = {one["candidate"]["name"]: np.array([f[objective] for f in one["fingers"]]) for one in records}
     best = min(values, key=lambda name: (float(values[name].mean()), name))
@@ -275,12 +269,8 @@ class _SweepFolder:
     """A folder of finished candidates of one study."""
 
     def __init__(self, out: Path, study: Study) -> None:
-        """Make the folder, or see that it holds a sweep of this very study.
-
-        Raises
-        ------
-        BadInput
-            If `out` is a file, holds other files, or a sweep with other settings.
+        """Make the folder, or see that it holds a sweep of this very study. Raises BadInput if `out` is a file, holds
+        other files, or a sweep with other settings.
         """
         self.out = out
         self.document = json.loads(

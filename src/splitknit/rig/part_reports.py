@@ -27,8 +27,6 @@ from splitknit.rig.part_settings import (
     PrinterSettings,
 )
 
-# --- dimensions for ``parts.json`` ------------------------------------------------------------------------------------
-
 
 def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
     """Return the dimensions of the rig and of its parts, mm and degrees."""
@@ -98,8 +96,6 @@ def _led(hole: LedHole) -> dict[str, Any]:
         "shoulder_behind_light_mm": hole.shoulder_mm,
     }
 
-
-# --- parts ------------------------------------------------------------------------------------------------------------
 
 _FACETS_MM = 0.1
 """How much thinner facets make a round wall."""
@@ -211,14 +207,9 @@ def _overhang(
 
     Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
     has a distance to the layer below. A ceiling that is held on both sides spans twice the largest distance; one that
-    is held on one side only counts twice, too, which is on the safe side.
-
-    Parameters
-    ----------
-    triangles : (N, 3, 3), mm
-    limit_deg : lean from the vertical up to which nothing is needed; one degree is forgiven, for facets
-    layer_mm : height of a layer
-    pitch_mm : of the grid
+    is held on one side only counts twice, too, which is on the safe side. `triangles`: (N, 3, 3), mm; `limit_deg`: lean
+    from the vertical up to which nothing is needed; one degree is forgiven, for facets; `layer_mm`: height of a layer;
+    `pitch_mm`: of the grid.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
@@ -265,17 +256,8 @@ def _slice_mask(
 ) -> NDArray[np.bool_]:
     """Return which points of a grid lie inside a closed mesh at the height `z`.
 
-    Parameters
-    ----------
-    corners : (N, 3, 3)
-    z : height of the cut, mm; it should not meet a corner
-    low : (2,) x and y of the grid's first point
-    shape : rows (along y) and columns (along x)
-    pitch_mm : of the grid
-
-    Returns
-    -------
-    (rows, columns) bool
+    `corners`: (N, 3, 3); `z`: height of the cut, mm; it should not meet a corner; `low`: (2,) x and y of the grid's
+    first point; `shape`: rows (along y) and columns (along x); `pitch_mm`: of the grid. Returns (rows, columns) bool.
     """
     heights = corners[..., 2] - z
     above = heights > 0
@@ -334,12 +316,8 @@ class _Soundness:
 
 
 def _check_soundness(triangles: Triangles) -> _Soundness:
-    """Count edges and measure the volume.
-
-    Parameters
-    ----------
-    triangles : (N, 3, 3) float32, mm
-        Corners are the same point if their numbers are the same.
+    """Count edges and measure the volume. `triangles`: (N, 3, 3) float32, mm, corners are the same point if their
+    numbers are the same.
     """
     corners = np.asarray(triangles, dtype=np.float32)
     require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
@@ -379,13 +357,8 @@ def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> 
     """Measure the thickness from points on the surface straight inwards to the opposite face.
 
     Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin, and
-    that is no wall.
-
-    Parameters
-    ----------
-    triangles : (N, 3, 3), a closed mesh, mm
-    samples : points on the surface, drawn in proportion to the area; every triangle has one at least
-    seed : of the drawing
+    that is no wall. `triangles`: (N, 3, 3), a closed mesh, mm; `samples`: points on the surface, drawn in proportion to
+    the area; every triangle has one at least; `seed`: of the drawing.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     normals = unit_normals(triangles)
@@ -425,26 +398,13 @@ def _first_hits(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return each ray's distance to the first triangle that it meets within its reach, and that triangle.
 
-    Parameters
-    ----------
-    corners : (N, 3, 3), mm
-    origins, directions : (R, 3); directions of unit length
-    reach_mm : length of the rays
+    `corners`: (N, 3, 3), mm; `origins`, `directions`: (R, 3); directions of unit length; `reach_mm`: length of the
+    rays. Returns `distance`: (R,), infinite where nothing is met; `triangle`: (R,), -1 where nothing is met. Source: T.
+    Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
 
-    Returns
-    -------
-    distance : (R,), infinite where nothing is met
-    triangle : (R,), -1 where nothing is met
-
-    References
-    ----------
-    T. Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> floor = np.array([[[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]]])
-    >>> first_hits(floor, np.array([[1.0, 1.0, 3.0]]), np.array([[0.0, 0.0, -1.0]]), 5.0)[0].tolist()
+    >>> _first_hits(floor, np.array([[1.0, 1.0, 3.0]]), np.array([[0.0, 0.0, -1.0]]), 5.0)[0].tolist()
     [3.0]
     """
     distance = np.full(len(origins), np.inf)

@@ -6,6 +6,7 @@ Needs build123d; imported where parts are made.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -70,8 +71,6 @@ from splitknit.rig.solids import (
     turned,
     turned_to,
 )
-
-# --- at the finger: base, window base, mirror holder ------------------------------------------------------------------
 
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
@@ -181,8 +180,6 @@ def _mirror_holder_part(dimensions: RigDimensions) -> Shape:
     outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
     return prism_y(outline, y - half, y + half)
 
-
-# --- tubes: cylinder, LED and camera frame, circuit box, lid ----------------------------------------------------------
 
 _CABLE_DEG = 70.0
 """Azimuth of the cable hole: at the back, on the side of the Pi's power socket, beside lugs and boards."""
@@ -342,8 +339,6 @@ def _lid_part(dimensions: RigDimensions) -> Shape:
     return cut(body, [groove(dimensions, low), *pockets, *head_holes(dimensions, low, SCREWS_B_DEG)])
 
 
-# --- in the finger's place: calibration disc and nail -----------------------------------------------------------------
-
 _BORDER_MM = 2.0
 _PEG_SLACK_MM = 0.1
 
@@ -399,3 +394,19 @@ def _nail_part(dimensions: RigDimensions) -> Shape:
     """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
     tip = NOZZLE_MM / 2
     return cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
+
+
+MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
+    "base": _base_part,
+    "window_base": _window_base_part,
+    "mirror_holder": _mirror_holder_part,
+    "cylinder": _cylinder_part,
+    "frame": _frame_part,
+    "box": _box_part,
+    "lid": _lid_part,
+    "calibration_disc": _disc_part,
+    "calibration_disc_flat": _flat_disc_part,
+    "calibration_dots": _dots_part,
+    "nail": _nail_part,
+}
+"""What draws each part."""

@@ -26,8 +26,6 @@ from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTabl
 from splitknit.simulator.scene import finger_depth
 from splitknit.simulator.surface import Surface
 
-# --- photons and exposure ---------------------------------------------------------------------------------------------
-
 PLANCK_LIGHT = 1.98645e-25
 """Planck's constant times the speed of light, J m."""
 
@@ -147,8 +145,6 @@ def _tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
     share = 1.0 - float(np.sinc(_TREMOR_HZ * time_s)) ** 2
     return _TREMOR_UM * 1e-3 * float(np.sqrt(0.5 * share))
 
-
-# --- photograph -------------------------------------------------------------------------------------------------------
 
 W_PER_UNIT = 100.0
 """W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""

@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 
 from splitknit.errors import require
 
-# --- PDF page ---------------------------------------------------------------------------------------------------------
-
 POINTS_PER_MM = 72.0 / 25.4
 A4_MM = (210.0, 297.0)
 PRODUCER = b"/Producer (splitknit)"
@@ -119,8 +117,6 @@ def _file(objects: Sequence[str]) -> bytes:
     )
     return data + tail.encode("ascii")
 
-
-# --- target -----------------------------------------------------------------------------------------------------------
 
 RULER_MM = 100.0
 DOT_MM = 1.5

@@ -71,12 +71,8 @@ EXPOSURES = {"coloured": 2, "coloured9": 3}
 
 
 def _coloured_lights(lights: str, settings: TwinSettings) -> Rig:
-    """The rig with coloured LEDs in place of its white ones.
-
-    Raises
-    ------
-    BadInput
-        If something else is asked for that has LEDs of its own, or takes them one by one.
+    """The rig with coloured LEDs in place of its white ones. Raises BadInput if something else is asked for that has
+    LEDs of its own, or takes them one by one.
     """
     require(settings.rig is None, "a rig file says which LEDs there are; leave out --lights, or --rig.")
     require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out --mirrors or --lights.")

@@ -298,13 +298,8 @@ def _mirror_frame(
 ) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror.
 
-    Parameters
-    ----------
-    view : of the mirror
-    mirrors : all, as they truly are
-    camera : of the rig
-    views : settings; the holders stand where the drawing has them
-    rng : draws the dust
+    `view`: of the mirror; `mirrors`: all, as they truly are; `camera`: of the rig; `views`: settings; the holders stand
+    where the drawing has them; `rng`: draws the dust.
     """
     name, profile = view.mirror.name, HolderProfile(views.parts)
     inwards = _inwards(name)

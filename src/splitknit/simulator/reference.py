@@ -427,12 +427,9 @@ def _reflect(
 ) -> list[list[Any]]:
     """Radiance of the surface reflection by lane: (bounces, L).
 
-    At each place the microfacet reflection of every light is added, a random point of its face at a time, where no
-    skin is in the way; then the ray is mirrored at a random facet and goes on to the next place.
-
-    References
-    ----------
-    Walter, Marschner, Li and Torrance 2007; Mitsuba's ``roughdielectric`` evaluates and samples it.
+    At each place the microfacet reflection of every light is added, a random point of its face at a time, where no skin
+    is in the way; then the ray is mirrored at a random facet and goes on to the next place. Source: Walter, Marschner,
+    Li and Torrance 2007; Mitsuba's ``roughdielectric`` evaluates and samples it.
     """
     mi, dr, scene = crop.mi, crop.dr, crop.scene
     bsdf = mi.load_dict(

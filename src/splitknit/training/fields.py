@@ -119,8 +119,6 @@ class FieldsTrainer(Trainer):
         return self.losses_of(self.forward(seen), patches)
 
 
-# --- patches --------------------------------------------------------------------------------------------------------
-
 _Pairs = tuple[tuple[int, int], ...]
 
 
@@ -216,9 +214,6 @@ def check_channels(samples: Sequence[Sample], channels: int) -> None:
             sample.ndim == 3 and sample.shape[0] == channels and min(sample.shape) > 0,
             f"a finger to train on must have the shape ({channels}, h, w), but one has {sample.shape}.",
         )
-
-
-# --- network, card and figures --------------------------------------------------------------------------------------
 
 
 def packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:

@@ -130,26 +130,15 @@ class _ReliefTrainer(FieldsTrainer):
         return _judge_middle(self.run, sample, self.settings.stride)
 
 
-# --- loss and figures ---------------------------------------------------------------------------------------------
-
-
 def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
-    Parameters
-    ----------
-    made : (B, 9, h, w) torch.Tensor
-        The network's result.
-    batch : (B, 41, h, w) torch.Tensor
-        Samples, see :mod:`splitknit.training.relief_data`.
-
-    Returns
-    -------
-    dict of torch scalars by the names of :data:`PARTS`:
-    ``relief``, the mean squared error of the heights; ``slope``, that of their differences from pixel to pixel, where
-    ridges outweigh what is wide; ``likelihood``, the negative logarithm of the likelihood of the error under the
-    estimated variance (the error is taken as given here, so that no height is made worse for it); ``glare``, the mean
-    squared error of its waves.
+    `made`: (B, 9, h, w) torch.Tensor, the network's result; `batch`: (B, 41, h, w) torch.Tensor, samples, see
+    :mod:`splitknit.training.relief_data`. Returns dict of torch scalars by the names of :data:`PARTS`: ``relief``, the
+    mean squared error of the heights; ``slope``, that of their differences from pixel to pixel, where ridges outweigh
+    what is wide; ``likelihood``, the negative logarithm of the likelihood of the error under the estimated variance
+    (the error is taken as given here, so that no height is made worse for it); ``glare``, the mean squared error of its
+    waves.
     """
     weight = batch[:, WEIGHT]
     count = weight.sum() + 1.0
@@ -189,12 +178,9 @@ def _judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, strid
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     """Figures of a result (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2.
 
-    Returns
-    -------
-    dict of
-    ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the network's
-    unit; ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the part of
-    the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
+    Returns dict of ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the
+    network's unit; ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the
+    part of the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
     """
     counts = sample[WEIGHT] > 0.5
     if not counts.any():
@@ -217,20 +203,13 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     }
 
 
-# --- patches ---------------------------------------------------------------------------------------------------------
-
-
 def _draw_patch(
     samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator, whole: Sequence[Sample] = ()
 ) -> FloatArray:
     """Cut a patch (41, side, side) anywhere in any sample, as it is; zero where a sample is smaller.
 
-    Where there are whole fingers, a fixed fraction of the patches is from them.
-
-    Raises
-    ------
-    BadInput
-        If patches with enough skin cannot be found.
+    Where there are whole fingers, a fixed fraction of the patches is from them. Raises BadInput if patches with enough
+    skin cannot be found.
     """
     side = settings.patch_px
 
@@ -263,10 +242,7 @@ def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Seq
     return one_scale(patches, _MIN_DEVIATION)
 
 
-# --- training, network and card --------------------------------------------------------------------------------------
-
-
-def _train_relief(
+def train_relief(
     out: Path,
     data: ReliefData,
     settings: ReliefSettings,
@@ -278,19 +254,11 @@ def _train_relief(
 ) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
 
-    Parameters
-    ----------
-    out : folder to write into; it must be new, unless `resume`
-    data, settings : what to train on, and how
-    resume : go on with the training in `out`
-    command : the command line that does this again, for the card
-    progress : called with what is being done and the fraction of the whole that is done
-    chart : draws the learning curve as SVG; without it there is only the table
-
-    Raises
-    ------
-    BadInput
-        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
+    `out`: folder to write into; it must be new, unless `resume`; `data`, `settings`: what to train on, and how;
+    `resume`: go on with the training in `out`; `command`: the command line that does this again, for the card;
+    `progress`: called with what is being done and the fraction of the whole that is done; `chart`: draws the learning
+    curve as SVG; without it there is only the table. Raises BadInput if torch is missing, `out` is in use, what is
+    there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)

@@ -153,11 +153,8 @@ def _sample_of(
 ) -> NDArray[np.float16]:
     """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
 
-    Parameters
-    ----------
-    capture, truth : of the simulator
-    settings : of the reconstruction
-    mix : fraction of the reconstruction's smooth shape in [0, 1]; the rest is the true shape
+    `capture`, `truth`: of the simulator; `settings`: of the reconstruction; `mix`: fraction of the reconstruction's
+    smooth shape in [0, 1]; the rest is the true shape.
     """
     finger = find_finger(capture, settings)
     white, nir, _ = bands_of(capture, settings)
@@ -203,9 +200,6 @@ def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: flo
     height = bin_mean(np.ascontiguousarray(surface_mm[: rows * factor, : columns * factor]), factor)
     height = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
     return fine_lighting(rig, low, height, factor, grid)
-
-
-# --- pieces ---------------------------------------------------------------------------------------------------------
 
 
 def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:

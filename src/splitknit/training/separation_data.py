@@ -235,12 +235,8 @@ def levelled(photograph: Photograph) -> Photograph:
 
 
 def _patch_corners(mask: BoolArray, settings: SeparationData, rng: np.random.Generator) -> NDArray[np.int32]:
-    """Draw the upper left corners (n, 2) of patches that hold skin.
-
-    Raises
-    ------
-    BadInput
-        If the image is smaller than a patch, or no patch holds enough skin.
+    """Draw the upper left corners (n, 2) of patches that hold skin. Raises BadInput if the image is smaller than a
+    patch, or no patch holds enough skin.
     """
     side = PATCH_PX
     require(

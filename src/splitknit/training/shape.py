@@ -151,25 +151,14 @@ class _ShapeTrainer(FieldsTrainer):
         return _judge_whole(self.run, sample, self.settings.stride)
 
 
-# --- loss and figures ------------------------------------------------------------------------------------------------
-
-
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
     """The parts of the loss, each a mean over the pixels that count.
 
-    Parameters
-    ----------
-    made : (B, 2, h, w) torch.Tensor
-        The network's slopes.
-    batch : (B, 35, h, w) torch.Tensor
-        Samples, see :mod:`splitknit.training.fields`.
-    wide_px : side of the blocks of ``wide``
-
-    Returns
-    -------
-    dict of torch scalars by the names of :data:`PARTS`:
-    ``slope``, the mean square of the error (both slopes together); ``wide``, that of its means over blocks: what is
-    wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel does not.
+    `made`: (B, 2, h, w) torch.Tensor, the network's slopes; `batch`: (B, 35, h, w) torch.Tensor, samples, see
+    :mod:`splitknit.training.fields`; `wide_px`: side of the blocks of ``wide``. Returns dict of torch scalars by the
+    names of :data:`PARTS`: ``slope``, the mean square of the error (both slopes together); ``wide``, that of its means
+    over blocks: what is wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel
+    does not.
     """
     pooled = load_torch().nn.functional.avg_pool2d
     weight = batch[:, WEIGHT : WEIGHT + 1]
@@ -194,11 +183,8 @@ def _judge_whole(run: Callable[[FloatArray], FloatArray], sample: Sample, stride
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit.
 
-    Returns
-    -------
-    dict of
-    ``before`` and ``after``, the shape's slope error (rms of one slope, weighted) without and with them;
-    ``wide_before`` and ``wide_after``, the same of means over squares of 17 pixels. NaN where there is no skin.
+    Returns dict of ``before`` and ``after``, the shape's slope error (rms of one slope, weighted) without and with
+    them; ``wide_before`` and ``wide_after``, the same of means over squares of 17 pixels. NaN where there is no skin.
     """
     weight = np.asarray(sample[WEIGHT], dtype=np.float64)
     wanted = np.asarray(sample[SLOPES], dtype=np.float64)
@@ -219,16 +205,9 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
-# --- patches ---------------------------------------------------------------------------------------------------------
-
-
 def _draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.random.Generator) -> FloatArray:
-    """Cut a patch (35, side, side) anywhere in any sample, as it is; zero where it reaches over the sample.
-
-    Raises
-    ------
-    BadInput
-        If patches with enough skin cannot be found.
+    """Cut a patch (35, side, side) anywhere in any sample, as it is; zero where it reaches over the sample. Raises
+    BadInput if patches with enough skin cannot be found.
     """
     side, beyond = settings.patch_px, settings.beyond_px
 
@@ -266,10 +245,7 @@ def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArr
     return one_scale(patches, _MIN_DEVIATION)
 
 
-# --- training, network and card --------------------------------------------------------------------------------------
-
-
-def _train_shape(
+def train_shape(
     out: Path,
     data: ShapeData,
     settings: ShapeSettings,
@@ -281,19 +257,11 @@ def _train_shape(
 ) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
 
-    Parameters
-    ----------
-    out : folder to write into; it must be new, unless `resume`
-    data, settings : what to train on, and how
-    resume : go on with the training in `out`
-    command : the command line that does this again, for the card
-    progress : called with what is being done and the fraction of the whole that is done
-    chart : draws the learning curve as SVG; without it there is only the table
-
-    Raises
-    ------
-    BadInput
-        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
+    `out`: folder to write into; it must be new, unless `resume`; `data`, `settings`: what to train on, and how;
+    `resume`: go on with the training in `out`; `command`: the command line that does this again, for the card;
+    `progress`: called with what is being done and the fraction of the whole that is done; `chart`: draws the learning
+    curve as SVG; without it there is only the table. Raises BadInput if torch is missing, `out` is in use, what is
+    there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)

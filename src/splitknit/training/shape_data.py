@@ -116,13 +116,8 @@ def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dic
 def _shape_sample_of(
     capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, gain: float
 ) -> NDArray[np.float16]:
-    """Fields, missing slopes and weight (35, h, w) of one capture with its truth.
-
-    Parameters
-    ----------
-    capture, truth : of the simulator
-    settings : of the reconstruction
-    gain : height of the relief that it is given, over the true one
+    """Fields, missing slopes and weight (35, h, w) of one capture with its truth. `capture`, `truth`: of the simulator;
+    `settings`: of the reconstruction; `gain`: height of the relief that it is given, over the true one.
     """
     finger = find_finger(capture, settings)
     white, nir, _ = bands_of(capture, settings)
@@ -173,13 +168,9 @@ def _assembled_shape(
 ) -> NDArray[np.float16]:
     """The sample (35, h, w) of one finger.
 
-    Parameters
-    ----------
-    fields : (32, h, w) of :func:`splitknit.skin.learned.shape_features`
-    true_mm : (H, W) true shape on the fine grid
-    known : (H, W) where it is known
-    low : coarse grid
-    factor : pixels of the fine grid along one of the coarse grid
+    `fields`: (32, h, w) of :func:`splitknit.skin.learned.shape_features`; `true_mm`: (H, W) true shape on the fine
+    grid; `known`: (H, W) where it is known; `low`: coarse grid; `factor`: pixels of the fine grid along one of the
+    coarse grid.
     """
     rows, columns = low.shape
 

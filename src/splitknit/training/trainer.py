@@ -242,9 +242,6 @@ def require_torch(settings: TrainerSettings) -> Any:
     return torch
 
 
-# --- the folder of a training ---------------------------------------------------------------------------------------
-
-
 def files_of(network: str, photographed: str) -> dict[str, str]:
     """Files of a finished training, each with its description."""
     return {
@@ -310,8 +307,6 @@ def _write(file: Path, content: bytes) -> None:
         stream.flush()
         os.fsync(stream.fileno())
 
-
-# --- the data of a training -----------------------------------------------------------------------------------------
 
 Subject = tuple[str, int]
 """What is photographed (``palm``, ``finger``; ``pieces`` of a finger), and its number."""
@@ -414,8 +409,6 @@ def _facts(name: Path) -> dict[str, Any]:
     require(isinstance(facts, dict), damaged)
     return dict(facts)
 
-
-# --- the loop and its results ---------------------------------------------------------------------------------------
 
 Entry = dict[str, float]
 """Of the learning curve."""

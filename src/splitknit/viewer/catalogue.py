@@ -159,12 +159,8 @@ def _is_result(folder: Path) -> bool:
 
 
 def _find_results(root: Path) -> list[Path]:
-    """Return the results below `root`, links not followed, in the order of their names.
-
-    Raises
-    ------
-    BadInput
-        If there are more than can be listed.
+    """Return the results below `root`, links not followed, in the order of their names. Raises BadInput if there are
+    more than can be listed.
     """
     found = []
     for folder, below, _ in os.walk(root, followlinks=False):

@@ -36,13 +36,7 @@ NO_MIRRORS = (
 
 
 def _check_mirrors(capture: Capture) -> None:
-    """Refuse what has no mirrors, or a camera whose rays spread.
-
-    Raises
-    ------
-    BadInput
-        In these cases.
-    """
+    """Refuse what has no mirrors, or a camera whose rays spread. Raises BadInput in these cases."""
     names = [mirror.name for mirror in capture.rig.mirrors]
     require(any(name in SIDES for name in names), NO_MIRRORS)
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")

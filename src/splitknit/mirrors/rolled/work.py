@@ -1,26 +1,261 @@
-"""A finger between its mirrors while it is put together: its views, their ridges, and what makes them meet."""
+"""A finger between its mirrors while it is put together: its views, their ridges, and what makes them meet.
+
+The ridges of a view come from photometric stereo on a surface that is known but for its ridges.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from splitknit.imaging.band import Window, has_colour, linear_channels
+from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
+from splitknit.imaging.view import view_of
+from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, shapelets
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.rolled.body import radius_of, rolled_pad
-from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, sampled, surface_normals
+from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, heights, read, sampled, surface_normals
 from splitknit.mirrors.rolled.register import Seen, align, ridge_band
-from splitknit.mirrors.rolled.relief import ViewRelief, view_relief
 from splitknit.mirrors.rolled.search import MIN_CORRELATION, search
 from splitknit.mirrors.rolled.settings import RolledSettings
-from splitknit.mirrors.rolled.view_lights import Glass
+from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
 from splitknit.model import BoolArray, Capture, FloatArray
+from splitknit.photometric.near_light import pseudo_normals
+from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
+from splitknit.skin.grid import BandImages, Grid, coarsen, refine
+from splitknit.skin.images import shipped_networks
+from splitknit.skin.learned import can_learn, relief_by_network
+from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
 
-if TYPE_CHECKING:  # the pipeline lies above
+if TYPE_CHECKING:
     from splitknit.presets import PipelineSettings
+
+Array = NDArray[np.float64]
+
+LIT, LEAST_LIT, FADE_MM = 0.5, 3, 0.2
+"""Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
+UNKNOWN_MM = 0.02
+"""Standard deviation of a relief that no network vouches for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewRelief:
+    """Ridges in one view, on a window of the image's pixels (or blocks of them)."""
+
+    sight: Sight
+    window: Window
+    binning: int
+    relief_mm: FloatArray
+    """(h, w) along the skin's normal, NaN outside the finger."""
+    deviation_mm: FloatArray
+    """(h, w) its standard deviation, NaN outside."""
+    trust: FloatArray
+    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside."""
+    how: str
+
+    def places(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows of the window's blocks at which points (..., 3) of the rig's frame are seen."""
+        column, row = self.sight.pixels(points_mm)
+        size = np.float32(self.binning)
+        half = np.float32(0.5)
+        return (
+            ((column - np.float32(self.window[1].start) + half) / size - half).astype(np.float32),
+            ((row - np.float32(self.window[0].start) + half) / size - half).astype(np.float32),
+        )
+
+    def sampled(self, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where it does not see them."""
+        column, row = self.places(points_mm)
+        relief = read(self.relief_mm, column, row, cubic=True)
+        relief = np.where(np.isfinite(relief), relief, read(self.relief_mm, column, row))
+        return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
+
+
+def view_relief(  # noqa: PLR0917
+    capture: Capture,
+    sight: Sight,
+    mask: BoolArray,
+    glasses: Sequence[Glass],
+    chart: Chart,
+    radius_mm: Array,
+    settings: PipelineSettings,
+    prior: float = 0.0,
+) -> ViewRelief:
+    """Ridges of the finger as one view shows them.
+
+    Parameters
+    ----------
+    capture : its white band is used
+    sight, mask : the view, and where (H, W) it shows the finger
+    glasses : all mirrors of the rig
+    chart, radius_mm : the finger without its ridges
+    settings : of the pipeline
+    prior : see :func:`splitknit.mirrors.rolled.work._held_normals`
+    """
+    white = capture.bands["white"]
+    camera = capture.rig.camera
+    binning = max(1, round(settings.metric.working_pitch_mm / camera.pitch_mm))
+    window = _window(mask, camera.px_per_mm)
+    rows, columns = window
+    view = view_of(camera, rows, columns, binning=binning)
+    blocks = _blocks(mask[window], binning)
+    seen = heights(sight, chart, radius_mm, view.x_mm[::4], view.y_mm[::4])
+    origin = np.array([view.x_mm.mean(), view.y_mm.mean(), float(np.nanmean(seen)) if np.isfinite(seen).any() else 0.0])
+    cut = tuple(bool(side.any()) for side in (blocks[0], blocks[-1], blocks[:, 0], blocks[:, -1]))
+    grid = Grid(
+        blocks,
+        view.x_mm - origin[0],
+        view.y_mm - origin[1],
+        camera.pitch_mm * binning,
+        (cut[0], cut[1], cut[2], cut[3]),
+    )
+    factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
+    low = coarsen(grid, factor)
+    height = heights(sight, chart, radius_mm, low.x_mm + origin[0], low.y_mm + origin[1]) - np.float32(origin[2])
+    known = low.mask & np.isfinite(height)
+    low = replace(low, mask=known)
+    filled = refine(np.where(known, height, 0).astype(np.float32), known, 1, low.shape)
+    normals = normals_from_gradients(*height_gradients(filled, low.pitch_mm))
+    skin = skin_points(filled, low.x_mm, low.y_mm, normals, sight, origin)
+    light = view_light(capture.rig.select(white.leds), sight, glasses, skin, origin, low.pitch_mm)
+    smooth = refine(np.where(known, height, 0).astype(np.float32), known, factor, grid.shape)
+    reach = np.kron(known, np.ones((factor, factor), dtype=np.bool_))
+    reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
+    grid = replace(grid, mask=grid.mask & reach)
+    names = ("red", "green", "blue") if has_colour(white) else ("grey",)
+    images = BandImages(names, linear_channels(white, capture.encoding, names, window, binning), light.rig)
+    facing = np.cos(np.deg2rad(slant_of(smooth, grid.pitch_mm)))
+    inside = grid.mask
+    finer = settings.metric.relief == "network" and capture.material == "skin"
+    finer = finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
+    if finer:
+        grid, images, factor = finer_grid(grid), finer_images(images), factor * FACTOR
+        smooth = refine(np.where(known, height, 0).astype(np.float32), known, factor, grid.shape)
+    *fields, how = _ridges(images, grid, low, filled, smooth, factor, light.inner, prior, capture, settings)
+    relief, deviation, trust = (coarser(field) for field in fields) if finer else fields
+
+    def placed(field: FloatArray) -> FloatArray:
+        return np.where(inside, field, np.float32(np.nan)).astype(np.float32)
+
+    return ViewRelief(sight, window, binning, placed(relief * facing), placed(deviation * facing), placed(trust), how)
+
+
+def _ridges(  # noqa: PLR0917
+    images: BandImages,
+    grid: Grid,
+    low: Grid,
+    low_height: FloatArray,
+    smooth: FloatArray,
+    factor: int,
+    inner: FloatArray,
+    prior: float,
+    capture: Capture,
+    settings: PipelineSettings,
+) -> tuple[FloatArray, FloatArray, FloatArray, str]:
+    """Relief along the line of sight, its standard deviation, trust, and how they were found."""
+    light = fine_lighting(images.rig, low, low_height, factor, grid)
+    lit = _lit(light, grid)
+    light = replace(light, trust=np.maximum(light.trust * _enlarged(inner, factor, grid.shape), np.float32(1e-3)))
+    networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
+    if capture.material == "skin" and networks is not None:
+        g = _held_normals(images.stack / light.entering, light, smooth, grid, prior)
+        found = relief_by_network(images, grid, smooth, light, networks.relief, g)
+        return found.relief_mm, found.deviation_mm, found.trust * lit, "network"
+    trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
+    stack = images.stack.mean(axis=0)
+    entering = light.entering if capture.material == "skin" else np.ones_like(light.entering)
+    weights = light.trust * entering * entering
+    g = pseudo_normals(stack / entering, images.rig, smooth, grid.mask, weights, view=grid.view)
+    normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), np.float32(1e-9))
+    slopes = gradients_from_normals(normals, grid.mask, settings.normals.max_slope)
+    shape = height_gradients(smooth, grid.pitch_mm)
+    beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
+    evened = [b - grid.smooth(b, grid.mask, 0.3) for b in beyond]
+    bank = replace(settings.shapelets, sigma_px=settings.shapelets.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
+    relief = shapelets(evened[0].astype(np.float32), evened[1].astype(np.float32), grid.mask, bank)
+    relief = np.nan_to_num(relief, nan=0.0) * np.float32(grid.pitch_mm) * trust
+    return relief, np.full(grid.shape, np.float32(UNKNOWN_MM)), trust, "shapelets"
+
+
+def _lit(light: FineLight, grid: Grid) -> FloatArray:
+    """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which tell no slope."""
+    enough = ((light.trust > LIT).sum(axis=0) >= LEAST_LIT).astype(np.float32)
+    wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
+    return np.asarray(np.clip(2.0 * wide - 1.0, 0.0, 1.0), dtype=np.float32)
+
+
+def _enlarged(fields: FloatArray, factor: int, shape: tuple[int, int]) -> FloatArray:
+    """Fields (L, h, w) of the coarse grid on the fine one."""
+    result = np.empty((len(fields), *shape), dtype=np.float32)
+    for room, field in zip(result, fields, strict=True):
+        large = cv2.resize(field, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+        missing = [(0, n - m) for n, m in zip(shape, large.shape, strict=True)]
+        room[...] = np.pad(np.asarray(large), missing, mode="edge")
+    return result
+
+
+def _blocks(mask: BoolArray, binning: int) -> BoolArray:
+    height, width = (n // binning for n in mask.shape)
+    cut = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    blocks = np.asarray(cut.all(axis=(1, 3)))
+    labels, count = ndimage.label(blocks)
+    if count > 1:
+        blocks = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
+    return np.asarray(blocks, dtype=np.bool_)
+
+
+def _window(mask: BoolArray, px_per_mm: float) -> Window:
+    """Rows and columns of the mask with a margin of half a millimetre."""
+    margin = round(0.5 * px_per_mm)
+    limits = []
+    for axis in (1, 0):
+        places = np.flatnonzero(mask.any(axis=axis))
+        limits.append(slice(max(0, int(places[0]) - margin), min(mask.shape[1 - axis], int(places[-1]) + 1 + margin)))
+    return limits[0], limits[1]
+
+
+# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly tell stay near the
+# shape's.
+
+
+def _held_normals(  # noqa: PLR0917
+    stack: FloatArray, light: FineLight, smooth_mm: FloatArray, grid: Grid, prior: float, chunk: int = 64
+) -> FloatArray:
+    """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
+
+    An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they tell
+    little of the slope towards it. Minimises  sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across
+    the shape's normal. `stack`: (C, L, h, w) images over the light that enters; `light`: on the smooth surface;
+    `smooth_mm`: (h, w); `prior`: variance of the images' relative error over that of the slopes; zero holds nothing.
+    """
+    channels, count = stack.shape[:2]
+    slopes = (grid.smooth(s, grid.mask, 0.3) for s in height_gradients(smooth_mm, grid.pitch_mm))
+    normals = np.moveaxis(normals_from_gradients(*slopes), -1, 0)  # (3, h, w)
+    weights = light.trust * light.entering * light.entering
+    result = np.zeros((channels, *grid.shape, 3), dtype=np.float32)
+    for start in range(0, grid.shape[0], chunk):
+        rows = slice(start, start + chunk)
+        here = grid.mask[rows]
+        if not here.any():
+            continue
+        v = light.vectors[:, :, rows][:, :, here].astype(np.float64)  # (L, 3, n)
+        w = weights[:, rows][:, here].astype(np.float64)
+        n = normals[:, rows][:, here].astype(np.float64)  # (3, n)
+        across = np.eye(3)[:, :, None] - n[:, None] * n[None]
+        hold = prior * np.maximum(w.sum(axis=0), 1e-3) / count
+        matrix = np.einsum("ln,lin,ljn->nij", w, v, v) + np.moveaxis(hold * across, -1, 0) + 1e-6 * np.eye(3)
+        right = np.einsum("ln,cln,lin->nic", w, stack[:, :, rows][:, :, here].astype(np.float64), v)
+        solved = np.linalg.solve(matrix, right)  # (n, 3, C)
+        for c in range(channels):
+            result[c, rows][here] = solved[:, :, c]
+    return result
+
 
 # The finger between its mirrors as a smooth body: where it lies, and its chart.
 
@@ -61,7 +296,6 @@ def shape_of(body: Body) -> Shape:
     return Shape(chart, radius + rolled_pad(body, chart, radius), half)
 
 
-Array = NDArray[np.float64]
 SEARCH_PITCH_MM = 0.1
 """Of the chart on which ridges are compared."""
 LEAST_COSINE = 0.25

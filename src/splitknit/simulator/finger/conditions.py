@@ -48,11 +48,8 @@ class _Weathered:
 
 
 def _scale_reflectance(plates: Array, index: float = KERATIN) -> Array:
-    """Reflectance of a pile of transparent plates with air between them, light falling straight on.
-
-    References
-    ----------
-    Stokes 1862, On the intensity of the light reflected from or transmitted through a pile of plates.
+    """Reflectance of a pile of transparent plates with air between them, light falling straight on. Source: Stokes
+    1862, On the intensity of the light reflected from or transmitted through a pile of plates.
     """
     one = ((index - 1.0) / (index + 1.0)) ** 2
     return np.asarray(2.0 * plates * one / (1.0 + (2.0 * plates - 1.0) * one))
@@ -189,15 +186,11 @@ def _water_level(displacement: Array, pitch_mm: float, water: _Water, rng: np.ra
     """(H, W) displacement of the water's surface, mm; equal to `displacement` where there is no water.
 
     Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing of the relief by a
-    ball of that radius, here by the paraboloid that osculates it, which acts along rows and columns one after
-    the other. The body's own curvature (a radius of 8 mm) is left out.
-
-    References
-    ----------
-    Orchard 1962, On surface levelling in viscous liquids and gels (time 3 eta l^4 / (16 pi^4 gamma h^3)).
-    de Gennes, Brochard-Wyart and Quere 2004, Capillarity and Wetting Phenomena, section 1.1.3 (Laplace pressure) and
-    2.2 (capillary length).
-    van den Boomgaard et al. 1996, Quadratic structuring functions in mathematical morphology.
+    ball of that radius, here by the paraboloid that osculates it, which acts along rows and columns one after the
+    other. The body's own curvature (a radius of 8 mm) is left out. Source: Orchard 1962, On surface levelling in
+    viscous liquids and gels (time 3 eta l^4 / (16 pi^4 gamma h^3)). de Gennes, Brochard-Wyart and Quere 2004,
+    Capillarity and Wetting Phenomena, section 1.1.3 (Laplace pressure) and 2.2 (capillary length). van den Boomgaard et
+    al. 1996, Quadratic structuring functions in mathematical morphology.
     """
     filled = _closed(displacement, pitch_mm, water.meniscus_mm)
     if water.levelled_mm > 0.0:
@@ -285,10 +278,7 @@ def _ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) ->
 
 
 def _bend_within_pixels(normals: NDArray[np.floating], mask: BoolArray) -> Array:
-    """(H, W) variance of the slope inside a pixel, one direction's: a bent mirror shows a pixel many normals.
-
-    References
-    ----------
+    """(H, W) variance of the slope inside a pixel, one direction's: a bent mirror shows a pixel many normals. Source:
     Olano and Baker 2010, LEAN mapping: the variance of the slopes adds to that of the microfacets.
     """
     nz = np.where(mask, np.maximum(normals[..., 2], 0.2), 1.0)

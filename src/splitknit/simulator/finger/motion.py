@@ -77,12 +77,8 @@ class _MotionPath:
 def _draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> _MotionPath:
     """Draw a path.
 
-    Parameters
-    ----------
-    rng : of the path
-    shots : N, in the order in which they are taken
-    settings : of the motion
-    reference : shot in which the path is zero; None: the middle one of the first half, which is that of the white band
+    `rng`: of the path; `shots`: N, in the order in which they are taken; `settings`: of the motion; `reference`: shot
+    in which the path is zero; None: the middle one of the first half, which is that of the white band.
     """
     require(shots >= 2, f"motion needs at least 2 shots, but there are {shots}.")
     reference = shots // 4 if reference is None else reference

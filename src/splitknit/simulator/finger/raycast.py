@@ -103,20 +103,9 @@ def _first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[
     """Find where `gap` (positive at `start`) first falls to zero with growing depth.
 
     `careful` steps of gap / bound come first, then secants, never shorter than a growing micrometre, so that a ridge
-    that is only touched is passed. Once the sign has changed: regula falsi and, every third time, bisection.
-
-    Parameters
-    ----------
-    gap
-        Function to search, for (N,) rays.
-    start
-        (N,) depths outside.
-    bound
-        (N,) how fast the gap can fall, per depth.
-
-    Returns
-    -------
-    (N,) depths, and where a root was found.
+    that is only touched is passed. Once the sign has changed: regula falsi and, every third time, bisection. `gap`:
+    function to search, for (N,) rays; `start`: (N,) depths outside; `bound`: (N,) how fast the gap can fall, per depth.
+    Returns (N,) depths, and where a root was found.
     """
     result, met = start.copy(), np.zeros(start.size, dtype=np.bool_)
     active = np.arange(start.size)
@@ -148,14 +137,8 @@ def _first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[
 
 
 def _polish(gap: Gap, depth: Array, facing: Array, met: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """Refine roots by up to three secants on `gap`; returns (N,) depths and where they settled.
-
-    Parameters
-    ----------
-    facing
-        (N,) typical slope of the gap, for the first step.
-    met
-        (N,) which entries of `depth` to refine.
+    """Refine roots by up to three secants on `gap`; returns (N,) depths and where they settled. `facing`: (N,) typical
+    slope of the gap, for the first step; `met`: (N,) which entries of `depth` to refine.
     """
     result, close = depth.copy(), np.zeros(depth.size, dtype=np.bool_)
     active = np.nonzero(met)[0]

@@ -97,11 +97,8 @@ def stamp(
 
 
 def _sphere_brightness(phase_rad: FloatArray) -> FloatArray:
-    """Mean radiance of a matt sphere of albedo one, over that of a white card that faces the light.
-
-    References
-    ----------
-    Schoenberg 1929, in Handbuch der Astrophysik 2: the phase function of a Lambertian sphere.
+    """Mean radiance of a matt sphere of albedo one, over that of a white card that faces the light. Source: Schoenberg
+    1929, in Handbuch der Astrophysik 2: the phase function of a Lambertian sphere.
     """
     cosine = np.cos(phase_rad)
     return np.asarray(2.0 / 3.0 * (np.sin(phase_rad) + (np.pi - phase_rad) * cosine) / np.pi, dtype=np.float32)
@@ -275,20 +272,10 @@ def _reflected(
 ) -> Values:
     """(h, w) radiance towards `view` per unit of irradiance that a surface facing the light receives: D G F / (4 n.v).
 
-    Parameters
-    ----------
-    normal, light, view : three (h, w) arrays each
-        Unit vectors; out of the surface, towards the light, towards the camera.
-    across : (h, w) or float
-        GGX alpha across `along`, and everywhere where there is no direction.
-    index : float
-        Refractive index of what reflects.
-    along : three (h, w) arrays, optional
-        Unit vectors in the surface, along which the roughness is `roughness_along`.
-    roughness_along : (h, w) or float, optional
-
-    References
-    ----------
+    `normal`, `light`, `view`: three (h, w) arrays each, unit vectors; out of the surface, towards the light, towards
+    the camera; `across`: (h, w) or float, GGX alpha across `along`, and everywhere where there is no direction;
+    `index`: float, refractive index of what reflects; `along`: three (h, w) arrays, optional, unit vectors in the
+    surface, along which the roughness is `roughness_along`; `roughness_along`: (h, w) or float, optional. Source:
     Walter et al. 2007, equations (20), (33), (34); Burley 2012 and Heitz 2014, equations (85) and (86), for two
     roughnesses.
     """

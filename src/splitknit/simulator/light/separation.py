@@ -122,12 +122,8 @@ def _check_camera(surface: Surface) -> None:
 
 
 def _projected(patch: Patch, led: Led) -> tuple[Array, Array]:
-    """(h, w) x and y in mm where the projector's ray to each surface point meets the finger plane.
-
-    Raises
-    ------
-    BadInput
-        If several lights share the exposure (a projector is one light), or the surface reaches up to the projector.
+    """(h, w) x and y in mm where the projector's ray to each surface point meets the finger plane. Raises BadInput if
+    several lights share the exposure (a projector is one light), or the surface reaches up to the projector.
     """
     require(not led.also, "a pattern comes from one projector, but several lights share this exposure; take one.")
     z = patch.z.astype(np.float64)

@@ -63,11 +63,7 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
     """Class of a print in the digit's frequencies: arches where a standard normal `score` is low, whorls where high.
 
     Scores that are similar in a person's fingers make their classes similar. On the print of a right hand the little
-    finger's side is to the right: ulnar loops open there.
-
-    References
-    ----------
-    Galton 1892, Finger prints, chapter VIII, table I.
+    finger's side is to the right: ulnar loops open there. Source: Galton 1892, Finger prints, chapter VIII, table I.
     """
     k = DIGITS.index(digit)
     quantile = float(ndtr(score))
