@@ -38,8 +38,8 @@ class DirectSettings(Checked):
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     from_colours: bool = False
-    """Find the share of direct light in the colours, where there are any, and apply it to the grey images; the thesis
-    gives the network the grey images themselves."""
+    """Find the fraction of direct light in the colours, where there are any, and apply it to the grey images; the
+    thesis gives the network the grey images themselves."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ from splitknit.matching.space_alignment import (
     _agreeing,
     _one_to_one,
     _rigid_motion,
-    share_of_both,
+    fraction_of_both,
 )
 
 MATCHERS = [minutiae3d_match, tetrahedra_match]
@@ -234,8 +234,8 @@ def test_motions_are_found_back() -> None:
 def test_pairing_and_score() -> None:
     i, j = np.array([0, 0, 1, 2]), np.array([0, 1, 0, 2])
     assert _one_to_one(i, j, np.array([2.0, 1.0, 0.5, 9.0])).tolist() == [2, 1, 3]
-    assert share_of_both(30, 60, 50) == 0.3
-    assert share_of_both(0, 0, 5) == 0.0
+    assert fraction_of_both(30, 60, 50) == 0.3
+    assert fraction_of_both(0, 0, 5) == 0.0
 
 
 def test_packed_minutiae_are_read_again() -> None:

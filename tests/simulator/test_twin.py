@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from surfaces import ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
@@ -18,6 +17,7 @@ from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.skin import SkinRanges, SkinSettings
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings, background_albedo
 from splitknit.simulator.twin import photograph, simulate_capture
+from surfaces import ridged_egg
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 

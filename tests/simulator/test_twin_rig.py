@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from surfaces import perspective_camera, ridged_egg
 
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
@@ -19,6 +18,7 @@ from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.skin import SkinSettings, load_walks
 from splitknit.simulator.scene import BackgroundSettings, Scene, TwinSettings
 from splitknit.simulator.twin import photograph, simulate_capture
+from surfaces import perspective_camera, ridged_egg
 
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 SHADING = (-0.35, -0.1)

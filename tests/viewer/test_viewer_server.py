@@ -166,7 +166,7 @@ def test_an_answer_that_is_not_finite_is_refused() -> None:
 
 def test_a_picture_that_is_too_large_is_not_sent(shown: Path, asking: Serve, tmp_path: Path) -> None:
     folder = changed(shown, tmp_path / "result")
-    os.truncate(folder / "preview.png", service._MOST_PICTURE_BYTES + 1)
+    os.truncate(folder / "preview.png", service._MAX_PICTURE_BYTES + 1)
     status, _, body = asking(folder).get("api/result/0/picture/preview.png")
     assert status == 404 and b"is too large" in body
 
@@ -402,7 +402,7 @@ def test_a_request_that_never_ends_is_given_up(shown: Path, asking: Serve, monke
 
 
 def test_connections_are_limited(shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_module, "_MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(server_module, "_MAX_CONNECTIONS", 3)
     server = asking(shown / "metric")
     before = threading.active_count()
     with contextlib.ExitStack() as stack:

@@ -78,11 +78,11 @@ Array = NDArray[np.float64]
 
 
 _MAX_CLIPPED_PERCENT = 0.5
-"""An image is refused if more than this share of its pixels is at full scale."""
+"""An image is refused if more than this fraction of its pixels is at full scale."""
 _FULL_SCALE = 0.985
 """A value from here on is at full scale."""
 _MIN_LIGHT = 0.02
-"""An image whose median is below this share of full scale is black."""
+"""An image whose median is below this fraction of full scale is black."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -176,15 +176,15 @@ def _warnings(
     rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
 ) -> tuple[str, ...]:
     words = []
-    for band, share in images.ambient_percent.items():
-        if share is None:
+    for band, fraction in images.ambient_percent.items():
+        if fraction is None:
             words.append(
                 f"there is no ambient image of the band {band}: room light"
                 f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
             )
-        elif share > _AMBIENT_PERCENT:
+        elif fraction > _AMBIENT_PERCENT:
             words.append(
-                f"light from elsewhere is {share:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
+                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
                 f"close the lid, for it changes from image to image."
             )
     for k, largest in enumerate(flat.largest_percent):
@@ -314,9 +314,9 @@ def _sentences(  # noqa: PLR0917
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
                 f"or card changed."
             )
-    for band, share in ambient.items():
-        if share is not None and share > _AMBIENT_PERCENT:
-            words.append(f"light from elsewhere is {share:.1f} % of the {band} LEDs'.")
+    for band, fraction in ambient.items():
+        if fraction is not None and fraction > _AMBIENT_PERCENT:
+            words.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
     return words
 
 

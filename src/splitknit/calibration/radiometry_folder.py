@@ -41,7 +41,7 @@ from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Capture, FloatArray, PixelArray, Progress, Rig, no_progress
 
-_MOST_TILT_DEG = 5.0
+_MAX_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0
 """Ends of the colours in the picture of residuals."""
 
@@ -125,7 +125,7 @@ def base_tilt_deg(rig: Rig) -> tuple[float, float]:
         deviation = float(found["tilt_deg_deviation"])
     except (KeyError, TypeError, ValueError):
         return 0.0, 0.0
-    certain = math.isfinite(x) and math.isfinite(y) and 2.0 * deviation < math.hypot(x, y) <= _MOST_TILT_DEG
+    certain = math.isfinite(x) and math.isfinite(y) and 2.0 * deviation < math.hypot(x, y) <= _MAX_TILT_DEG
     return (x, y) if certain else (0.0, 0.0)
 
 
@@ -183,7 +183,7 @@ def _tile(residual: Any, dust: Any, shape: tuple[int, int], side: int) -> Colour
 # What a camera does by itself: its response and noise, measured on the images that ``radiometry.json`` names.
 
 _PATCHES_ACROSS = 40
-_MOST_TEXTURE = 0.04
+_MAX_TEXTURE = 0.04
 """Deviation within a patch, as a part of full scale, up to which it counts as even."""
 
 
@@ -270,7 +270,7 @@ def _patches(frame: PixelArray) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 def _even_patches(values: NDArray[np.float64], spread: NDArray[np.float64]) -> NDArray[np.float64]:
     """Patches (J, n) that are even in all images, or all if these are few."""
-    even = spread.max(axis=0) <= _MOST_TEXTURE
+    even = spread.max(axis=0) <= _MAX_TEXTURE
     return values[:, even] if int(even.sum()) >= 100 else values
 
 

@@ -177,9 +177,9 @@ def _check_growth(stored: Array, times: Array, name: str) -> None:
     places = np.arange(stored.shape[1])
     grown = stored[order][last, places] / np.maximum(stored[order][first, places], 1e-6)
     asked = times[order][last] / times[order][first]
-    share = float(np.median(np.log(np.maximum(grown, 1e-6)) / np.log(np.maximum(asked, 1.0 + 1e-9))))
+    fraction = float(np.median(np.log(np.maximum(grown, 1e-6)) / np.log(np.maximum(asked, 1.0 + 1e-9))))
     require(
-        share > 0.15,
+        fraction > 0.15,
         f"{name} does not grow brighter with the exposure: the camera's automatic exposure or gain is on; lock it.",
     )
 

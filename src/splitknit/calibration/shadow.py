@@ -55,7 +55,7 @@ class _Shape:
     """How much of the light is missing in the full shadow."""
 
     def darkness(self, places: Points) -> Points:
-        """Share of the light that is missing at places (N, 2), column and row."""
+        """Fraction of the light that is missing at places (N, 2), column and row."""
         total = np.zeros(len(places))
         for offset in _LIGHT:
             tip = self.tip + self.penumbra * offset
@@ -91,7 +91,7 @@ def _fit_shape(
 
     Parameters
     ----------
-    darkness : (H, W) share of the light that is missing, about zero outside the shadow
+    darkness : (H, W) fraction of the light that is missing, about zero outside the shadow
     usable : (H, W), false on the nail
     start : near the truth
     scale : of the picture

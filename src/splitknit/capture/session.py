@@ -115,7 +115,7 @@ def run_session(
     settings: SessionSettings | None = None,
     *,
     watch_focus: WatchFocus | None = None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda stage, fraction: None,
 ) -> Session:
     """Photograph one finger under all LEDs.
 
@@ -151,7 +151,7 @@ def run_session(
             settings=settings.exposure,
             px_per_mm=px_per_mm,
             find_finger=settings.find_finger,
-            progress=lambda share: progress("finding the exposure", 0.3 * share),
+            progress=lambda fraction: progress("finding the exposure", 0.3 * fraction),
         )
         progress("focus", 0.3)
         focus = _focus(camera, lights, metering, settings, px_per_mm=px_per_mm, watch_focus=watch_focus)
@@ -161,7 +161,7 @@ def run_session(
             names,
             Examiner(metering.region, px_per_mm, checks, MEDIAN if settings.find_finger else BRIGHT),
             watch_motion=settings.find_finger,
-            progress=lambda name, share: progress(name, 0.4 + 0.6 * share),
+            progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
         for band, leds in bands.items():
             shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
@@ -239,7 +239,7 @@ def _meter(
     settings: ExposureSettings,
     px_per_mm: float,
     find_finger: bool = True,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> _Metering:
     """Preview the finger under every LED and find the exposure of every band.
 

@@ -79,7 +79,7 @@ def cmc(scores: Scores) -> Cmc | None:
 def rank_one_interval(
     result: Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
-    """Percentile interval of the share found at rank one; the probes' fingers are drawn, the gallery stays."""
+    """Percentile interval of the fraction found at rank one; the probes' fingers are drawn, the gallery stays."""
     _, finger = np.unique(result.probe_finger, return_inverse=True)
     fingers = int(finger.max()) + 1
     found = np.bincount(finger, weights=result.rank == 1, minlength=fingers)

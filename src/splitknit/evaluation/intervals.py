@@ -202,7 +202,7 @@ def bootstrap(
     method : ``plain``, ``finger`` or ``subject``
         What is drawn with replacement; see :mod:`splitknit.evaluation.intervals`.
     settings : BootstrapSettings
-    progress : called with the share done
+    progress : called with the fraction done
 
     Returns
     -------
@@ -402,9 +402,9 @@ def _equal_error(gar: Row, far: Row, crowded: NDArray[np.bool_]) -> float:
 
 def _d_prime(cells: _Cells, genuine: Row, impostor: Row) -> float:
     means, spreads = [], []
-    for share, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
-        means.append(_dot(share, mean))
-        spreads.append(_dot(share, variance + (mean - means[-1]) ** 2))
+    for fraction, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
+        means.append(_dot(fraction, mean))
+        spreads.append(_dot(fraction, variance + (mean - means[-1]) ** 2))
     spread = float(np.sqrt(sum(spreads) / 2))
     return (means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
 

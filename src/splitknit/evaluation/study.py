@@ -31,7 +31,7 @@ FORMAT = "splitknit-evaluation"
 FILES = ("report.html", "report.json")
 SCORES_FILE = "scores.csv"
 """Where the scores of a gallery are written, beside the report."""
-MOST_SYSTEMS = 12
+MAX_SYSTEMS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +104,8 @@ def evaluate_scores(
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
     require(
-        count <= MOST_SYSTEMS,
-        f"one report shows {MOST_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
+        count <= MAX_SYSTEMS,
+        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
     )
     notes += said
     read_s = time.perf_counter() - started
@@ -253,11 +253,11 @@ def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Sc
 
 
 def _notes(fused: Fused, method: str, folds: int, weights: dict[str, float]) -> list[str]:
-    shares = ", ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
+    fractions = ", ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
     notes = [
         f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {folds} folds; "
         "every comparison was scored by a model that saw nothing of the folds of its two sides. Mean weights of the "
-        f"normalised scores: {shares}."
+        f"normalised scores: {fractions}."
     ]
     if fused.by == "finger":
         notes.append(

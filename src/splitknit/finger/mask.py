@@ -70,7 +70,7 @@ def _skin_evidence(
     image: FloatArray,
     seed: BoolArray,
     margin: float,
-    share: float,
+    fraction: float,
     noise_factor: float,
     *,
     local: bool = False,
@@ -78,16 +78,16 @@ def _skin_evidence(
 ) -> tuple[FloatArray, bool]:
     """Evidence map: above one where a pixel rises from the background by enough to be skin.
 
-    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is `share`
-    of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
-    shadow on the finger stays finger.
+    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is
+    `fraction` of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise
+    outside. So a shadow on the finger stays finger.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) linear
     seed : (H, W) surely finger
     margin : pixels around `seed` that belong to neither side
-    share, noise_factor : see above
+    fraction, noise_factor : see above
     local : let the background follow a shadow's edge beside the finger; only for a `seed` that is already complete
     samples : pixels to which the background is fitted
 
@@ -112,7 +112,7 @@ def _skin_evidence(
         if level < 3.0 * noise_factor * noise or level <= 0.0:
             continue
         usable = True
-        threshold = np.maximum(share * _local_level(rise, inside, level, 2.0 * margin), noise_factor * noise)
+        threshold = np.maximum(fraction * _local_level(rise, inside, level, 2.0 * margin), noise_factor * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
@@ -371,9 +371,9 @@ def _seed(image: FloatArray, sigma: float) -> BoolArray:
 def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
     """Whichever side holds less of the image's border; the brighter one where both hold about as much."""
     border = np.concatenate([second[0], second[-1], second[:, 0], second[:, -1]])
-    share = float(border.mean())
-    if abs(share - 0.5) > 0.1:
-        return second if share < 0.5 else ~second
+    fraction = float(border.mean())
+    if abs(fraction - 0.5) > 0.1:
+        return second if fraction < 0.5 else ~second
     if not second.any() or second.all():
         return second
     return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second

@@ -129,8 +129,8 @@ def _details(
     """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
     scale = reduction(mask.shape, px_per_mm, min(settings.working_px_per_mm, 0.8 / band_mm), 600)
     px = px_per_mm * scale
-    share = reduce_mask(mask, scale)
-    inside = share > 0.5 if bool((share > 0.5).any()) else share > 0.0
+    fraction = reduce_mask(mask, scale)
+    inside = fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0
     region = dilate(inside, _SURROUND_MM * px)
     reach = _BAND_RATIO * band_mm
     box = bounding_box(dilate(region, 2.0 * reach * px))

@@ -122,14 +122,14 @@ def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArra
 
 def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
     """Reduced copies of image and mask in the upright frame."""
-    small, share = reduce_image(grey, scale), reduce_mask(mask, scale)
+    small, fraction = reduce_image(grey, scale), reduce_mask(mask, scale)
     size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
     half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
     ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
     shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
     grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
     transform = shrink @ upright.input_from_upright @ grow
-    return warp(small, transform, size), np.asarray(warp(share, transform, size) > 0.9, dtype=np.bool_)
+    return warp(small, transform, size), np.asarray(warp(fraction, transform, size) > 0.9, dtype=np.bool_)
 
 
 def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, str]:

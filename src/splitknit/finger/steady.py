@@ -22,7 +22,7 @@ from splitknit.imaging.view import plane_points
 from splitknit.model import Band, Capture
 
 HELPS = 0.95
-"""Undoing motion must bring what no surface explains below this share of what it was."""
+"""Undoing motion must bring what no surface explains below this fraction of what it was."""
 
 
 def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
@@ -70,7 +70,7 @@ class Registered:
     most_mm: float
     """Largest shift of a shot against the reference, mean over the finger."""
     before: float
-    """Share of the details that no surface explains: rms over the white shots, as they are."""
+    """Fraction of the details that no surface explains: rms over the white shots, as they are."""
     after: float
     """The same with the motion undone."""
     facts: dict[str, Any]

@@ -44,7 +44,7 @@ _SCHEMAS = {
     1: (_ABOUT, _FINGER_1, ROWS["images"], ROWS["template"]),
     2: (_ABOUT, ROWS["finger"], ROWS["images"], STATE, ROWS["template"]),
 }
-_MOST_RECORD, _MOST_COUNTER = 10_000, 1_000_000
+_MAX_RECORD, _MAX_COUNTER = 10_000, 1_000_000
 """Bytes of what a gallery says of itself, and of a counter file (about 20,000 galleries)."""
 _MAGIC = b"SQLite format 3\0"
 _BUSY, _READONLY, _FULL, _CANTOPEN = (5, 6), 8, 13, 14
@@ -169,7 +169,7 @@ def read_record(database: sqlite3.Connection, table: str, column: str) -> bytes:
     try:
         rows = database.execute(f"SELECT rowid FROM {table} LIMIT 2").fetchall()
         with database.blobopen(table, column, rows[0][0], readonly=True) as record:
-            if len(rows) == 1 and len(record) <= _MOST_RECORD:
+            if len(rows) == 1 and len(record) <= _MAX_RECORD:
                 return record.read()
     except (IndexError, sqlite3.OperationalError):  # none, or neither text nor bytes
         pass
@@ -232,7 +232,7 @@ def read_counter(file: Path) -> dict[str, int]:
     BadInput
         If it cannot be read, or is no counter file.
     """
-    content = read_bytes(file, _MOST_COUNTER)
+    content = read_bytes(file, _MAX_COUNTER)
     try:
         seen: Any = json.loads(content) if content else {}
         require(isinstance(seen, dict) and all(type(one) is int for one in seen.values()), "other values")

@@ -30,9 +30,9 @@ SALT_BYTES = 16
 TAG_BYTES = 16
 DIGEST_BYTES = 32
 _NONCE_BYTES, _SEAL_BYTES = 12, 16
-_LEAST_PASSPHRASE = 8
-_MOST_CONTENT = 4096
-_MOST_MEMORY, _MOST_WORK = 2**30, 2**32
+_MIN_PASSPHRASE = 8
+_MAX_CONTENT = 4096
+_MAX_MEMORY, _MAX_WORK = 2**30, 2**32
 """Bytes that scrypt may take, and may go through in all its rounds (about 10 s), whatever a gallery asks for."""
 _CHECK = b"splitknit gallery"
 
@@ -60,9 +60,9 @@ class ScryptSettings:
             require(sound, f"scrypt's {name} must be an integer from {low} to {high}, but it is {str(value)[:20]!a}.")
         memory = 128 * self.r * 2**self.log2_n
         require(
-            memory <= _MOST_MEMORY and memory * self.p <= _MOST_WORK,
+            memory <= _MAX_MEMORY and memory * self.p <= _MAX_WORK,
             f"scrypt with log2_n = {self.log2_n}, r = {self.r} and p = {self.p} takes {memory / 2**20:.0f} MB {self.p} "
-            f"times; at most {_MOST_MEMORY / 2**20:.0f} MB, and {_MOST_WORK / 2**20:.0f} MB in all, are allowed.",
+            f"times; at most {_MAX_MEMORY / 2**20:.0f} MB, and {_MAX_WORK / 2**20:.0f} MB in all, are allowed.",
         )
 
 
@@ -98,7 +98,7 @@ def key_from_bytes(content: bytes, where: str) -> Key:
     >>> key_from_bytes(b"correct horse battery staple", "the key file")
     Key(raw=False)
     """
-    require(len(content) <= _MOST_CONTENT, f"{where} holds {len(content)} bytes, which is no key (4096 at most).")
+    require(len(content) <= _MAX_CONTENT, f"{where} holds {len(content)} bytes, which is no key (4096 at most).")
     try:
         text = content.decode("utf-8").rstrip("\r\n")
         readable = all(character.isprintable() for character in text)
@@ -112,8 +112,8 @@ def key_from_bytes(content: bytes, where: str) -> Key:
         return Key(content, raw=True)
     phrase = unicodedata.normalize("NFC", text)
     require(
-        len(phrase) >= _LEAST_PASSPHRASE,
-        f"{where} holds a passphrase of {len(phrase)} characters; {_LEAST_PASSPHRASE} at least are expected, or 64 "
+        len(phrase) >= _MIN_PASSPHRASE,
+        f"{where} holds a passphrase of {len(phrase)} characters; {_MIN_PASSPHRASE} at least are expected, or 64 "
         "hexadecimal digits.",
     )
     return Key(phrase.encode("utf-8"), raw=False)

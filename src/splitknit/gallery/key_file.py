@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
 COUNTER = ".counter"
 """End of the name of the counter file that may lie beside a key file."""
-_MOST_KEY_BYTES = 4096
+_MAX_KEY_BYTES = 4096
 _WRITER_S = 3.0
 """How long a pipe may be without a program that writes into it."""
 
@@ -50,7 +50,7 @@ def _read_key(file: Path) -> bytes:
             require(sound, f"the key file {shown_path(file)} is neither a file nor a pipe.")
             if stat.S_ISFIFO(mode):
                 return _read_pipe(stream, file)
-            return stream.read(_MOST_KEY_BYTES + 1)
+            return stream.read(_MAX_KEY_BYTES + 1)
     except BadInput:
         raise
     except (OSError, ValueError) as error:
@@ -63,8 +63,8 @@ def _read_pipe(stream: io.FileIO, file: Path) -> bytes:
     content, waited, written = b"", False, False
     events = select.poll()
     events.register(stream, select.POLLIN)
-    while len(content) <= _MOST_KEY_BYTES:
-        piece = stream.read(_MOST_KEY_BYTES + 1)
+    while len(content) <= _MAX_KEY_BYTES:
+        piece = stream.read(_MAX_KEY_BYTES + 1)
         if piece:
             content += piece
         elif piece is None:  # a writer is there and has written nothing yet

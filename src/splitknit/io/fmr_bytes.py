@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.finger_codes import FINGER_CODES, code_of, name_of
-from splitknit.io.minutiae_record import MOST_MINUTIAE, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import MAX_MINUTIAE, FingerView, MinutiaeRecord
 
 _MAX_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""
@@ -99,20 +99,20 @@ def decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[s
     }
 
 
-def encode_minutiae(view: FingerView, steps: int, most_quality: int) -> bytes:
-    """Bytes of a view's minutiae, six for each; qualities above `most_quality` (none known) become 0.
+def encode_minutiae(view: FingerView, steps: int, max_quality: int) -> bytes:
+    """Bytes of a view's minutiae, six for each; qualities above `max_quality` (none known) become 0.
 
     Directions are rounded to the nearest of `steps` in a turn.
     """
     require(
-        view.count <= MOST_MINUTIAE,
-        f"a view holds at most {MOST_MINUTIAE} minutiae, but there are {view.count}; take FingerView.best().",
+        view.count <= MAX_MINUTIAE,
+        f"a view holds at most {MAX_MINUTIAE} minutiae, but there are {view.count}; take FingerView.best().",
     )
     table = np.zeros(view.count, dtype=_MINUTIA)
     table["x"] = np.asarray(view.x_px) | (np.asarray(view.type).astype(np.int64) << 14)
     table["y"] = view.y_px
     table["direction"] = np.round(np.asarray(view.direction_rad) * (steps / (2 * np.pi))).astype(np.int64) % steps
-    table["quality"] = np.where(np.asarray(view.quality) <= most_quality, view.quality, 0)
+    table["quality"] = np.where(np.asarray(view.quality) <= max_quality, view.quality, 0)
     return table.tobytes()
 
 

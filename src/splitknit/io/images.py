@@ -261,7 +261,7 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 _FRAMES = frozenset({0xC0, 0xC1, 0xC2})
-_MOST_SCANS = 100
+_MAX_SCANS = 100
 """Each scan costs a pass through the whole image, whatever its length; a progressive image has about ten."""
 _BLOCK_PIXELS = 64
 _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
@@ -310,9 +310,7 @@ def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
         position += 2 + length
         if marker == 0xDA:
             scans += 1
-            require(
-                scans <= _MOST_SCANS, f"{name} is damaged: it has more than {_MOST_SCANS} JPEG scans; copy it again."
-            )
+            require(scans <= _MAX_SCANS, f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again.")
             found = _MARKER_IN_SCAN.search(data, position)
             if found is None:
                 raise BadInput(truncated)

@@ -45,10 +45,10 @@ from splitknit.io.fmr_bytes import (
     read_record_bytes,
     require_standard,
 )
-from splitknit.io.minutiae_record import BIFURCATION, MOST_MINUTIAE, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import BIFURCATION, MAX_MINUTIAE, FingerView, MinutiaeRecord
 
 _HEADER = struct.Struct(">8sIHHHHHBB")
-_LEAST_RESOLUTION = 99
+_MIN_RESOLUTION = 99
 """Pixels per cm; the standard asks for no less (250 ppi)."""
 _CODES = ViewCodes(
     ISO_2005, ISO_STEPS, ISO_2005_IMPRESSIONS, {"contactless": "live_plain", "contactless_rolled": "live_rolled"}
@@ -70,8 +70,8 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
     check_writable(record, ISO_2005, 12, 4)
     (rows, columns), resolution = common_image(record, ISO_2005)
     require(
-        min(resolution) >= _LEAST_RESOLUTION,
-        f"{ISO_2005} needs at least {_LEAST_RESOLUTION} pixels per cm, but the image has {min(resolution)}.",
+        min(resolution) >= _MIN_RESOLUTION,
+        f"{ISO_2005} needs at least {_MIN_RESOLUTION} pixels per cm, but the image has {min(resolution)}.",
     )
     body = encode_views(record.views, _CODES)
     device = record.certification << 12 | record.device
@@ -98,8 +98,8 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     check_length(data, length, name)
     require(reserved == 0, f"{name}: the reserved byte 23 is {reserved}, but it must be 0.")
     require(
-        min(x_ppcm, y_ppcm) >= _LEAST_RESOLUTION,
-        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} asks for {_LEAST_RESOLUTION} at "
+        min(x_ppcm, y_ppcm) >= _MIN_RESOLUTION,
+        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} asks for {_MIN_RESOLUTION} at "
         "least; its producer does not keep to the standard.",
     )
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
@@ -146,9 +146,7 @@ def _encode_card(view: FingerView, compact: bool = True) -> bytes:
     BadInput
         If there are more than 255, or one lies further right or down than the format reaches (25.5 mm, 163.83 mm).
     """
-    require(
-        view.count <= MOST_MINUTIAE, f"a card takes at most {MOST_MINUTIAE} minutiae, not {view.count}; see best()."
-    )
+    require(view.count <= MAX_MINUTIAE, f"a card takes at most {MAX_MINUTIAE} minutiae, not {view.count}; see best().")
     unit, steps, largest = (_COMPACT_MM, _COMPACT_STEPS, 255) if compact else (_NORMAL_MM, _NORMAL_STEPS, 16383)
     x_ppcm, y_ppcm = view.resolution_ppcm
     x, y = (
@@ -197,8 +195,8 @@ def _decode_card(
     row = _COMPACT if compact else _NORMAL
     count, rest = divmod(len(data), row.itemsize)
     require(
-        rest == 0 and count <= MOST_MINUTIAE,
-        f"{name} has {len(data)} bytes, which is no list of at most {MOST_MINUTIAE} minutiae of {row.itemsize}.",
+        rest == 0 and count <= MAX_MINUTIAE,
+        f"{name} has {len(data)} bytes, which is no list of at most {MAX_MINUTIAE} minutiae of {row.itemsize}.",
     )
     table = np.frombuffer(data, dtype=row)
     if compact:

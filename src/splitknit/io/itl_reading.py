@@ -38,9 +38,9 @@ from splitknit.io.wsq_image import decode_wsq, encode_wsq
 VERSION = "0502"
 COMPRESSIONS = {"none": "NONE", "wsq": "WSQ20", "png": "PNG"}
 """Names, and what field 14.011 says for them."""
-MOST_PRINTS = 98
+MAX_PRINTS = 98
 """Information designation characters go from 0 to 99; 0 is that of Type-2."""
-LEAST_PPI, MOST_PPI = 490.0, 5080.0
+MIN_PPI, MAX_PPI = 490.0, 5080.0
 """A print below the class of 500 ppi is no exemplar."""
 
 
@@ -66,8 +66,8 @@ class _TransactionPrint:
             f"a print must be (H, W) uint8, 10 to 99999 pixels each way, not {array.shape} {array.dtype}.",
         )
         require(
-            LEAST_PPI <= self.ppi <= MOST_PPI,
-            f"a print of a transaction has {LEAST_PPI:g} to {MOST_PPI:g} ppi, not {self.ppi:g}; resample it.",
+            MIN_PPI <= self.ppi <= MAX_PPI,
+            f"a print of a transaction has {MIN_PPI:g} to {MAX_PPI:g} ppi, not {self.ppi:g}; resample it.",
         )
         code_of(self.finger, FINGER_CODES, "finger")
         code_of(self.impression, ITL_IMPRESSIONS, "impression type")
@@ -126,7 +126,7 @@ def encode_transaction(prints: Sequence[_TransactionPrint], facts: _TransactionF
     BadInput
         If there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
     """
-    require(1 <= len(prints) <= MOST_PRINTS, f"a transaction takes 1 to {MOST_PRINTS} prints, not {len(prints)}.")
+    require(1 <= len(prints) <= MAX_PRINTS, f"a transaction takes 1 to {MAX_PRINTS} prints, not {len(prints)}.")
     nistitl = _itl_package()
     date = facts.date.strftime("%Y%m%d")
     message = nistitl.Message()
@@ -199,10 +199,10 @@ def _stored_pixels(item: _TransactionPrint) -> bytes:
 
 _MAX_BYTES = 200_000_000
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
-_MOST_RECORDS = 1000
-_MOST_PIXELS = 64_000_000
+_MAX_RECORDS = 1000
+_MAX_PIXELS = 64_000_000
 _SEPARATOR, _WITHIN = b"\x1c", (b"\x1d", b"\x1e", b"\x1f")
-_MOST_PARTS = 100_000
+_MAX_PARTS = 100_000
 """Fields and their parts, before the images: the package makes Python objects of each."""
 _INCH_MM, _CM_MM = 25.4, 10.0
 
@@ -265,9 +265,9 @@ def _check_frame(data: bytes, name: str) -> None:
         require(whole, f"{name} is damaged: its Type-{kind} record does not end where its length says; copy it again.")
         texts = data[place : place + length].split(b".999:")[0]
         parts += sum(texts.count(separator) for separator in _WITHIN)
-        require(parts <= _MOST_PARTS, f"{name} has more than {_MOST_PARTS} fields; split it.")
+        require(parts <= _MAX_PARTS, f"{name} has more than {_MAX_PARTS} fields; split it.")
         place, count = place + length, count + 1
-        require(count <= _MOST_RECORDS, f"{name} has more than {_MOST_RECORDS} records; split it.")
+        require(count <= _MAX_RECORDS, f"{name} has more than {_MAX_RECORDS} records; split it.")
     require(count > 0, f"{name} is empty; an ANSI/NIST-ITL transaction is expected.")
 
 
@@ -282,7 +282,7 @@ def _facts(record: Any, name: str) -> _TransactionFacts:
 
 def _print(record: Any, name: str) -> _TransactionPrint:
     rows, columns = _number(record, "VLL", name), _number(record, "HLL", name)
-    require(rows * columns <= _MOST_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
+    require(rows * columns <= _MAX_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
     compression = _text(record, "CGA", name)
     names = {code: word for word, code in COMPRESSIONS.items()}
     require(

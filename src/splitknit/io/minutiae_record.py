@@ -13,7 +13,7 @@ from splitknit.io.finger_codes import FINGER_CODES, IMPRESSIONS
 
 OTHER, ENDING, BIFURCATION = 0, 1, 2
 """Types of minutiae, with the codes that all the standards share."""
-MOST_MINUTIAE = 255
+MAX_MINUTIAE = 255
 """A view of a record cannot count more; see :meth:`FingerView.best`."""
 LARGEST_COORDINATE = 16383
 """Coordinates have 14 bits."""
@@ -129,7 +129,7 @@ class FingerView:
         """How many there are."""
         return len(self.x_px)
 
-    def best(self, count: int = MOST_MINUTIAE) -> FingerView:
+    def best(self, count: int = MAX_MINUTIAE) -> FingerView:
         """Return the `count` minutiae of the highest quality, in the order they have here."""
         order = np.argsort(-np.asarray(self.quality).astype(np.int64), kind="stable")[:count]
         return self._taken(np.sort(order))

@@ -30,7 +30,7 @@ from splitknit.io.prints import PrintFile
 BIT_RATE = 0.75
 """Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass another one on; files
 come out smaller, about 1/15 of the pixels' bytes."""
-LEAST_SIDE_PX = 96
+MIN_SIDE_PX = 96
 """Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
 LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
@@ -76,8 +76,8 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
         array.ndim == 2 and array.dtype == np.uint8, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}."
     )
     require(
-        min(array.shape) >= LEAST_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
-        f"WSQ takes images of {LEAST_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
+        min(array.shape) >= MIN_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
+        f"WSQ takes images of {MIN_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
         f"{array.shape[1]}; pad or crop the print, or write PNG.",
     )
     require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
@@ -167,7 +167,7 @@ _TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
 """Filters, quantisers, Huffman codes, restart interval, comment."""
 _COMMENT = 0xA8
 _MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
-_MOST_PIXELS = 25_000_000
+_MAX_PIXELS = 25_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,8 +228,8 @@ def _frame(body: bytes, name: str) -> tuple[int, int]:
     rows, columns = int.from_bytes(body[2:4], "big"), int.from_bytes(body[4:6], "big")
     require(rows > 0 and columns > 0, f"{name} is damaged: its WSQ frame header gives no size; copy it again.")
     require(
-        rows * columns <= _MOST_PIXELS,
-        f"{name} claims {rows} x {columns} pixels, more than {_MOST_PIXELS}; no print is that large.",
+        rows * columns <= _MAX_PIXELS,
+        f"{name} claims {rows} x {columns} pixels, more than {_MAX_PIXELS}; no print is that large.",
     )
     return rows, columns
 

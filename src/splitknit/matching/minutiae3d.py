@@ -24,8 +24,8 @@ from splitknit.matching.space_alignment import (
     Index,
     best_agreement,
     close_points,
+    fraction_of_both,
     nearest,
-    share_of_both,
     two_sides,
 )
 from splitknit.settings import Checked, Limits
@@ -122,7 +122,7 @@ def minutiae3d_match(
     left, right = sides
     found = best_agreement(left, right, _alike_pairs(left, right), left.settings.agreement)
     count = len(found.a)
-    return Minutiae3DMatch(share_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
+    return Minutiae3DMatch(fraction_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
 
 
 def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
@@ -249,7 +249,7 @@ def tetrahedra_match(
     total = len(corners[0])
     found = best_agreement(left, right, corners, left.settings.agreement)
     count = len(found.a)
-    score = share_of_both(count, left.minutiae.count, right.minutiae.count)
+    score = fraction_of_both(count, left.minutiae.count, right.minutiae.count)
     return TetrahedraMatch(score, count, total, compared=True)
 
 

@@ -153,8 +153,8 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     ridges: AnyArray = np.where(inside, value, np.float32(0.0)).astype(np.float32)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
         ridges = (ridges - blur(ridges, narrow) / total) * weight
-    share = np.maximum(blur(weight, window), np.float32(1e-3))
-    spread = np.sqrt(np.maximum(blur(ridges * ridges, window) / share, np.float32(0.0)))
+    fraction = np.maximum(blur(weight, window), np.float32(1e-3))
+    spread = np.sqrt(np.maximum(blur(ridges * ridges, window) / fraction, np.float32(0.0)))
     typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
     empty = np.zeros(value.shape, dtype=np.float32)
     if typical <= 0.0:

@@ -197,7 +197,7 @@ def _one_to_one(i: Index, j: Index, cost: Array) -> Index:
     return np.array(kept, dtype=np.intp)
 
 
-def share_of_both(count: int, a: int, b: int) -> float:
+def fraction_of_both(count: int, a: int, b: int) -> float:
     """Score of `count` agreeing minutiae of `a` and `b`: count squared over their product, 0 to 1."""
     return count * count / (a * b) if a and b else 0.0
 

@@ -329,7 +329,7 @@ def surface_code_match(
     return SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
 
 
-def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> list[tuple[float, float, float]]:
+def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[tuple[float, float, float]]:
     """Turn of `a` in degrees and its shift along rows and columns in mm, of the best of the first level.
 
     The overlap is taken to be that of the outlines as they came, whatever the turn.
@@ -348,7 +348,7 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
     planes = b.planes(0.0, size)
     common = scipy.fft.irfft2(a.outline(size).conj() * b.outline(size), size)[chosen]
     common = np.maximum(np.rint(common), 1.0)
-    enough = common * pitch**2 >= least_mm2
+    enough = common * pitch**2 >= min_mm2
     if not bool(enough.any()):
         return []
     found: list[tuple[float, float, int, int]] = []
@@ -363,9 +363,7 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
     return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[:_CANDIDATES]]
 
 
-def _counted(
-    a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], least_mm2: float
-) -> SurfaceMatch:
+def _counted(a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], min_mm2: float) -> SurfaceMatch:
     """Minimum distance around a candidate: turns within a step, shifts within a coarse place."""
     settings, pitch = a.settings, a.surface_code.pitch_mm
     step = settings.turn_step_deg
@@ -388,7 +386,7 @@ def _counted(
             differ = (planes ^ other[:, window]) & common[:, None]
             unequal = np.bitwise_count(differ).sum(axis=(1, 2, 3), dtype=np.int64)
             area = total * pitch**2
-            distance = np.where(area >= least_mm2, unequal / np.maximum(PLANES * total, 1), 1.0)
+            distance = np.where(area >= min_mm2, unequal / np.maximum(PLANES * total, 1), 1.0)
             k = int(np.argmin(distance))
             if distance[k] < best.distance:
                 best = SurfaceMatch(1 - float(distance[k]), float(distance[k]), float(area[k]), turns[k], compared=True)

@@ -340,7 +340,7 @@ def _linearised(state: State, front: Touching, mirrors: Mapping[str, SeenIn], na
     residuals, rows = [], []
     for part, tip in zip(all_planes(state, front, mirrors, names), tips, strict=True):
         residual, u, normal, by_a, by_b = misfit_of(state, part, from_tip=tip)
-        w = body.share(u)
+        w = body.fraction(u)
         s = np.sqrt(w)
         along, root = basis(w, count), basis(s, count)
         rows.append(
@@ -365,7 +365,7 @@ _MISFIT_MM = 0.6
 
 THICKNESS = (0.4, 1.4)
 """Of fingers, over their breadth."""
-MOST_DEG = 7.0
+MAX_DEG = 7.0
 """A mirror that would be further off than this is not believed."""
 
 
@@ -389,7 +389,7 @@ def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn]) -> None:
     for name, pose in fit.poses.items():
         worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
         require(
-            worst < MOST_DEG,
+            worst < MAX_DEG,
             f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
             "file; check that one finger alone is in view, or correct the rig file.",
         )

@@ -26,7 +26,7 @@ _KNOTS = 11
 """Spans of the splines along the finger."""
 
 
-MOST_TURN_RAD = 0.12
+MAX_TURN_RAD = 0.12
 """Mirrors are not turned by more."""
 
 
@@ -56,7 +56,7 @@ def turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, 
         far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
         return float(far[0] - far[1]) * float(np.hypot(*epipole))
 
-    low, high = -MOST_TURN_RAD, MOST_TURN_RAD
+    low, high = -MAX_TURN_RAD, MAX_TURN_RAD
     values = apart(low), apart(high)
     if values[0] * values[1] > 0:
         return None

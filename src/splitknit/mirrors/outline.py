@@ -159,7 +159,7 @@ def is_cut(rows: Rows, side: str, *, from_tip: bool = False) -> bool:
     known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
     edge = rows.left_mm if side == "left" else rows.right_mm
     low, high = (0.3, 0.7) if from_tip else (0.1, 0.6)
-    part = slice(*(int(known[0] + share * (known[-1] - known[0])) for share in (low, high)))
+    part = slice(*(int(known[0] + fraction * (known[-1] - known[0])) for fraction in (low, high)))
     along, edge = rows.along_mm[part], edge[part]
     there = np.isfinite(edge)
     if float(there.mean()) < 0.6:

@@ -7,7 +7,7 @@ base. With mu_i, mu_r the cosines of light and view outside and c_i, c_r those o
     I = strength * mu_i * T(mu_i) T(mu_r) / T(1)^2 * (base + exposure * K),
     K = [W p(q; g) (1 - E) + W' p(q; g') E] / (c_i + c_r),    E = exp(-depth (1 / c_i + 1 / c_r)),
 
-q the cosine between the refracted rays towards light and view, p Henyey and Greenstein's phase function, W the share
+q the cosine between the refracted rays towards light and view, p Henyey and Greenstein's phase function, W the fraction
 of an interaction that is scattering and not absorption; primes are the dermis. Arrays hold pixels along their last
 axis and everything is elementwise, so that chunking changes no byte.
 """
@@ -64,14 +64,14 @@ class SkinLayers:
             )
 
         require(
-            0.001 <= self.epidermis_share <= 0.999 and 0.01 <= self.epidermis_depth <= 100,
+            0.001 <= self.epidermis_fraction <= 0.999 and 0.01 <= self.epidermis_depth <= 100,
             "layers: scattering over scattering and absorption of the epidermis must lie between 0.001 and 0.999, and "
-            f"its thickness times both between 0.01 and 100, but they are {self.epidermis_share:.4g} and "
+            f"its thickness times both between 0.01 and 100, but they are {self.epidermis_fraction:.4g} and "
             f"{self.epidermis_depth:.4g}.",
         )
 
     @property
-    def epidermis_share(self) -> float:
+    def epidermis_fraction(self) -> float:
         """W: scattering over scattering and absorption."""
         return self.epidermis_scattering_per_mm / (self.epidermis_scattering_per_mm + self.epidermis_absorption_per_mm)
 
@@ -81,7 +81,7 @@ class SkinLayers:
         return self.epidermis_thickness_mm * (self.epidermis_scattering_per_mm + self.epidermis_absorption_per_mm)
 
     @property
-    def dermis_share(self) -> float:
+    def dermis_fraction(self) -> float:
         """W': scattering over scattering and absorption."""
         return self.dermis_scattering_per_mm / (self.dermis_scattering_per_mm + self.dermis_absorption_per_mm)
 
@@ -96,11 +96,11 @@ def _transmitted(cosine: Array, inside: Array, index: float) -> tuple[Array, Arr
     """Fraction of unpolarised light that passes the surface, T, and dT / d cosine (Fresnel)."""
     across, along = cosine + index * inside, index * cosine + inside
     across2, along2 = 1.0 / (across * across), 1.0 / (along * along)
-    share = (2.0 * index) * cosine * inside * (across2 + along2)
+    fraction = (2.0 * index) * cosine * inside * (across2 + along2)
     slope = (2.0 * (index**2 - 1.0) / index) / inside
     # r_s and r_p, and T = 1 - (r_s^2 + r_p^2) / 2
     change = slope * ((index * inside - cosine) * across2 / across + (inside - index * cosine) * along2 / along)
-    return share, change
+    return fraction, change
 
 
 def _scattered(cosine: Array, asymmetry: float) -> tuple[Array, Array]:
@@ -123,14 +123,14 @@ class Reflected:
     by_view: Array
     """By mu_r, the normal's cosine with the view."""
     by_base: Array
-    by_share: Array
+    by_fraction: Array
     """By W of the epidermis."""
     by_depth: Array
     """By the epidermis's optical depth."""
 
 
 def reflected(  # noqa: PLR0917 - the model's own variables
-    to_light: Array, to_view: Array, between: Array, base: Array, share: Array, depth: Array, exposure: float,
+    to_light: Array, to_view: Array, between: Array, base: Array, fraction: Array, depth: Array, exposure: float,
     layers: SkinLayers,
 ) -> Reflected:  # fmt: skip
     """The two-layer model and its derivatives.
@@ -143,7 +143,7 @@ def reflected(  # noqa: PLR0917 - the model's own variables
         mu_r, positive.
     between : (L, 1) or (L, n)
         Cosine between the directions towards light and view, outside.
-    base, share, depth : (n,)
+    base, fraction, depth : (n,)
         Matt base in units of the images; W and optical depth of the epidermis.
     exposure : float
         Units of the images for a radiance factor K of one.
@@ -169,13 +169,13 @@ def reflected(  # noqa: PLR0917 - the model's own variables
     turn = (between - mu * to_view) / index**2 + inside * outside
     upper, upper_by = _scattered(turn, layers.epidermis_asymmetry)
     lower, lower_by = _scattered(turn, layers.dermis_asymmetry)
-    lower, lower_by = lower * layers.dermis_share, lower_by * layers.dermis_share
+    lower, lower_by = lower * layers.dermis_fraction, lower_by * layers.dermis_fraction
     passed = np.exp(-depth * (1.0 / inside + 1.0 / outside))
     spread = 1.0 / (inside + outside)
     upper_lit = spread * (1.0 - passed)
-    step = (lower - share * upper) * passed * spread
-    once = share * upper * upper_lit + lower * passed * spread
-    by_turn = share * upper_by * upper_lit + lower_by * passed * spread
+    step = (lower - fraction * upper) * passed * spread
+    once = fraction * upper * upper_lit + lower * passed * spread
+    by_turn = fraction * upper_by * upper_lit + lower_by * passed * spread
     once_by_light = by_turn * (outside * inside_by - to_view / index**2) + inside_by * (
         step * depth / (inside * inside) - once * spread
     )
@@ -191,6 +191,6 @@ def reflected(  # noqa: PLR0917 - the model's own variables
         + front * (exposure * once_by_light),
         by_view=through * leaves_by * level + front * (exposure * once_by_view),
         by_base=front,
-        by_share=front * (exposure * upper * upper_lit),
+        by_fraction=front * (exposure * upper * upper_lit),
         by_depth=front * ((-exposure) * step * (1.0 / inside + 1.0 / outside)),
     )

@@ -175,8 +175,8 @@ def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
 
-MOST_SENTENCES = 3
-LEAST_WORTH = 0.7
+MAX_SENTENCES = 3
+MIN_WORTH = 0.7
 """A figure that is worth less is spoken of."""
 FULL_WORTH = 0.95
 """Of the ridges' height: from here on, soft edges are the finger's own."""
@@ -219,7 +219,7 @@ def advice(found: PrintQuality) -> tuple[str, ...]:
         cause = _CAUSES[name]
         if cause == "soft" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
             continue  # defocus lowers ridges as well; soft but high ones grew that way
-        if worth < LEAST_WORTH and cause not in causes and len(spoken) < MOST_SENTENCES:
+        if worth < MIN_WORTH and cause not in causes and len(spoken) < MAX_SENTENCES:
             causes.add(cause)
             spoken[_sentence(cause, name, found)] = None
     return tuple(spoken)

@@ -186,12 +186,12 @@ def _frequencies(
     near_power = np.where(near, power, np.float32(0.0))
     weight = np.maximum(near_power.sum(axis=1), np.float32(1e-9))
     found = np.hypot(near_power @ x / weight, near_power @ y / weight)
-    share = weight / np.maximum(total, np.float32(1e-9))
-    sure = (share > 0.1) & (found > low) & (found < high)
+    fraction = weight / np.maximum(total, np.float32(1e-9))
+    sure = (fraction > 0.1) & (found > low) & (found < high)
     if not bool(sure.any()):
         return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
     trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
-    trust[wanted] = np.where(sure, share, np.float32(0.0))
+    trust[wanted] = np.where(sure, fraction, np.float32(0.0))
     value[wanted] = found
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, np.float32(1e-9))

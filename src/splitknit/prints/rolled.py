@@ -117,8 +117,8 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
     every = max(1, round(1.0 / chart.pitch_mm))
     seams = {}
     for place, name in enumerate(rolled.names[1:], start=1):
-        line = seam_lines(rolled.blended.shares, 0, place)
-        both = np.minimum(rolled.blended.shares[0], rolled.blended.shares[place]) > 0.2
+        line = seam_lines(rolled.blended.fractions, 0, place)
+        both = np.minimum(rolled.blended.fractions[0], rolled.blended.fractions[place]) > 0.2
         apart = rolled.view_reliefs[place][both] - rolled.view_reliefs[0][both]
         alike = (
             float(np.corrcoef(rolled.view_reliefs[0][both], rolled.view_reliefs[place][both])[0, 1])
@@ -141,7 +141,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
             "rows": [round(float(v), 1) for v in around[::every]],
         },
         "share_of_views": {
-            name: round(float(rolled.blended.shares[k][rolled.blended.known].mean()), 3)
+            name: round(float(rolled.blended.fractions[k][rolled.blended.known].mean()), 3)
             for k, name in enumerate(rolled.names)
         },
         "seams": seams,

@@ -26,7 +26,7 @@ from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """What the thesis's sweep chose (4.1.1)."""
 Progress = Callable[[str, float], None]
-"""Hears what is being done, and the share of the whole that is done."""
+"""Hears what is being done, and the fraction of the whole that is done."""
 
 
 def sweep(
@@ -35,7 +35,7 @@ def sweep(
     study: Study,
     *,
     workers: int = 1,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda stage, fraction: None,
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates and keep each as soon as it is finished.
 
@@ -45,7 +45,7 @@ def sweep(
     candidates : rigs to compare
     study : what they are evaluated with
     workers : processes; the result does not depend on it
-    progress : hears the candidate and the share done
+    progress : hears the candidate and the fraction done
 
     Returns
     -------
@@ -213,14 +213,14 @@ def pareto_front(costs: Array) -> NDArray[np.bool_]:
     return front
 
 
-def _mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tuple[float, float, float]:
+def _mean_interval(values: Sequence[float] | Array, fraction: float = 0.95) -> tuple[float, float, float]:
     """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
     numbers = np.asarray(values, dtype=np.float64)
     require(numbers.size > 0, "an interval needs one value at least.")
     mean = float(numbers.mean())
     if numbers.size == 1:
         return mean, -np.inf, np.inf
-    half = float(stats.t.ppf(0.5 + 0.5 * share, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
+    half = float(stats.t.ppf(0.5 + 0.5 * fraction, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
     return mean, mean - half, mean + half
 
 

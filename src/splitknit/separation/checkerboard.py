@@ -175,8 +175,8 @@ def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tu
 def _square_mean(state: FloatArray, side_px: float) -> FloatArray:
     """Mean (H, W) over a square around each pixel, whose side need not be whole pixels."""
     reach = int(np.ceil(max(side_px - 1, 0) / 2))
-    share = np.ones(2 * reach + 1)
+    fraction = np.ones(2 * reach + 1)
     if reach > 0:
-        share[[0, -1]] = (side_px - (2 * reach - 1)) / 2
-    share /= share.sum()
-    return np.asarray(cv2.sepFilter2D(state, cv2.CV_32F, share, share, borderType=cv2.BORDER_REFLECT))
+        fraction[[0, -1]] = (side_px - (2 * reach - 1)) / 2
+    fraction /= fraction.sum()
+    return np.asarray(cv2.sepFilter2D(state, cv2.CV_32F, fraction, fraction, borderType=cv2.BORDER_REFLECT))

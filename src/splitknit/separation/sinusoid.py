@@ -17,8 +17,8 @@ from splitknit.separation.stacks import (
     StackSettings,
     by_rows,
     check_contrast,
+    check_fraction,
     check_repeats,
-    check_share,
     light_stack,
 )
 
@@ -82,7 +82,7 @@ def sinusoid(
     S. K. Nayar et al. 2006, section 5.3 (three sinusoids); H. Gudbjartsson and S. Patz, "The Rician distribution of
     noisy MRI data", Magnetic Resonance in Medicine 34(6), 1995 (the bias).
     """
-    check_share(dark, "dark")
+    check_fraction(dark, "dark")
     require(bool(np.isfinite(noise_std)) and noise_std >= 0, f"noise_std must not be negative, but it is {noise_std}.")
     images = light_stack(stack, least=3, mask=mask, settings=settings)
     phases = _check_phases(phases_rad, len(images.light))

@@ -32,8 +32,8 @@ from splitknit.separation.stacks import (
     StackSettings,
     by_rows,
     check_contrast,
+    check_fraction,
     check_repeats,
-    check_share,
     light_stack,
 )
 from splitknit.separation.states import check_shifts
@@ -97,7 +97,7 @@ def by_symmetry(
     >>> bool(abs(parts.white - 0.5).max() < 0.02)
     True
     """
-    check_share(dark, "dark")
+    check_fraction(dark, "dark")
     images = light_stack(stack, least=9, mask=mask, settings=settings)
     count = len(images.light)
     steps = round(count**0.5)

@@ -74,8 +74,8 @@ def _hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
     """(H, 1) fraction of the light that reaches each row: the hand's shadow has a soft edge."""
     height = camera.image_size[0]
     below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
-    share = np.clip(below, 0.0, 1.0)
-    smooth = share * share * (3.0 - 2.0 * share)
+    fraction = np.clip(below, 0.0, 1.0)
+    smooth = fraction * fraction * (3.0 - 2.0 * fraction)
     return (1.0 - settings.hand_shadow * smooth).astype(np.float32)[:, None]
 
 
@@ -340,9 +340,9 @@ class Scene:
         return record(self.through_lens(frame), name, seed, self.settings.sensor, self.scale)
 
 
-def room_level(camera: Camera, leds: Sequence[Led], share: float) -> float:
-    """Radiance of a white card under ambient light: `share` of that under one LED (mean of all)."""
-    return share * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
+def room_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:
+    """Radiance of a white card under ambient light: `fraction` of that under one LED (mean of all)."""
+    return fraction * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
 
 
 Taken = tuple[Band, NDArray[np.float16], NDArray[Any]]

@@ -205,8 +205,8 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, error in (("before", wanted), ("after", wanted - made)):
         found[name] = _rms(error, weight)
-        share = np.maximum(_mean(weight), _MIN_TRUST)
-        found[f"wide_{name}"] = _rms(np.stack([_mean(part * weight) / share for part in error]), weight)
+        fraction = np.maximum(_mean(weight), _MIN_TRUST)
+        found[f"wide_{name}"] = _rms(np.stack([_mean(part * weight) / fraction for part in error]), weight)
     return found
 
 

@@ -110,7 +110,7 @@ def opened_page(url: str) -> Iterator[bool]:
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_PATH = 2000
-_MOST_CONNECTIONS = 32
+_MAX_CONNECTIONS = 32
 """Each has a thread; browsers open six."""
 _HEAD_BYTES = 16_384
 _HEAD_S = 20.0
@@ -129,7 +129,7 @@ class ViewerServer(ThreadingHTTPServer):
     def __init__(self, service: Service, token: str, port: int) -> None:
         """Raises OSError where the port cannot be had."""
         self.service, self.token = service, token
-        self._free = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._free = threading.BoundedSemaphore(_MAX_CONNECTIONS)
         super().__init__(("127.0.0.1", port), _Handler)
 
     def server_bind(self) -> None:

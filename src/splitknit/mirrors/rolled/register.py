@@ -33,8 +33,8 @@ def ridge_band(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
     """(n, m) ridge band over its local standard deviation."""
     size = sigma_mm / pitch_mm
-    share = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
-    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / share
+    fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
+    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / fraction
     typical = float(np.median(power[known])) if known.any() else 1.0
     return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
 
@@ -188,7 +188,7 @@ def align(  # noqa: PLR0917
 
 
 class _Part:
-    """One mirror's share in the equations."""
+    """One mirror's fraction in the equations."""
 
     def __init__(  # noqa: PLR0917
         self, chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, seen: Seen, every: int,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # the pipeline lies above
 
 Array = NDArray[np.float64]
 
-LIT, LEAST_LIT, FADE_MM = 0.5, 3, 0.2
+LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
 """Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
 UNKNOWN_MM = 0.02
 """Standard deviation of a relief that no network vouches for."""
@@ -177,7 +177,7 @@ def _ridges(  # noqa: PLR0917
 
 def _lit(light: FineLight, grid: Grid) -> FloatArray:
     """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which tell no slope."""
-    enough = ((light.trust > LIT).sum(axis=0) >= LEAST_LIT).astype(np.float32)
+    enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
     wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
     return np.asarray(np.clip(2.0 * wide - 1.0, 0.0, 1.0), dtype=np.float32)
 

@@ -64,9 +64,9 @@ def shape_of(body: Body) -> Shape:
 Array = NDArray[np.float64]
 SEARCH_PITCH_MM = 0.1
 """Of the chart on which ridges are compared."""
-LEAST_COSINE = 0.25
+MIN_COSINE = 0.25
 """Views are compared where both see the skin less steeply than this."""
-LEAST_MEETING = 0.3
+MIN_MEETING = 0.3
 """Correlation of two views' ridges below which they are taken not to meet."""
 
 
@@ -156,7 +156,7 @@ class Work:
         view = replace(self.reliefs[name], sight=self.sights()[name])
         relief, deviation, trust = view.sampled(points)
         cosine = view.sight.cosine(normals)
-        known = np.isfinite(relief) & np.isfinite(deviation) & np.isfinite(trust) & (cosine > LEAST_COSINE)
+        known = np.isfinite(relief) & np.isfinite(deviation) & np.isfinite(trust) & (cosine > MIN_COSINE)
         return np.where(known, relief, 0), np.where(known, deviation, 0), np.where(known, trust, 0), known
 
     def register(self, coarse: bool) -> None:
@@ -177,7 +177,7 @@ class Work:
             for name, one in given.items():
                 ranges = self.rolled.search_cut if name in self.cut else self.rolled.search
                 found = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, ranges)
-                if found.correlation < LEAST_MEETING and name not in self.cut:  # it may lie further off than it should
+                if found.correlation < MIN_MEETING and name not in self.cut:  # it may lie further off than it should
                     wider = self.rolled.search_cut
                     again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, wider)
                     found = max(found, again, key=lambda one: one.correlation)

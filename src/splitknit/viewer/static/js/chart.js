@@ -86,8 +86,8 @@ export function showChart(box, curves, kind, pointed = () => {}) {
   };
   svg.addEventListener("pointermove", (event) => {
     const place = svg.getBoundingClientRect();
-    const share = (((event.clientX - place.left) / place.width) * WIDTH - LEFT) / (WIDTH - LEFT - RIGHT);
-    read(Math.round(share * (series[0].x.length - 1)));
+    const fraction = (((event.clientX - place.left) / place.width) * WIDTH - LEFT) / (WIDTH - LEFT - RIGHT);
+    read(Math.round(fraction * (series[0].x.length - 1)));
   });
   svg.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
