@@ -200,7 +200,7 @@ class Camera:
             mixing = np.asarray(self.crosstalk, dtype=np.float64)
             require(
                 mixing.shape == (3, 3) and bool(np.isfinite(mixing).all()) and bool(np.linalg.cond(mixing) < 50.0),
-                "camera.crosstalk must be 3 x 3 finite numbers by which the three colours can be told apart.",
+                "camera.crosstalk must be 3 x 3 finite numbers that separate the three colours.",
             )
         require(np.isfinite(self.px_per_mm) and self.px_per_mm > 0, "camera.px_per_mm must be a positive number.")
         require(np.isfinite(self.height_mm) and self.height_mm > 0, "camera.height_mm must be a positive number.")

@@ -148,7 +148,7 @@ def _kumar() -> PipelineSettings:
 
 
 def _xie() -> PipelineSettings:
-    """Case EA with a two-layer model of skin in place of Lambert's: all lights count alike, as in EA.
+    """Case EA with a two-layer model of skin in place of Lambert's: all lights count equally, as in EA.
 
     References
     ----------

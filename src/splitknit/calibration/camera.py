@@ -128,8 +128,8 @@ def fit_lens(
         elif step == ("aspect",):
             fixed[_called(step)] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
         else:
-            told = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
-            fixed[_called(step)] = f"0: the photographs give {told}"
+            estimate = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
+            fixed[_called(step)] = f"0: the photographs give {estimate}"
     best.deviations.update(_focal_deviations(views, kept, best))
     return LensFit(
         best.matrix,

@@ -215,8 +215,8 @@ class CardCheck:
     ratio: Array
     """(L,) brightness now over brightness at the calibration, of each LED."""
     common: Mapping[str, float | None]
-    """Of each band: the median of its LEDs' ratios, what exposure, gain, lens and card do to all alike; None where the
-    exposures of one of the two are not known."""
+    """Of each band: the median of its LEDs' ratios, what exposure, gain, lens and card do to all equally; None where
+    the exposures of one of the two are not known."""
     own: Array
     """(L,) the ratio without the band's common part."""
     pattern_percent: Array

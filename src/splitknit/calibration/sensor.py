@@ -163,7 +163,7 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     span = float(np.nanmax(stored) - np.nanmin(stored))
     require(
         span >= _MIN_RANGE,
-        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to tell "
+        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to distinguish "
         f"a curve from a line; expose longer, or take a scene with bright and dark parts.",
     )
     return stored, times

@@ -356,7 +356,7 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
     """Find the image of a cone's tip.
 
-    The straight lines on a cone from its tip to its base are each lit alike along their whole length, and all their
+    The straight lines on a cone from its tip to its base are each lit equally along their whole length, and all their
     images pass through that of the tip, whatever camera looks on. So brightness changes across them only: its gradient
     g at the pixel p obeys g . (p - tip) = 0. Least squares over all pixels of the cone and all images, weighted anew by
     how well each obeys. Brightness is taken against the mean over the LEDs, which stand evenly around.

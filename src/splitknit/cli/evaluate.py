@@ -1,4 +1,4 @@
-"""The command line of ``splitknit evaluate``: how well scores tell fingers apart."""
+"""The command line of ``splitknit evaluate``: how well scores separate genuine from impostor pairs."""
 
 from __future__ import annotations
 

@@ -22,12 +22,12 @@ class Result:
 
     scores: Scores
     primary: str
-    """The way of drawing whose intervals stand in the first place."""
+    """The scheme of drawing whose intervals stand in the first place."""
     by_method: Mapping[str, Intervals]
 
     @property
     def intervals(self) -> Intervals:
-        """Those of the primary way."""
+        """Those of the primary scheme."""
         return self.by_method[self.primary]
 
 

@@ -68,7 +68,7 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     Parameters
     ----------
     systems : two or more Scores
-        Of the same pairs (in any order, if their ids tell them apart), with subjects or at least fingers.
+        Of the same pairs (in any order, if their ids distinguish them), with subjects or at least fingers.
     settings : FusionSettings, optional
     name : str, optional
         Of the result.

@@ -174,7 +174,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """All figures of one system by one way of drawing."""
+    """All figures of one system by one scheme of drawing."""
 
     method: str
     """``plain``, ``finger`` or ``subject``."""
@@ -315,7 +315,7 @@ def _curve(scores: Scores, settings: BootstrapSettings) -> tuple[float, ...]:
 
 
 def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Percentiles over replicates; those in which a class was not drawn at all tell nothing."""
+    """Percentiles over replicates; those in which a class was not drawn at all are left out."""
     tail = (1 - confidence) / 2
     limits = np.full((2, rows.shape[1]), np.nan)
     for k, column in enumerate(rows.T):
@@ -476,7 +476,7 @@ class _Units:
 
 
 def _plain_units(cells: _Cells) -> _Units:
-    """Comparisons are drawn; those of one cell are alike and need not be separated."""
+    """Comparisons are drawn; those of one cell are equivalent and need not be separated."""
     sizes = (
         np.bincount(cells.genuine, minlength=cells.count + 1),
         np.bincount(cells.impostor, minlength=cells.count + 1),

@@ -1,8 +1,8 @@
 """Error rates of a matcher from its genuine and impostor scores: ROC, EER, GAR at FAR, d', AUC.
 
-A higher score means more alike and a pair is accepted if score >= t. A rate is a step function of t that changes
+A higher score means more similar and a pair is accepted if score >= t. A rate is a step function of t that changes
 only at scores, so that every figure here is exact and nothing is interpolated unless asked. NaN stands for a
-comparison that gave no score, a *failure to acquire*, and there are two ways of counting it:
+comparison that gave no score, a *failure to acquire*, and there are two conventions for counting it:
 
 - ``all``: it is a rejection, as a user at the door sees it. FAR and FRR = 1 - GAR, over all attempts.
 - ``made``: it is left out, which judges the matcher alone. FMR and FNMR of ISO/IEC 19795-1, over comparisons made.

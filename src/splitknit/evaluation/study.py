@@ -99,8 +99,8 @@ def evaluate_scores(
     notes += [] if gallery is None else gallery.notes
     fusion: dict[str, Any] | None = None
     if settings.fuse is not None:
-        joined, fusion, told = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
-        systems, notes = [*systems, joined], notes + told
+        joined, fusion, added = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
+        systems, notes = [*systems, joined], notes + added
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
     require(
@@ -185,7 +185,7 @@ def _figures(
 
 
 def _methods(scores: Scores) -> list[str]:
-    """Ways of drawing that the ids allow, the plain one first."""
+    """Schemes of drawing that the ids allow, the plain one first."""
     allowed = ["plain"]
     for method, ids in (("finger", scores.finger), ("subject", scores.subject)):
         if ids is not None and len(set(ids.codes.ravel().tolist())) >= 3:

@@ -77,7 +77,7 @@ class Finger:
 
 
 def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
-    """The capture under the camera model and the lights that the settings ask for, and notes on it.
+    """The capture under the camera model and the lights that the settings require, and notes on it.
 
     Raises
     ------

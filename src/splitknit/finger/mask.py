@@ -42,7 +42,7 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
     I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
     the dichromatic model do, also settles the colour of the unlit background: where there is next to no light the three
-    channels of I_MSF are alike and noise does not turn into colour.
+    channels of I_MSF are equal and noise does not turn into colour.
 
     References
     ----------
@@ -55,7 +55,7 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
-    """The two quantities that tell skin from a dark neutral background: brightness, and the coloured part of the light.
+    """The two quantities that separate skin from a dark neutral background: brightness and the coloured light.
 
     The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
     """
@@ -94,7 +94,7 @@ def _skin_evidence(
     Returns
     -------
     evidence : (H, W) float32
-    usable : whether any signal tells `seed` from the background
+    usable : whether any signal distinguishes `seed` from the background
     """
     outside = ~dilate(seed, margin)
     inside = erode(seed, 0.5 * margin)
@@ -104,8 +104,8 @@ def _skin_evidence(
     if outside.sum() < 50:
         return seed.astype(np.float32) * np.float32(2.0), True
     for signal in _signals(image):
-        backdrop, noise = _fit_backdrop(signal, outside, samples)
-        rise = signal - backdrop
+        background, noise = _fit_background(signal, outside, samples)
+        rise = signal - background
         if local:
             rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
         level = float(np.median(rise[inside]))
@@ -147,7 +147,7 @@ def _rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     return max(steps)
 
 
-def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
+def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
     """Robust quadratic surface through `signal` outside the finger, and the noise about it.
 
     What does not belong to the background (a shadowed part of the finger that the seed missed, dust) is brighter, so
@@ -267,7 +267,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     try:
         mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
-        check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
+        check_borders(_bright_side(coarse))  # so close that there is more finger than background along the border
         raise
     result = _fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
     check_borders(result)
@@ -323,8 +323,8 @@ def check_borders(mask: BoolArray) -> tuple[str, ...]:
 
 
 NO_FINGER = (
-    "no finger was found in the white images: nothing stands out from the backdrop in colour or brightness; "
-    "check the exposure, the LEDs and the dark backdrop, or give a mask."
+    "no finger was found in the white images: nothing stands out from the background in colour or brightness; "
+    "check the exposure, the LEDs and the dark background, or give a mask."
 )
 
 

@@ -71,7 +71,7 @@ def shot_motion(
     Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
     with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each
     shot (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion.
-    At least five shots are needed to tell the two apart, and a drift that happens to follow the lights around the ring
+    At least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring
     is underestimated.
 
     Parameters
@@ -111,7 +111,7 @@ def shot_motion(
 
 
 def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
-    """Warnings in words for shots in which the finger moved by more than `WARN_MM`."""
+    """Warnings for shots in which the finger moved by more than `WARN_MM`."""
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:

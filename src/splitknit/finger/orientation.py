@@ -45,7 +45,7 @@ class Upright:
     reliable: bool
     """Whether an axis was found; if not, the tip is taken to point where it was expected."""
     note: str = ""
-    """What is to be known about the result, in words; empty if nothing."""
+    """Remarks on the result; empty if there are none."""
 
     @property
     def upright_from_input(self) -> NDArray[np.float64]:

@@ -61,14 +61,14 @@ class Crease:
     candidates: tuple[_Valley, ...] = field(default=())
     """All transverse valleys that were seen, from the tip down."""
     verdict: str = ""
-    """What was decided and why, in words."""
+    """What was decided and why, as text."""
 
 
 def find_crease(mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float) -> Crease:
     """Find the first flexion crease below the tip.
 
     The thesis equalises and blurs the mean grey image, binarises it and looks for the row with most dark pixels. Here
-    the equalisation is a logarithm (so tone and brightness drop out), the binarisation asks of
+    the equalisation is a logarithm (so tone and brightness drop out), the binarisation requires of
     every place whether it is darker than the skin on *both* sides along the finger (so the edge of a shadow, which is
     a step, and a smooth gradient never count), and rows may lean. A crease must be seen along most of the width.
 

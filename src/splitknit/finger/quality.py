@@ -1,4 +1,4 @@
-"""How good a capture is, in numbers and in words.
+"""How good a capture is, in numbers and sentences.
 
 Ridge contrast is measured on a copy of about 24 px/mm, specks on one of 12 px/mm, everything else on whatever stack is
 given (a reduced one will do; saturation is best counted at full resolution).

@@ -115,17 +115,17 @@ def register_band(  # noqa: PLR0917
 def _expected(  # noqa: PLR0917
     seen: Seen, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
 ) -> FloatArray:
-    """(L, N) details under `lights` of the surface that the `known` details of the first band tell."""
+    """(L, N) details under `lights` of the surface that the `known` details of the first band give."""
     taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
     shifts = seen.flow.at(*level.places())[seen.shots].astype(np.float32)
     details = taken.seen(shifts)[:, 0]
-    theirs, ours = (lights_on(part, level, shape, px_per_mm) for part in (seen.lights, lights))
-    theirs = np.moveaxis(theirs.astype(np.float64), 2, 0)  # (N or 1, K, 3)
-    normal = theirs.transpose(0, 2, 1) @ theirs
+    before, now = (lights_on(part, level, shape, px_per_mm) for part in (seen.lights, lights))
+    before = np.moveaxis(before.astype(np.float64), 2, 0)  # (N or 1, K, 3)
+    normal = before.transpose(0, 2, 1) @ before
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    told = (theirs * details.T[:, :, None]).sum(axis=1)
-    surface = np.linalg.solve(np.broadcast_to(normal, (len(told), 3, 3)), told[..., None])[..., 0].T
-    return np.asarray((ours * surface).sum(axis=1), dtype=np.float32)
+    observed = (before * details.T[:, :, None]).sum(axis=1)
+    surface = np.linalg.solve(np.broadcast_to(normal, (len(observed), 3, 3)), observed[..., None])[..., 0].T
+    return np.asarray((now * surface).sum(axis=1), dtype=np.float32)
 
 
 def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, iterations: int) -> Flow:

@@ -34,7 +34,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         The one that was given, the same object, where the finger lay still; else one whose images are resampled, once,
         onto the pixels of the reference shot (the middle one of the white band), which is left as it is.
     finger : Finger
-        Its facts tell the motion.
+        Its facts report the motion.
 
     Raises
     ------
@@ -105,9 +105,9 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
     first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
     flows = {"white": replace(found.flow, origin_mm=first)}
-    told = _told(flows["white"], mask, px)
-    told |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
-    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": told}
+    reported = _motion_facts(flows["white"], mask, px)
+    reported |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
+    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": reported}
     for name, band in capture.bands.items():
         if name == "white" or band.colours:
             continue
@@ -115,9 +115,9 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
         vectors = _lights_over(capture, band, window, BLOCK_MM)
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
-        told = _told(flows[name], mask, px)
-        told |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
-        facts[f"motion_{name}"] = told
+        reported = _motion_facts(flows[name], mask, px)
+        reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
+        facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
     return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
@@ -160,7 +160,7 @@ def _shots(band: Band) -> NDArray[np.intp]:
     return np.repeat(np.arange(len(band.pixels)), [len(set(names)) for names in band.colours])
 
 
-def _told(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
+def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
     """Mean shift (x right, y up) and turn of every shot, for a report."""
     rows, columns = np.nonzero(mask)
     stride = max(1, len(rows) // 4000)

@@ -205,7 +205,7 @@ def wipe_journal(database: sqlite3.Connection, path: Path) -> None:
         database.execute(f"PRAGMA busy_timeout = {int(wait_ms)}")
     journal = Path(f"{path.resolve()}-journal")
     try:
-        # a link in its place would lead to a file that is not ours
+        # a link in its place would lead to a file that is not a gallery's
         descriptor = os.open(journal, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(descriptor, "r+b", buffering=0) as stream:
             left = os.fstat(descriptor).st_size

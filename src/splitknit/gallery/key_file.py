@@ -59,7 +59,7 @@ def _read_key(file: Path) -> bytes:
 
 
 def _read_pipe(stream: io.FileIO, file: Path) -> bytes:
-    """Read until all writers closed; a writer takes as long as it likes, as it may ask for a password."""
+    """Read until all writers closed; a writer takes as long as it likes, as it may prompt for a password."""
     content, waited, written = b"", False, False
     events = select.poll()
     events.register(stream, select.POLLIN)

@@ -31,7 +31,7 @@ class LightsSettings(Checked):
 
 
 def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[str, ...]]:
-    """The capture under the lights that the settings ask for, and what is to be said about it.
+    """The capture under the lights that the settings require, and what is to be said about it.
 
     Raises
     ------

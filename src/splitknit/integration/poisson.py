@@ -130,7 +130,7 @@ class Grid:
     """One level: edge weights, and the operators on heights that are zero outside the surface."""
 
     def __init__(self, right: FloatArray, down: FloatArray, unit: bool) -> None:
-        """Take the edge weights (H, W); `unit` tells that they are zero or one, and one inside the mask."""
+        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask."""
         self.right, self.down, self.unit = right, down, unit
         degree = right + down
         degree[:, 1:] += right[:, :-1]

@@ -230,7 +230,7 @@ def _seen_by(rig: Rig, band: Band) -> Band:
         require(
             band.pixels.shape[3] == 3 or len(set(names)) == 1,
             f"{band.files[k] if band.files else f'image {k}'} is grey, but LEDs of {len(set(names))} colours lit it; "
-            "their light can be told apart in colour images only.",
+            "their light can be separated in colour images only.",
         )
     crosstalk = rig.camera.crosstalk if colours else None
     return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)

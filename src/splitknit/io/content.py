@@ -60,7 +60,7 @@ def check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], whe
     for k, names in enumerate(rig.colours_of(leds)):
         require(
             all(names) or not any(names),
-            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be told apart; use one kind.",
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
         )
     lights = rig.lights_of(leds)
     try:

@@ -60,7 +60,7 @@ def _read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArra
     Raises
     ------
     BadInput
-        If the file is missing, damaged or not one of ours.
+        If the file is missing, damaged or not written by this package.
     """
     data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     wrong = f"{name} is not {what} of splitknit"
@@ -120,7 +120,7 @@ def _read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, 
     Raises
     ------
     BadInput
-        If the file is missing, damaged or not one of ours.
+        If the file is missing, damaged or not written by this package.
     """
     height, metadata = _read_float_tiff(path, "a height map")
     pitch_mm: Any = metadata.get("pitch_mm")
@@ -161,6 +161,6 @@ def _read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str
     Raises
     ------
     BadInput
-        If the file is missing, damaged or not one of ours.
+        If the file is missing, damaged or not written by this package.
     """
     return _read_float_tiff(path, "a light image")

@@ -23,7 +23,7 @@ _MINUTIA = np.dtype([("x", ">u2"), ("y", ">u2"), ("direction", "u1"), ("quality"
 
 @dataclass(slots=True)
 class Cursor:
-    """A place in a record; what would lie behind the end is refused in words."""
+    """A place in a record; what would lie behind the end is refused with a message."""
 
     data: bytes
     name: str
@@ -133,7 +133,7 @@ def make_record(name: str, **fields: Any) -> MinutiaeRecord:
 
 
 def check_writable(record: MinutiaeRecord, standard: str, device_bits: int, certification_bits: int) -> None:
-    """Require what every standard asks of a record before it is written."""
+    """Require what every standard demands of a record before it is written."""
     require(
         not any(view.extended for view in record.views) or record.standard == standard,
         f"the extended data are those of {record.standard or 'an unknown standard'} and mean something else in "
@@ -163,9 +163,9 @@ def checked_product(record: MinutiaeRecord) -> tuple[int, int]:
 def common_image(record: MinutiaeRecord, standard: str) -> tuple[tuple[int, int], tuple[int, int]]:
     """Size and resolution that all views share, as standards with one of them in their header need."""
     first = record.views[0]
-    alike = all(view.size == first.size and view.resolution_ppcm == first.resolution_ppcm for view in record.views)
+    equal = all(view.size == first.size and view.resolution_ppcm == first.resolution_ppcm for view in record.views)
     require(
-        alike,
+        equal,
         f"{standard} has one image size and one resolution a record, but the views differ; write a record for each.",
     )
     return first.size, first.resolution_ppcm
@@ -280,7 +280,7 @@ _OTHERS = (
 )
 _ENVELOPE_BYTES = 4096
 _TOLD_APART_BYTES = 14
-"""Fewer do not tell the standards apart."""
+"""Fewer do not distinguish the standards."""
 
 
 def standard_of(data: bytes) -> str | None:

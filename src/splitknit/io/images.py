@@ -188,7 +188,7 @@ class StackReader:
         _check_size(info, (like.rows, like.columns), name, expected_by)
         require(
             info == like,
-            f"{name} is {info.words}, but {first} is {like.words}; all images of a band must be alike.",
+            f"{name} is {info.words}, but {first} is {like.words}; all images of a band must agree.",
         )
         decode_image(data, name, out, self._settings)
         return hashlib.sha256(data).hexdigest()

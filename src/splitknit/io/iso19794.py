@@ -49,7 +49,7 @@ from splitknit.io.minutiae_record import BIFURCATION, MAX_MINUTIAE, FingerView, 
 
 _HEADER = struct.Struct(">8sIHHHHHBB")
 _MIN_RESOLUTION = 99
-"""Pixels per cm; the standard asks for no less (250 ppi)."""
+"""Pixels per cm; the standard requires no less (250 ppi)."""
 _CODES = ViewCodes(
     ISO_2005, ISO_STEPS, ISO_2005_IMPRESSIONS, {"contactless": "live_plain", "contactless_rolled": "live_rolled"}
 )
@@ -99,7 +99,7 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     require(reserved == 0, f"{name}: the reserved byte 23 is {reserved}, but it must be 0.")
     require(
         min(x_ppcm, y_ppcm) >= _MIN_RESOLUTION,
-        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} asks for {_MIN_RESOLUTION} at "
+        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} requires {_MIN_RESOLUTION} at "
         "least; its producer does not keep to the standard.",
     )
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
@@ -121,11 +121,9 @@ def _read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
 # Minutiae for chip cards (ISO/IEC 19794-2:2005): bare lists without any header, in millimetres instead of pixels.
 #
 # Normal size, 5 bytes a minutia: 2 bits type and 14 of x, 2 bits 0 and 14 of y (0.01 mm, big-endian), direction in
-# 256
-# steps. Compact size, 3 bytes: x, y (0.1 mm), 2 bits type and 6 of direction in 64 steps. Quality, finger and image
-# are
-# not kept: the card and what surrounds the list know them. A list has no mark by which it could be told from other
-# bytes.
+# 256 steps. Compact size, 3 bytes: x, y (0.1 mm), 2 bits type and 6 of direction in 64 steps. Quality, finger and
+# image are not kept: the card and what surrounds the list know them. A list has no mark that distinguishes it from
+# other bytes.
 #
 # References
 # ----------

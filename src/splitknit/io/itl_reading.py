@@ -338,7 +338,7 @@ def _text(record: Any, key: str, name: str) -> str:
     if isinstance(value, int):
         return str(value)
     if not isinstance(value, str) or not value:
-        raise BadInput(f"{name} lacks the field {key}; it is not as ANSI/NIST-ITL asks.")
+        raise BadInput(f"{name} lacks the field {key}; it does not conform to ANSI/NIST-ITL.")
     return value
 
 

@@ -159,7 +159,7 @@ _MAX_BYTES = 700_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _GlbMesh:
-    """What a ``.glb`` file of ours holds."""
+    """What a ``.glb`` file written here holds."""
 
     vertices_mm: FloatArray
     """(N, 3)."""
@@ -271,7 +271,7 @@ def _read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
     Raises
     ------
     BadInput
-        If it is missing, damaged, or laid out in another way.
+        If it is missing, damaged, or laid out differently.
     """
     data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
     damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."

@@ -260,7 +260,7 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRec
     Raises
     ------
     BadInput
-        If it is of no such standard (the message names what it is), truncated, or not as its standard asks.
+        If it is of no such standard (the message names what it is), truncated, or does not conform to its standard.
     """
     standard = standard_of(data)
     if standard in _READERS:

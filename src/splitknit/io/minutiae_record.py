@@ -22,7 +22,7 @@ NOT_COMPUTED, FAILED = 254, 255
 VENDOR_UNKNOWN = 0x0103
 """IBIA's number for a producer that has not registered."""
 RESOLUTION_500_PPI = (197, 197)
-"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers ask."""
+"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require."""
 
 
 def pixels_per_cm(ppi: float) -> tuple[int, int]:

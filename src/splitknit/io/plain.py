@@ -92,8 +92,8 @@ def capture_from_plain_images(
     Raises
     ------
     BadInput
-        If files are missing, damaged or unlike, lights and images differ in number, the lights do not determine a
-        normal, an image is black or overexposed.
+        If files are missing, damaged or of different sizes, lights and images differ in number, the lights do not
+        determine a normal, an image is black or overexposed.
     """
     require(len(images) >= 3, f"at least three images are needed, but there are {len(images)}.")
     require(material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{material}'.")

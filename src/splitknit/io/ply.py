@@ -34,7 +34,7 @@ _LONGEST_HEADER = 1_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """What a PLY file of ours holds."""
+    """What a PLY file written here holds."""
 
     vertices_mm: FloatArray
     """(N, 3)."""
@@ -125,7 +125,7 @@ def _read_ply(path: str | os.PathLike[str]) -> Mesh:
     Raises
     ------
     BadInput
-        If the file is missing, truncated, or laid out in another way.
+        If the file is missing, truncated, or laid out differently.
     """
     data = read_bytes(path, _MAX_BYTES)
     name = os.fspath(path)

@@ -183,7 +183,7 @@ def _write_print_tiff(
 
 
 def _read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a grey TIFF with its resolution (None where the tags do not say) and, if it is one of ours, its texts.
+    """Read a grey TIFF with its resolution (None where the tags do not say) and, if it was written here, its texts.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Template files (``.skt``): what a gallery keeps of a finger, with a header that tells damage from age.
+"""Template files (``.skt``): what a gallery keeps of a finger, with a header that distinguishes damage from age.
 
 Header, little-endian: 8 bytes ``SKTMPL`` CR LF (a transfer as text destroys it and is noticed), version (uint16), two
 bytes of zero, size of the payload (uint32), SHA-256 of the payload (32 bytes). A file of zero bytes is a finger that

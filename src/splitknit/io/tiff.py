@@ -131,7 +131,7 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     readable = compression in _RATIO and number(_PREDICTOR, 1) in (1, 2)
     require(
         readable and number(_BIT_ORDER, 1) == 1 and number(_PLANAR, 1) in (1, 2),
-        f"{name} is stored in a way that is not read (compression {compression}, predictor {number(_PREDICTOR, 1)}, "
+        f"{name} has an unsupported storage format (compression {compression}, predictor {number(_PREDICTOR, 1)}, "
         f"order of bits {number(_BIT_ORDER, 1)}); save it as PNG or as uncompressed TIFF.",
     )
     dtype = np.dtype(shown).newbyteorder(order)

@@ -129,7 +129,7 @@ def laid_on(probe: Template, other: Template, turn_rad: float, right_mm: float, 
 def sampled(
     field: RidgeField, turn_rad: NDArray[np.float64], right_mm: NDArray[np.float64], down_mm: NDArray[np.float64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Channels and weights on the grid of a code, for the finger turned and then shifted in several ways.
+    """Channels and weights on the grid of a code, for the finger turned and then shifted by several amounts.
 
     Parameters
     ----------

@@ -87,14 +87,14 @@ def match_files(
         second = read_side(b, preset, chosen, progress)
         facts["b"] = _facts(second)
         progress("comparing", 0.9)
-        ways: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
+        compare: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
             "ridge": _by_ridges,
             "thesis": _by_thesis,
             "minutiae": _by_minutiae,
             "voted": partial(_by_votes, preset),
             **{name: partial(_in_space, name) for name in SPACE_METHODS},
         }
-        found = ways[method](first, second, chosen)
+        found = compare[method](first, second, chosen)
         for name, side in zip("ab", found.pop("sides", ()), strict=False):
             facts[name] |= side
         facts |= found

@@ -303,7 +303,7 @@ def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
 
 
 def _exchanged(minutiae: Minutiae) -> bytes:
-    """Minutiae as `nbis-py` reads them: its own dialect of ISO/IEC 19794-2, its only way in.
+    """Minutiae as `nbis-py` reads them: its own dialect of ISO/IEC 19794-2, its only input format.
 
     bozorth3 needs them sorted by column: it stops looking for neighbours at the first that is too far to the right, and
     `nbis-py` leaves the order as it comes. Their quality plays no part beyond the choice of the best.
@@ -338,8 +338,8 @@ def _at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]
     )
     if (rows, columns) == image.shape or min(rows, columns) < 1:
         return np.ascontiguousarray(image)
-    way = cv2.INTER_AREA if ppi > PPI else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, (columns, rows), interpolation=way), dtype=np.uint8)
+    kind = cv2.INTER_AREA if ppi > PPI else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, (columns, rows), interpolation=kind), dtype=np.uint8)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

@@ -48,7 +48,7 @@ class Packing:
         return self.head.pack(self.magic, self.version, *sizes, zlib.crc32(body)) + body
 
     def unpack(self, data: bytes, body_size: Callable[..., int]) -> tuple[tuple[Any, ...], bytes]:
-        """Sizes and body of what :meth:`pack` made; `body_size` tells the body's length by the sizes, 0 if impossible.
+        """Sizes and body of what :meth:`pack` made; `body_size` gives the body's length by the sizes, 0 if impossible.
 
         Raises
         ------
@@ -246,7 +246,7 @@ class SpaceMinutiae:
         require(
             self.position_mm.shape == (count, 3)
             and all(one.shape == (count,) for one in (self.theta_rad, self.phi_rad, self.type, self.quality)),
-            "minutiae in space must be (N, 3) places and lists of N angles, types and qualities; give them alike.",
+            "minutiae in space must be (N, 3) places and lists of N angles, types and qualities; all of one length.",
         )
         require(count <= MAX_MINUTIAE, f"a finger has no {count} minutiae (at most {MAX_MINUTIAE} are compared).")
         finite = all(np.isfinite(one).all() for one in (self.position_mm, self.theta_rad, self.phi_rad))

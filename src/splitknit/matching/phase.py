@@ -53,7 +53,7 @@ class PhaseSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """One way to lay A on B."""
+    """One alignment of A on B."""
 
     angle_deg: float
     """A is turned by it about its middle, counter-clockwise."""

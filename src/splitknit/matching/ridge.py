@@ -1,6 +1,6 @@
 """Comparison of two ridge templates: coarse alignment, an affine refinement, local correlation, one similarity.
 
-A higher similarity means more alike; 1 is the same picture. Comparing A with B gives what B with A gives.
+A higher similarity means more similar fingers; 1 is the same picture. Comparing A with B gives what B with A gives.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class RidgeMatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class RidgeMatch:
-    """How alike two fingers are, and how they were laid on each other."""
+    """How similar two fingers are, and how they were laid on each other."""
 
     similarity: float
     """At most 1; other fingers give about 0.2; -1 where a finger could not be acquired."""
@@ -133,7 +133,10 @@ def ridge_match(
     fingerprint verification system (local patches).
     """
     left, right = prepared(a, settings), prepared(b, settings)
-    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
+    require(
+        left.settings == right.settings,
+        "the two sides were prepared with different settings; prepare both with the same.",
+    )
     if left.template.empty or right.template.empty:
         return RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
     require(

@@ -36,7 +36,7 @@ OUTLINE_PX_PER_MM = 10.0
 APART_MM = 1.0
 """Distance of the places whose slopes are used."""
 RIM_MM = 1.2
-"""Skin nearer to the outline than this says nothing: light is lost there."""
+"""Skin nearer to the outline than this is not used: light is lost there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

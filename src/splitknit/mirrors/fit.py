@@ -88,9 +88,9 @@ def _add_priors(  # noqa: PLR0917
             pose = state.poses[mirror]
             spread = OFFSET_MM if kind == "shift_mm" else np.deg2rad(ANGLE_DEG)
             away = -getattr(pose, kind)
-            told = mirrors[mirror].turn_sd_rad
-            if kind == "turn_rad" and told is not None:
-                away, spread = away + mirrors[mirror].turn_rad, told
+            deviation = mirrors[mirror].turn_sd_rad
+            if kind == "turn_rad" and deviation is not None:
+                away, spread = away + mirrors[mirror].turn_rad, deviation
         else:
             away, spread = expected[kind]
         normal[4 * count + k, 4 * count + k] += 1.0 / spread**2

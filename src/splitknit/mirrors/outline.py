@@ -128,7 +128,7 @@ def medial_line(rows: Rows, full_width: float = 0.8) -> tuple[float, float]:
     """
     width = rows.width_mm
     known = np.isfinite(width)
-    require(int(known.sum()) >= 8, "a view of the finger is too small to tell how it lies.")
+    require(int(known.sum()) >= 8, "a view of the finger is too small to show how it lies.")
     wide = known & (width > full_width * np.nanquantile(width, 0.9))
     y, middle = rows.along_mm[wide], 0.5 * (rows.left_mm + rows.right_mm)[wide]
     weight = np.ones_like(y)

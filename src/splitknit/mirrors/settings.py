@@ -33,6 +33,6 @@ class MirrorShapeSettings(Checked):
     rounds: Annotated[int, Limits(1, 50)] = 9
     """Corrections."""
     slopes: bool = True
-    """Let the skin's slopes in white light tell the form and the roll of the sections."""
+    """Let the skin's slopes in white light determine the form and the roll of the sections."""
     detail_mm: Annotated[float, Limits(0, above=True)] = 5.0
     """What is finer than this is taken from white light, where the preset undoes the skin's blur."""

@@ -18,7 +18,7 @@ from splitknit.prints.ridges import MM_PER_INCH
 #
 # Everything is measured on the values that are inked (the relief in micrometres, or light), not on the print's grey
 # values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
-# all that varies around it, and its second harmonic, which tells how sharp the ridges' edges are.
+# all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
 
 
 _SIGMA_PERIODS = 0.75
@@ -26,7 +26,7 @@ _SIGMA_PERIODS = 0.75
 _SMOOTH_MM = 0.6
 """Values are taken relative to their Gaussian mean of this standard deviation."""
 _CLOSE_MM = 3.0
-"""Gaps up to about twice as wide, with ridges around, are told from an outline that has none."""
+"""Gaps up to about twice as wide, with ridges around, are distinguished from an outline that has none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,7 +120,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
         line = seam_lines(rolled.blended.fractions, 0, place)
         both = np.minimum(rolled.blended.fractions[0], rolled.blended.fractions[place]) > 0.2
         apart = rolled.view_reliefs[place][both] - rolled.view_reliefs[0][both]
-        alike = (
+        correlation = (
             float(np.corrcoef(rolled.view_reliefs[0][both], rolled.view_reliefs[place][both])[0, 1])
             if int(both.sum()) > 100
             else None
@@ -130,7 +130,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
             "length_mm": round(float(line.any(axis=1).sum()) * chart.pitch_mm, 2),
             "step_rms_um": round(1000.0 * float(np.sqrt((steps**2).mean())), 2) if steps.size else None,
             "views_differ_um": round(1000.0 * float(apart.std()), 2) if apart.size else None,
-            "views_correlate": None if alike is None else round(alike, 3),
+            "views_correlate": None if correlation is None else round(correlation, 3),
         }
     return {
         **rolled.facts,

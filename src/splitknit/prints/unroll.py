@@ -1,7 +1,7 @@
 """Unrolling a finger: where its skin lies when it is laid flat.
 
-Four ways: ``free`` (along the skin, then relaxed until nothing is stretched more than it must be), ``arc`` (along the
-skin, row by row), ``tube`` (one circle a cross-section) and ``cylinder`` (one for all).
+Four methods: ``free`` (along the skin, then relaxed until nothing is stretched more than it must be), ``arc`` (along
+the skin, row by row), ``tube`` (one circle a cross-section) and ``cylinder`` (one for all).
 """
 
 from __future__ import annotations

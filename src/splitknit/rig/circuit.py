@@ -142,7 +142,7 @@ def _rating_for(power_w: float, margin: float) -> float:
 MIN_HEADROOM_V = 0.5
 """Voltage that a current sink's transistor must keep to be one."""
 FORCED_GAIN = 20.0
-"""A switching transistor gets this fraction of its collector current in the base, far more than its gain asks for."""
+"""A switching transistor gets this fraction of its collector current in the base, far more than its gain requires."""
 
 
 _MAX_HEAT = 0.6

@@ -266,7 +266,7 @@ def _finite(value: float) -> float | None:
 FORMAT = "splitknit-rig-sweep"
 STUDY_FILE = "sweep.json"
 CANDIDATES = "candidates"
-OURS = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
+OWN_FILES = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
 _STRAY = re.compile(r"(.*/)?(\.[^/]*\.tmp|\.DS_Store|Thumbs\.db|desktop\.ini)")
 """What a killed run or a file manager leaves behind."""
 
@@ -318,7 +318,7 @@ class _SweepFolder:
 
     def _check(self) -> None:
         names = self._files()
-        foreign = [name for name in names if not OURS.fullmatch(name)]
+        foreign = [name for name in names if not OWN_FILES.fullmatch(name)]
         require(
             not foreign and STUDY_FILE in names,
             f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep to go on with; name another folder.",

@@ -121,7 +121,7 @@ def direct_of_enhanced(
 ) -> FloatArray:
     """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
 
-    A grey image has lost the colours that tell how much of skin's light is direct. Here the network is given the
+    A grey image has lost the colours that show how much of skin's light is direct. Here the network is given the
     colours, and the enhanced image is multiplied by the fraction of direct light that it finds; the thesis gives the
     network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
 

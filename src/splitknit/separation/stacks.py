@@ -197,7 +197,7 @@ def _thinned(values: NDArray[Any], mask: BoolArray, most: int = 200_000) -> NDAr
 
 
 def percent(fraction: float) -> str:
-    """`fraction` (0 to 1) in words for people, never rounded to nothing."""
+    """`fraction` (0 to 1) as a percentage for people, never rounded to nothing."""
     return f"{100 * fraction:.1f} %" if fraction >= 0.001 or fraction == 0 else f"{100 * fraction:.1g} %"
 
 
@@ -243,14 +243,14 @@ def check_repeats(
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
     Two images of one pattern differ by noise alone. Noise is independent from pixel to pixel, patterns are not: the
-    covariance of the difference with itself, moved by a pixel or two, tells them apart in noisy images too.
+    covariance of the difference with itself, moved by a pixel or two, separates them in noisy images too.
 
     Parameters
     ----------
     light : (N, H, W, C)
     mask : (H, W)
     expected : (N, N), optional
-        How much the patterns themselves differ (any unit); all alike where None.
+        How much the patterns themselves differ (any unit); all equal where None.
 
     Raises
     ------
@@ -268,9 +268,9 @@ def check_repeats(
         f"the {name}s differ by noise at most: the patterns never light the scene; check the projector, or whether "
         f"the direct light is too weak to be seen.",
     )
-    alike = np.zeros(covariance.shape, dtype=np.bool_)
-    alike[pairs] = relative <= limit * reference
-    twins = odd_twins(alike)
+    similar = np.zeros(covariance.shape, dtype=np.bool_)
+    similar[pairs] = relative <= limit * reference
+    twins = odd_twins(similar)
     if twins is not None:
         raise BadInput(
             f"{name}s {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
@@ -278,17 +278,17 @@ def check_repeats(
         )
 
 
-def odd_twins(alike: BoolArray) -> tuple[int, int] | None:
-    """Return the first pair that is `alike` (N, N, upper triangle), or None if all have as many twins.
+def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
+    """Return the first pair that is `similar` (N, N, upper triangle), or None if all have as many twins.
 
     A checkerboard moved by one check each way is the same again, so that in a full grid of an even number of shifts
     every image has a twin. One that was captured twice by mistake has a twin where others have none.
     """
-    number = (alike | alike.T).sum(axis=0)
+    number = (similar | similar.T).sum(axis=0)
     if bool((number == number[0]).all()):
         return None
     image = int(np.argmax(number > number.min()))
-    first, second = np.argwhere((alike | alike.T)[image])[0][0], image
+    first, second = np.argwhere((similar | similar.T)[image])[0][0], image
     return int(min(first, second)), int(max(first, second))
 
 

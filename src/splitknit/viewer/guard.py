@@ -1,4 +1,4 @@
-"""Who may ask: only the page that this server gave out, on this machine.
+"""Which requests are authorised: only the page that this server gave out, on this machine.
 
 Another page in the same browser may send requests to the loopback address, but it does not know the token; the name it
 uses may lead here (DNS rebinding), but then the ``Host`` is another; and browsers say where a request comes from.
@@ -74,7 +74,7 @@ def refusal(method: str, path: str, headers: Message, token: str, port: int) -> 
 
 
 def _is_malformed(headers: Message) -> bool:
-    """What we would read in one way and others perhaps in another."""
+    """What other programs might read differently."""
     twice = any(len(headers.get_all(name, [])) > 1 for name in ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Dest"))
     body = "Transfer-Encoding" in headers or any(size != "0" for size in headers.get_all("Content-Length", []))
     return twice or body or bool(headers.defects) or bool(headers.get_payload())  # a line that is no header ends them

@@ -144,8 +144,8 @@ def _ridges(along: _Values, relief: _Values) -> tuple[int, float | None]:
     if level <= 0:
         return 0, None
     state = np.where(band > level, 1, np.where(band < -level, -1, 0))
-    told = np.flatnonzero(state)
-    rising = told[1:][(state[told[1:]] == 1) & (state[told[:-1]] == -1)]
+    known = np.flatnonzero(state)
+    rising = known[1:][(state[known[1:]] == 1) & (state[known[:-1]] == -1)]
     places = along[rising]
     if len(places) < 2:
         return len(places), None

@@ -1,7 +1,7 @@
 """The smooth finger between its mirrors, and where these lie: outlines of all views, also of those that are cut.
 
 The parts are those of :mod:`splitknit.mirrors`; what is added here is that a view which the border of the picture or of
-its mirror cuts still tells what the rest of its outline shows.
+its mirror cuts still gives what the rest of its outline shows.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
 CUT_ROUNDS = 20
 """Corrections of the fit where views are cut."""
 CUT_TURN_DEG = 0.6
-"""Standard deviation of a mirror's turn as the tips tell it where the view is cut."""
+"""Standard deviation of a mirror's turn as the tips show it where the view is cut."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyBetweenMirrors:
-    """What the outlines tell."""
+    """What the outlines determine."""
 
     body: Body
     planes: Mapping[str, MirrorPlane]
@@ -54,7 +54,7 @@ class BodyBetweenMirrors:
     cut: tuple[str, ...]
     """Of them, those whose view is cut."""
     useless: tuple[str, ...]
-    """Mirrors whose view is cut so much that it tells nothing."""
+    """Mirrors whose view is cut so much that it determines nothing."""
 
 
 def body_between_mirrors(  # noqa: PLR0917
@@ -73,7 +73,7 @@ def body_between_mirrors(  # noqa: PLR0917
     camera, mirrors : the mirrors where they nominally are, by name
     tip_direction_deg : of the capture
     settings : MirrorShapeSettings
-    slopes_on : measures the skin's slopes, given a first shape: they tell how the finger is rolled
+    slopes_on : measures the skin's slopes, given a first shape: they show how the finger is rolled
 
     Raises
     ------
@@ -134,7 +134,7 @@ def body_between_mirrors(  # noqa: PLR0917
 
 
 def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows | None:
-    """What a cut view's outline still tells; None if it is straight, but not by its mirror's edge.
+    """What a cut view's outline still determines; None if it is straight, but not by its mirror's edge.
 
     The picture's border leaves a part of the pad's outline; a mirror's edge takes its place.
     """

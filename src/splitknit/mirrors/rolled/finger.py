@@ -71,7 +71,7 @@ def rolled_finger(
         If the front or every mirror beside the finger is missing, or they do not show the same part of the finger.
     """
     chosen = rolled or RolledSettings()
-    tell = progress or (lambda stage, fraction: None)
+    report = progress or (lambda stage, fraction: None)
     names = [view.name for view in views]
     require("front" in names, "the front view of the finger is missing.")
     sides = [view.name for view in views if view.glass is not None and view.mask is not None]
@@ -79,12 +79,12 @@ def rolled_finger(
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
     work = Work(capture, views, settings, chosen)
     for turn in range(chosen.turns):
-        tell("views", turn / (chosen.turns + 1))
+        report("views", turn / (chosen.turns + 1))
         work.find_ridges()
-        tell("registration", (turn + 0.7) / (chosen.turns + 1))
+        report("registration", (turn + 0.7) / (chosen.turns + 1))
         for coarse in (True, False, False, False) if turn == 0 else (False,):
             work.register(coarse)
-    tell("fusion", chosen.turns / (chosen.turns + 1))
+    report("fusion", chosen.turns / (chosen.turns + 1))
     return _fused(work)
 
 

@@ -176,7 +176,7 @@ def _ridges(  # noqa: PLR0917
 
 
 def _lit(light: FineLight, grid: Grid) -> FloatArray:
-    """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which tell no slope."""
+    """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which determine no slope."""
     enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
     wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
     return np.asarray(np.clip(2.0 * wide - 1.0, 0.0, 1.0), dtype=np.float32)
@@ -212,8 +212,8 @@ def _window(mask: BoolArray, px_per_mm: float) -> Window:
     return limits[0], limits[1]
 
 
-# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly tell stay near the
-# shape's.
+# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly determine stay near
+# the shape's.
 
 
 def _held_normals(  # noqa: PLR0917
@@ -221,7 +221,7 @@ def _held_normals(  # noqa: PLR0917
 ) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
 
-    An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they tell
+    An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they give
     little of the slope towards it. Minimises
 
         sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2,

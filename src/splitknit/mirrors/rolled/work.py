@@ -86,7 +86,7 @@ class MirrorView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorViews:
-    """All views of a finger, and what their outlines tell."""
+    """All views of a finger, and what their outlines determine."""
 
     views: tuple[MirrorView, ...]
     body: Body
@@ -173,7 +173,7 @@ class Work:
             second, _, _, known = self.seen(name, points, normals)
             given[name] = Seen(sights[name], ridge_band(second, known, chart.pitch_mm), there & known)
         if coarse:
-            added, poses, alike = np.zeros(chart.shape), [], []
+            added, poses, correlations = np.zeros(chart.shape), [], []
             for name, one in given.items():
                 ranges = self.rolled.search_cut if name in self.cut else self.rolled.search
                 found = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, ranges)
@@ -184,13 +184,13 @@ class Work:
                 self.met[name] = found.correlation >= MIN_CORRELATION
                 added += found.radius_mm
                 poses.append(found.pose)
-                alike.append(found.correlation)
+                correlations.append(found.correlation)
         else:
             none = np.zeros(chart.shape, dtype=np.bool_)
             seen = tuple(one if self.met[name] else replace(one, both=none) for name, one in given.items())
             done = align(chart, radius, sights["front"], first, seen, self.rolled.poses_free)
-            added, poses, alike = done.radius_mm, list(done.poses), list(done.after)
-        for name, pose, correlation in zip(given, poses, alike, strict=True):
+            added, poses, correlations = done.radius_mm, list(done.poses), list(done.after)
+        for name, pose, correlation in zip(given, poses, correlations, strict=True):
             self.correlation.setdefault(name, []).append(round(correlation, 3))
             self.glasses[name] = replace(self.glasses[name], plane=self.glasses[name].plane.moved(pose[:2], pose[2]))
         self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + self.spread(chart, added))
