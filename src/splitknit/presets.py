@@ -114,7 +114,7 @@ class PipelineSettings(FingerSettings):
         require(self.method == "thesis" or rough, "smooth.sigma_mm smooths the thesis's cases only; set method=thesis.")
 
     def finding(self) -> FingerSettings:
-        """The part that says how the capture is read and the finger is found in it."""
+        """The part that defines how the capture is read and the finger is found in it."""
         return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
 
 

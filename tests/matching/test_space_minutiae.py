@@ -17,8 +17,8 @@ from splitknit.matching.minutiae3d import (
     PreparedMinutiae3D,
     PreparedTetrahedra,
     TetrahedraSettings,
-    _alike_pairs,
-    _alike_tetrahedra,
+    _similar_pairs,
+    _similar_tetrahedra,
     minutiae3d_match,
     tetrahedra_match,
 )
@@ -119,7 +119,7 @@ def test_sides_must_be_prepared_alike() -> None:
 
 def test_pairs_as_slow_loops_find_them() -> None:
     a, b = PreparedMinutiae3D(finger(6, 14)), PreparedMinutiae3D(again(finger(6, 14), 1))
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _alike_pairs(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _similar_pairs(a, b)), strict=True)}
     settings, slow = Minutiae3DSettings(), set()
     for pair in _near(a, settings.neighbours):
         for other in _near(b, settings.neighbours):
@@ -152,7 +152,7 @@ def test_tetrahedra_as_slow_loops_find_them() -> None:
     settings = TetrahedraSettings(neighbours=4, edge_mm=0.6, angle_deg=30.0)
     a = PreparedTetrahedra(finger(7, 12), settings)
     b = PreparedTetrahedra(again(finger(7, 12), 1, kept=1.0), settings)
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _alike_tetrahedra(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _similar_tetrahedra(a, b)), strict=True)}
     slow = set()
     for left in _tetrahedra(a, 4):
         for right in _tetrahedra(b, 4):
@@ -259,7 +259,7 @@ def test_bad_minutiae_and_settings_are_refused() -> None:
     one = finger(1)
     with pytest.raises(BadInput, match="finite"):
         SpaceMinutiae(one.position_mm * np.nan, one.theta_rad, one.phi_rad, one.type, one.quality)
-    with pytest.raises(BadInput, match="give them alike"):
+    with pytest.raises(BadInput, match="all of one length"):
         SpaceMinutiae(one.position_mm[:5], one.theta_rad, one.phi_rad, one.type, one.quality)
     with pytest.raises(BadInput, match="neighbours"):
         Minutiae3DSettings(neighbours=0)

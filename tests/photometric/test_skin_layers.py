@@ -70,7 +70,7 @@ def test_model_is_the_integral_over_depth(slant_deg, azimuth_deg):
 def test_light_behind_the_surface_gives_nothing():
     one = np.ones(2)
     got = reflected(np.array([[-0.2, 0.0]]), 0.5 * one, np.array([[0.9]]), one, 0.9 * one, one, 5.0, LAYERS)
-    for name in ("value", "by_light", "by_view", "by_base", "by_share", "by_depth"):
+    for name in ("value", "by_light", "by_view", "by_base", "by_fraction", "by_depth"):
         assert np.array_equal(getattr(got, name), np.zeros((1, 2)))
 
 

@@ -46,7 +46,7 @@ Progress = Callable[[str, float], None]
 
 
 def _no_progress(stage: str, fraction: float) -> None:
-    """Say nothing."""
+    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ class Store:
     folder: Path
 
     def document(self) -> dict[str, Any]:
-        """What the store says about itself.
+        """The store's own record.
 
         Raises
         ------

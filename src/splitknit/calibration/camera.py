@@ -178,7 +178,7 @@ def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> 
 
 
 def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views) -> float:
-    """Standard deviation of fx / fy, which OpenCV does not give: how much worse the fit is without it says it.
+    """Standard deviation of fx / fy, which OpenCV does not give: found from how much worse the fit is without it.
 
     The sum of squares falls by the variance of one coordinate times (value / deviation)^2.
     """

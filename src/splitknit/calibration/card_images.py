@@ -98,7 +98,7 @@ class CardImages:
     ambient_percent: dict[str, float | None]
     """Of each band: light with all LEDs off, relative to the mean image; None where there is no such image."""
     exposures_given: bool
-    """Whether the capture says how long it exposed, so that brightness can be compared with another day's."""
+    """Whether the capture states how long it exposed, so that brightness can be compared with another day's."""
     brightest: Array
     """(L,) 99th percentile of each image's values, as a part of full scale."""
 
@@ -116,7 +116,7 @@ def card_images(capture: Capture, rig: Rig, black_level: float | None = None) ->
     ----------
     capture : of the card, each LED of the rig alone in one image
     rig : whose LEDs the capture names
-    black_level : stored value of no light, for images of which the capture does not say it
+    black_level : stored value of no light, for images where the capture does not state it
 
     Returns
     -------

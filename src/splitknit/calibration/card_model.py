@@ -279,7 +279,7 @@ class CardModel:
         return np.array(places, dtype=np.intp), np.stack(rows)
 
     def exponents(self, values: Array, order: Order) -> Array:
-        """(L,) what a vector of parameters (or of their errors) says about each LED's exponent; NaN where nothing."""
+        """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent; NaN where nothing."""
         own = values[list(self._places(order)[2])]
         return np.full(self.count, np.nan) if order.beam == "none" else own[self.band] if order.beam == "band" else own
 

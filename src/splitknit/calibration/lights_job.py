@@ -116,7 +116,7 @@ def _rig_inputs(job: LightsJob) -> _RigInputs:
     if job.rig is not None:
         for name in ("px_per_cm", "image_size"):
             given = getattr(job, name) is None
-            require(given, f"--{name.replace('_', '-')} and --rig say the same thing; give one of them.")
+            require(given, f"--{name.replace('_', '-')} and --rig set the same thing; give one of them.")
         base = read_rig(job.rig)
         return _RigInputs(base.camera, base)
     needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]

@@ -50,7 +50,7 @@ class RadiometrySettings(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadiometricCalibration:
-    """What a white card says about a rig."""
+    """A rig's radiometry as a white card shows it."""
 
     rig: Rig
     """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under `PROVENANCE`."""
@@ -75,7 +75,7 @@ def calibrate_radiometry(
     capture : of the card; an ambient image a band takes room light and black level off
     rig : camera and LEDs' places, calibrated
     card : where the card lies; on the finger plane by default
-    black_level : stored value of no light, for images of which the capture does not say it
+    black_level : stored value of no light, for images where the capture does not state it
     settings : RadiometrySettings, optional
 
     Returns
@@ -235,7 +235,7 @@ def check_card(
     ----------
     capture : of the white card, as for :func:`splitknit.calibration.radiometry.calibrate_radiometry`
     rig : calibrated by it
-    black_level : stored value of no light, for images of which the capture does not say it
+    black_level : stored value of no light, for images where the capture does not state it
     settings : RadiometrySettings, optional
 
     Returns

@@ -189,7 +189,7 @@ _MAX_TEXTURE = 0.04
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CameraFacts:
-    """What dark frames and exposures say; None where there are none."""
+    """Results of dark frames and exposures; None where there are none."""
 
     dark: Dark | None
     response: Response | None
@@ -199,7 +199,7 @@ class _CameraFacts:
 
 
 def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> _CameraFacts:
-    """Measure dark frames and exposures, and compare the response with what the capture says of its images.
+    """Measure dark frames and exposures, and compare the response with what the capture states of its images.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: floa
         )
         require(
             response.encoding == capture.encoding,
-            f"the exposures in {plan.document} are {_WORDS[response.encoding]}, but capture.json says "
+            f"the exposures in {plan.document} are {_WORDS[response.encoding]}, but capture.json states "
             f'"encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all captures '
             f"of this camera.",
         )
@@ -339,7 +339,7 @@ def _black_level_of(camera: _CameraFacts, capture: Capture) -> float | None:
 
 
 def _black_level_warning(black_level: float | None, capture: Capture) -> list[str]:
-    """Say that the capture's black level is not the dark frames'."""
+    """Report that the capture's black level is not the dark frames'."""
     if black_level is None:
         return []
     full = float(np.iinfo(capture.bands["white"].pixels.dtype).max)
@@ -348,7 +348,7 @@ def _black_level_warning(black_level: float | None, capture: Capture) -> list[st
     if worst <= 0.005 * full:
         return []
     return [
-        f"capture.json says a black level of {stated[0]:g}, but the dark frames show {black_level:.1f}; correct it "
+        f"capture.json states a black level of {stated[0]:g}, but the dark frames show {black_level:.1f}; correct it "
         f"in this and all captures of this camera."
     ]
 

@@ -105,7 +105,7 @@ def fit_response(
     require(
         residual <= 0.01 * _INCONSISTENT_PERCENT,
         f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the light changed, or "
-        f"exposure or gain were not what the file says; take the series again with everything fixed.",
+        f"exposure or gain were not what the file states; take the series again with everything fixed.",
     )
     limit = 0.01 * limit_percent
     if line.departure > limit and decoded.departure > limit:
@@ -242,7 +242,7 @@ _MAX_BLACK_PERCENT = 25.0
 
 @dataclass(frozen=True, slots=True)
 class Dark:
-    """What dark frames say, values as parts of full scale."""
+    """Results of dark frames, values as parts of full scale."""
 
     black_level: tuple[float, ...]
     """Of each channel."""

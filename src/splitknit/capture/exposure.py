@@ -301,7 +301,7 @@ def _response_to_noise(sigma: float) -> float:
 
 @dataclass(slots=True)
 class FocusWatch:
-    """Follows live measurements and says when they have stopped rising."""
+    """Follows live measurements and reports when they have stopped rising."""
 
     settings: FocusSettings = field(default_factory=FocusSettings)
     best: float = 0.0

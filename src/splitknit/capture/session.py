@@ -124,7 +124,7 @@ def run_session(
     camera, lights : devices that fit the rig
     rig : the rig file's
     settings : of exposure, focus and checks
-    watch_focus : shown live measurements until it says stop; None measures once
+    watch_focus : shown live measurements until it returns stop; None measures once
     progress : called with stage and fraction
 
     Returns

@@ -123,8 +123,8 @@ class Examiner:
         px = self.working_px_per_mm(stack.shape[2], full_columns)
         motion = shot_motion(stack, inside, px, MotionSettings(working_px_per_mm=_WORKING_PX_PER_MM))
         length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
-        believed = motion.reliability >= MIN_RELIABILITY
-        return np.asarray(np.where(believed, length, 0.0), dtype=np.float64)
+        reliable = motion.reliability >= MIN_RELIABILITY
+        return np.asarray(np.where(reliable, length, 0.0), dtype=np.float64)
 
     def _mask(self, shape: tuple[int, int]) -> tuple[BoolArray, FloatArray]:
         """The finger on a copy of `shape`, and the window that fades out beside it."""

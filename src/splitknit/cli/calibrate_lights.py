@@ -54,13 +54,13 @@ def add_lights(kinds: Any) -> None:
         "--tips-out", type=Path, metavar="CSV", help="table of what was found, to correct and give to --table"
     )
     verb.add_argument(
-        "--out", type=Path, metavar="FILE", help="rig file to write (default: none, only say what was found)"
+        "--out", type=Path, metavar="FILE", help="rig file to write (default: none, only report what was found)"
     )
     add_settings(verb)
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Calibrate, write the rig, say what was found."""
+    """Calibrate, write the rig, report what was found."""
     from splitknit.calibration.lights_found import LightSettings  # noqa: PLC0415 - only this verb pays
     from splitknit.calibration.lights_job import LightsJob, lights_to_rig  # noqa: PLC0415
     from splitknit.cli.options import read_changes  # noqa: PLC0415

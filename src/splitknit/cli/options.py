@@ -32,7 +32,7 @@ def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:
-    """Split ``stage.field=value``; the value is JSON or a TOML value, and plain words are text.
+    """Split ``stage.field=value``; the value is JSON or a TOML value, and unquoted words are text.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What the report says of each system, as plain facts."""
+"""The report's figures of each system, as plain facts."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any]
 
 
 def notes_of(result: Result, *, variant: bool) -> list[str]:
-    """What a reader of a system's figures has to know; of a variant, only what its system's notes do not say."""
+    """What a reader of a system's figures has to know; of a variant, only what its system's notes do not contain."""
     scores, name = result.scores, result.scores.name
     genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
     notes = []

@@ -82,7 +82,7 @@ def _sort_scores(scores: Any, name: str = "scores") -> _Side:
 
 
 SLACK = 1e-12
-"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 says."""
+"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,7 +46,7 @@ class FingerSettings(Checked):
 
     _group = ""
     camera: Literal["calibrated", "orthographic"] = "calibrated"
-    """``calibrated``: rays run as the rig file's camera model says; ``orthographic``: parallel, whatever it says."""
+    """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel, whatever the model is."""
     lights: LightsSettings = field(default_factory=LightsSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
     cut_at_crease: bool = True

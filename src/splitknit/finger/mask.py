@@ -405,7 +405,7 @@ def _fine_outline(
     cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
     require(bool(cleaned.any()), NO_FINGER)
-    # above one exactly on `cleaned`; between the grid points the evidence itself says where one is crossed
+    # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
     field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
     full = cv2.resize(field, (size[1], size[0]), interpolation=cv2.INTER_LINEAR) > 1.0

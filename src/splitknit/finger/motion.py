@@ -31,7 +31,7 @@ _SURROUND_MM = 0.7
 WARN_MM = 0.05
 """Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
 MIN_RELIABILITY = 0.8
-"""Motion of a shot with less reliability than this is not believed."""
+"""Motion of a shot with less reliability than this is ignored."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -152,7 +152,7 @@ def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray
 
 
 _SATURATION = 0.98
-"""Values from here on are saturated, unless the caller says otherwise."""
+"""Values from here on are saturated, unless the caller gives another level."""
 _MAX_SATURATED = 0.02
 """Fraction of the finger that may be saturated in any image."""
 _MIN_RIDGE_CONTRAST = 0.006

@@ -68,7 +68,7 @@ class RegistrationSettings(Checked):
     elastic_mm: float = 0.0
     """Spacing of the control points of elastic shifts, at least 2; 0: the finger shifts and turns only."""
     stiffness: Annotated[float, Limits(0)] = 1.0
-    """Weight against elastic shifts, over that of what the images say of a control point on average."""
+    """Weight against elastic shifts, over that of the images' information on a control point on average."""
     iterations: Annotated[int, Limits(1)] = 20
     """Maximum refinements in each band."""
 

@@ -161,7 +161,7 @@ def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
     return np.asarray(nodes - height[mask].mean(), dtype=np.float64)
 
 
-# Details of one size in all shots, at the pixels that matter, and what they say about shifts.
+# Details of one size in all shots, at the pixels that matter, and the shifts they imply.
 
 
 SAMPLES = 16_000

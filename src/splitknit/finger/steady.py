@@ -80,13 +80,13 @@ def seen_motion_mm(finger: Finger) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
-        believed = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
-        found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[believed]]
+        reliable = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
+        found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[reliable]]
     return max(found)
 
 
 def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Registered:
-    """Registration of the white band, of the others to it, and what a report says of them."""
+    """Registration of the white band, of the others to it, and the report's facts on them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))

@@ -33,7 +33,7 @@ _NONCE_BYTES, _SEAL_BYTES = 12, 16
 _MIN_PASSPHRASE = 8
 _MAX_CONTENT = 4096
 _MAX_MEMORY, _MAX_WORK = 2**30, 2**32
-"""Bytes that scrypt may take, and may go through in all its rounds (about 10 s), whatever a gallery asks for."""
+"""Bytes that scrypt may take, and may go through in all its rounds (about 10 s), whatever a gallery requests."""
 _CHECK = b"splitknit gallery"
 
 
@@ -231,7 +231,7 @@ def _stretched(phrase: bytes, salt: bytes, settings: ScryptSettings) -> bytes:
 
 
 def lock(key: Key | None, scrypt: ScryptSettings | None) -> dict[str, Any]:
-    """What a gallery says of how it is wrapped, under a new salt."""
+    """A gallery's record of how it is wrapped, under a new salt."""
     if key is None:
         return {"box": "plain"}
     chosen = scrypt or ScryptSettings()
@@ -253,10 +253,10 @@ def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VE
     Raises
     ------
     BadInput
-        If the key is missing, wrong, of the other kind, or not wanted, what the gallery says is damaged, or its
+        If the key is missing, wrong, of the other kind, or not wanted, the gallery's record is damaged, or its
         passphrase would take too much memory or time to try.
     """
-    wrong = damaged(path, "what it says of itself cannot be read")
+    wrong = damaged(path, "its own record cannot be read")
     known = all(isinstance(about.get(name), kind) for name, kind in _ABOUT.items())
     require(known and about["box"] in ("plain", "aes-256-gcm"), wrong)
     if about["box"] == "plain":

@@ -152,7 +152,7 @@ def light_field(
 
 
 def _image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
-    """(H, W) as the surface, the caller, the axes or the camera say, in this order."""
+    """(H, W) as the surface, the caller, the axes or the camera set it, in this order."""
     if np.ndim(surface_mm) == 2:
         rows, columns = np.shape(surface_mm)
         return int(rows), int(columns)

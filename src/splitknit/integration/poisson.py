@@ -258,7 +258,7 @@ class _DirectSolver:
 
 
 def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
-    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` says."""
+    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
     finest = Grid(right, down, unit)
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
@@ -342,7 +342,7 @@ def poisson(
     Returns
     -------
     (H, W) float32
-        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the mask: gradients say
+        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the mask: gradients fix
         nothing about the height of one part over another.
 
     Raises

@@ -218,7 +218,7 @@ def _band(key: str, plan: BandPlan, pixels: PixelArray, ambient: PixelArray | No
 
 
 def _seen_by(rig: Rig, band: Band) -> Band:
-    """The band with what the rig says about its lens and the colours of its LEDs.
+    """The band with what the rig states about its lens and the colours of its LEDs.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The document ``capture.json``: what it says, before any image is opened."""
+"""The document ``capture.json``: its content, before any image is opened."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class CapturePlan:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """An image: its file, and how it was exposed where the document says so."""
+    """An image: its file, and how it was exposed where the document states it."""
 
     file: Path
     name: str

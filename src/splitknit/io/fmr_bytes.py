@@ -59,12 +59,12 @@ def read_record_bytes(path: Any) -> bytes:
 
 
 def check_length(data: bytes, said: int, name: str) -> None:
-    """Require that a record has the length that its header says."""
+    """Require that a record has the length that its header states."""
     if len(data) < said:
-        raise BadInput(f"{name} is truncated: its header says {said} bytes, but it has {len(data)}; copy it again.")
+        raise BadInput(f"{name} is truncated: its header states {said} bytes, but it has {len(data)}; copy it again.")
     require(
         len(data) == said,
-        f"{name} has {len(data)} bytes, but its header says {said}; cut off what does not belong to the record.",
+        f"{name} has {len(data)} bytes, but its header states {said}; cut off what does not belong to the record.",
     )
 
 
@@ -196,7 +196,7 @@ def encode_views(views: tuple[FingerView, ...], codes: ViewCodes) -> bytes:
     Raises
     ------
     BadInput
-        If the standard has no way to say what a view holds.
+        If the standard cannot represent what a view holds.
     """
     return b"".join(_encode_view(view, codes) for view in views)
 
@@ -209,7 +209,7 @@ def decode_views(
     Raises
     ------
     BadInput
-        If they are truncated or say what the standard does not allow.
+        If they are truncated or hold what the standard does not allow.
     """
     views = []
     for number in range(1, count + 1):
@@ -238,8 +238,8 @@ def decode_views(
 def _encode_view(view: FingerView, codes: ViewCodes) -> bytes:
     require(
         view.finger_quality <= 100,
-        f"the finger's quality is {view.finger_quality} (not computed), which {codes.standard} cannot say; give 0 to "
-        "100.",
+        f"the finger's quality is {view.finger_quality} (not computed), which {codes.standard} cannot represent; "
+        "give 0 to 100.",
     )
     impression = codes.nearest.get(view.impression, view.impression)
     packed = view.view << 4 | code_of(impression, codes.impressions, "impression type")

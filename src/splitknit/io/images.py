@@ -25,7 +25,7 @@ from splitknit.settings import Checked, Limits
 
 @dataclass(frozen=True, slots=True)
 class ImageSettings(Checked):
-    """What a file may ask of the machine before it is decoded."""
+    """What a file may demand of the machine before it is decoded."""
 
     max_pixels: Annotated[int, Limits(0, above=True)] = 200_000_000
     """A header that claims more is refused: nothing of the rig's kind is that large, and a small file can claim it."""
@@ -42,7 +42,7 @@ class ImageSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class _ImageInfo:
-    """What a file's header says about its image once decoded."""
+    """A file's header on its image once decoded."""
 
     rows: int
     columns: int
@@ -155,7 +155,7 @@ class StackReader:
         ----------
         files : the images, all of one size, colour and depth
         size : rows, columns that every image must have
-        expected_by : who says so, for the message
+        expected_by : who expects it, for the message
         """
         first = read_bytes(files[0], self._settings.max_bytes)
         info = _image_info(first, str(files[0]), self._settings)

@@ -65,7 +65,7 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
     Raises
     ------
     BadInput
-        If the standard has no way to say what the record holds.
+        If the standard cannot represent what the record holds.
     """
     check_writable(record, ISO_2005, 12, 4)
     (rows, columns), resolution = common_image(record, ISO_2005)
@@ -90,7 +90,7 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     Raises
     ------
     BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+        If it is truncated, of another standard, or holds what the standard does not allow.
     """
     require_standard(data, ISO_2005, MAGIC_20, name)
     cursor = Cursor(data, name)

@@ -37,7 +37,7 @@ from splitknit.io.wsq_image import decode_wsq, encode_wsq
 
 VERSION = "0502"
 COMPRESSIONS = {"none": "NONE", "wsq": "WSQ20", "png": "PNG"}
-"""Names, and what field 14.011 says for them."""
+"""Names, and their codes in field 14.011."""
 MAX_PRINTS = 98
 """Information designation characters go from 0 to 99; 0 is that of Type-2."""
 MIN_PPI, MAX_PPI = 490.0, 5080.0
@@ -46,7 +46,7 @@ MIN_PPI, MAX_PPI = 490.0, 5080.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TransactionPrint:
-    """One print and what a Type-14 record says of it."""
+    """One print and its Type-14 record."""
 
     image: NDArray[np.uint8]
     """(H, W), ridges dark, as ink on paper."""
@@ -79,7 +79,7 @@ class _TransactionPrint:
 
 @dataclass(frozen=True, slots=True)
 class _TransactionFacts:
-    """What the whole transaction says."""
+    """Facts of the whole transaction."""
 
     date: datetime.date
     """Of the capture and of the transaction (fields 1.005, 14.005)."""
@@ -119,7 +119,7 @@ def encode_transaction(prints: Sequence[_TransactionPrint], facts: _TransactionF
     Parameters
     ----------
     prints : 1 to 98; the k-th gets the information designation character k
-    facts : what all of it says
+    facts : of the whole transaction
 
     Raises
     ------
@@ -160,7 +160,7 @@ def write_transaction(
 
 
 def _itl_package() -> Any:
-    """Import `nistitl`, or say how to get it."""
+    """Import `nistitl`, or report how to get it."""
     try:
         import nistitl  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - an extra
     except ImportError as error:
@@ -262,7 +262,10 @@ def _check_frame(data: bytes, name: str) -> None:
             "it again.",
         )
         whole = length > len(found.group(0)) and data[place + length - 1 : place + length] == _SEPARATOR
-        require(whole, f"{name} is damaged: its Type-{kind} record does not end where its length says; copy it again.")
+        require(
+            whole,
+            f"{name} is damaged: its Type-{kind} record does not end where its length field has it; copy it again.",
+        )
         texts = data[place : place + length].split(b".999:")[0]
         parts += sum(texts.count(separator) for separator in _WITHIN)
         require(parts <= _MAX_PARTS, f"{name} has more than {_MAX_PARTS} fields; split it.")
@@ -313,8 +316,8 @@ def _resolution(record: Any, name: str) -> float:
 
 
 def _pixels(data: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
-    """Decode the image, of the (rows, columns) that the record says."""
-    expected = f"but its record says {size[0]} x {size[1]}"
+    """Decode the image, of the (rows, columns) that the record states."""
+    expected = f"but its record states {size[0]} x {size[1]}"
     if compression == "none":
         require(len(data) == size[0] * size[1], f"{name} holds {len(data)} pixels, {expected}.")
         return np.frombuffer(data, dtype=np.uint8).reshape(size).copy()
@@ -346,7 +349,7 @@ def _number(record: Any, key: str, name: str) -> int:
     text = _text(record, key, name)
     require(
         text.isascii() and text.isdecimal() and len(text) <= 5,
-        f"{name} says {text[:20]!a} for {key}, where a whole number of at most 5 digits is expected.",
+        f"{name} has {text[:20]!a} for {key}, where a whole number of at most 5 digits is expected.",
     )
     return int(text)
 

@@ -80,7 +80,7 @@ def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
 
 # Binary STL of an indexed mesh, in pieces, so that millions of triangles need little memory.
 #
-# STL knows no unit; the header says that it is the millimetre, which printing programs assume.
+# STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
 
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
@@ -101,7 +101,7 @@ def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "
     ----------
     vertices_mm : (N, 3), mm
     faces : (M, 3) indices of vertices, counter-clockwise seen from outside
-    title : what the header says behind ``splitknit, unit mm``
+    title : what the header has behind ``splitknit, unit mm``
 
     Raises
     ------

@@ -75,7 +75,7 @@ def _encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byt
     Raises
     ------
     BadInput
-        If the standard has no way to say what the record holds.
+        If the standard cannot represent what the record holds.
     """
     standard, magic = (ANSI_2009_AM1, MAGIC_035) if amendment else (ANSI_2009, MAGIC_030)
     check_writable(record, standard, 16, 8)
@@ -96,7 +96,7 @@ def _decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecor
     Raises
     ------
     BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+        If it is truncated, of another standard, or holds what the standard does not allow.
     """
     amended = standard_of(data) == ANSI_2009_AM1
     standard = ANSI_2009_AM1 if amended else ANSI_2009
@@ -186,7 +186,7 @@ def _encode_ansi378(record: MinutiaeRecord) -> bytes:
     Raises
     ------
     BadInput
-        If the standard has no way to say what the record holds.
+        If the standard cannot represent what the record holds.
     """
     check_writable(record, ANSI_2004, 12, 4)
     (rows, columns), resolution = common_image(record, ANSI_2004)
@@ -211,7 +211,7 @@ def _decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
     Raises
     ------
     BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+        If it is truncated, of another standard, or holds what the standard does not allow.
     """
     require_standard(data, ANSI_2004, MAGIC_20, name)
     cursor = Cursor(data, name)

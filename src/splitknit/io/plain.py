@@ -53,7 +53,7 @@ def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         rows.append(values)
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
     require(
-        count is None or count == len(rows), f"{name} says {count} lights in its first line, but {len(rows)} follow."
+        count is None or count == len(rows), f"{name} states {count} lights in its first line, but {len(rows)} follow."
     )
     return np.array(rows, dtype=np.float64)
 

@@ -46,7 +46,7 @@ class PrintFile:
     image: NDArray[np.uint8]
     """(H, W)."""
     resolution_ppi: float | None
-    """Pixels per inch, as near as the file's whole pixels per metre can say."""
+    """Pixels per inch, as near as the file's whole pixels per metre can represent."""
     text: dict[str, str]
 
 
@@ -129,7 +129,7 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
 
 
 def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
-    """Texts of a PNG that say where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
+    """Texts of a PNG that state where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
     return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
 
 
@@ -183,7 +183,7 @@ def _write_print_tiff(
 
 
 def _read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a grey TIFF with its resolution (None where the tags do not say) and, if it was written here, its texts.
+    """Read a grey TIFF with its resolution (None where the tags lack it) and, if it was written here, its texts.
 
     Raises
     ------

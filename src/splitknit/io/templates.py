@@ -69,7 +69,7 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
     payload = data[HEADER_BYTES:]
     require(
         len(payload) == size,
-        f"{name} holds {len(payload)} bytes after its header, but the header says {size}; {remedy}.",
+        f"{name} holds {len(payload)} bytes after its header, but the header states {size}; {remedy}.",
     )
     require(hashlib.sha256(payload).digest() == digest, f"{name} is damaged (its hash does not fit); {remedy}.")
     require(size > 0, f"{name} has a header but no content; {remedy}, or leave a failure to acquire a file of 0 bytes.")

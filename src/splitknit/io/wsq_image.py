@@ -64,7 +64,7 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
     Parameters
     ----------
     image : (H, W) uint8, ridges dark, at least 96 pixels each way
-    ppi : its resolution, 500 within 1 %: WSQ is defined for no other; its comment says 500
+    ppi : its resolution, 500 within 1 %: WSQ is defined for no other; its comment states 500
 
     Raises
     ------
@@ -177,7 +177,7 @@ class _WsqHeader:
     rows: int
     columns: int
     ppi: int | None
-    """Of the comment (NIST_COM), if it says."""
+    """Of the comment (NIST_COM), if stated there."""
 
 
 def _wsq_header(data: bytes, name: str) -> _WsqHeader:

@@ -233,7 +233,7 @@ def code_of(template: Template) -> NDArray[np.int8]:
     Returns
     -------
     (K,) int8 with K = :func:`code_size`; zeros for a failure to acquire, which a search never finds. The same template
-    gives the same code (of this `CODE_VERSION`); a code says roughly how a finger's ridges run, and should be
+    gives the same code (of this `CODE_VERSION`); a code reveals roughly how a finger's ridges run, and should be
     protected like the template.
 
     References

@@ -64,7 +64,7 @@ class PatchGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """What the patches say."""
+    """Shifts and correlations of the patches."""
 
     used: NDArray[np.int64]
     """(N,) numbers of the patches that lie on both."""

@@ -143,7 +143,7 @@ def similarity_at(fmr: float) -> float | None:
     require(
         bool(enough.any()),
         f"false match rates were measured on {table.impostors} comparisons, so that none below {table.fmr.min():.2g} "
-        f"can be stated; ask for a larger one than {fmr:g}.",
+        f"can be stated; give a larger one than {fmr:g}.",
     )
     step = int(np.ceil(table.similarity[np.argmax(enough)] / _FMR_ROUNDING)) + 1
     return step * _FMR_ROUNDING

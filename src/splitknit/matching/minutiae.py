@@ -1,6 +1,6 @@
 """Minutiae of a print by NIST's mindtct, their comparison by bozorth3, and NFIQ 2, all through `nbis-py`.
 
-This is the only module that imports it. It exists for x86-64 Linux alone; elsewhere :func:`extract` says so.
+This is the only module that imports it. It exists for x86-64 Linux alone; elsewhere :func:`extract` reports it.
 """
 
 from __future__ import annotations

@@ -120,12 +120,12 @@ def minutiae3d_match(
     if sides is None:
         return Minutiae3DMatch(0.0, 0, compared=False)
     left, right = sides
-    found = best_agreement(left, right, _alike_pairs(left, right), left.settings.agreement)
+    found = best_agreement(left, right, _similar_pairs(left, right), left.settings.agreement)
     count = len(found.a)
     return Minutiae3DMatch(fraction_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
 
 
-def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
+def _similar_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
     """Correspondences (K, 2) of pairs that look similar."""
     i, j = close_points(a.tree, b.tree)
     return a.pairs[i], b.pairs[j]
@@ -239,13 +239,13 @@ def tetrahedra_match(
     References
     ----------
     C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
-    Trans. PAMI 40(12), 2018. The paper does not print its tolerances where we could read them: those here are our own.
+    Trans. PAMI 40(12), 2018. The accessible text of the paper lacks its tolerances: those here are chosen by us.
     """
     sides = two_sides(a, b, PreparedTetrahedra, settings, TetrahedraSettings())
     if sides is None:
         return TetrahedraMatch(0.0, 0, 0, compared=False)
     left, right = sides
-    corners = _alike_tetrahedra(left, right)
+    corners = _similar_tetrahedra(left, right)
     total = len(corners[0])
     found = best_agreement(left, right, corners, left.settings.agreement)
     count = len(found.a)
@@ -253,7 +253,7 @@ def tetrahedra_match(
     return TetrahedraMatch(score, count, total, compared=True)
 
 
-def _alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
+def _similar_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
     """Corners (K, 4) of both sides' tetrahedra that are similar, each corner beside the one that it corresponds to.
 
     Where several orders of the corners are similar, the one with the least difference of angles is taken.

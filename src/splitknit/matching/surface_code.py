@@ -100,7 +100,7 @@ def make_surface_code(
     37(3), 2015: finger surface codes; V. Kanhangad, A. Kumar and D. Zhang, "A unified framework for contactless hand
     verification", IEEE Trans. IFS 6(3), 2011: nine surface types in four bits; J. Koenderink and A. van Doorn, "Surface
     shape and curvature scales", Image and Vision Computing 10, 1992. Which bits stand for which type is not printed
-    where we could read it: the Gray code is our own.
+    in the accessible text: the Gray code is chosen by us.
 
     Examples
     --------

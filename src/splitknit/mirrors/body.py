@@ -154,7 +154,7 @@ def _basis_table(count: int) -> Array:
 
 _DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
 STEEPEST_DEG = 24.0
-"""Slopes of the skin are believed up to here: steeper skin looks flatter than it is."""
+"""Slopes of the skin are used up to here: steeper skin looks flatter than it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,9 +302,9 @@ class SeenIn:
     from_tip: bool = False
     """Whether it looks along the finger."""
     turn_rad: float = 0.0
-    """What the tips of the views say about its turn."""
+    """Its turn, as the tips of the views show it."""
     turn_sd_rad: float | None = None
-    """Standard deviation of that; None: they say nothing."""
+    """Standard deviation of that; None: it is undefined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

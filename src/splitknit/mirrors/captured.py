@@ -202,7 +202,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     capture : Capture
     grey : (L, h, w) white images on the views' grid
     views : Views
-    shape : a first one: it says where each light reaches the skin
+    shape : a first one: it gives where each light reaches the skin
     """
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning

@@ -29,7 +29,7 @@ class MirrorShapeSettings(Checked):
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
     """Flatness of the pad that is expected: 0 is an ellipse."""
     squareness_spread: Annotated[float, Limits(0, above=True)] = 0.08
-    """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip say more."""
+    """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip are stronger evidence."""
     rounds: Annotated[int, Limits(1, 50)] = 9
     """Corrections."""
     slopes: bool = True

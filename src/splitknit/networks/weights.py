@@ -1,4 +1,4 @@
-"""Networks as files: ``NAME.onnx`` with the weights, and ``NAME.json``, its card, which says what they are.
+"""Networks as files: ``NAME.onnx`` with the weights, and ``NAME.json``, its card, which describes them.
 
 The card states what goes in and out, where the weights come from (data, seed, metrics, licence, the command that makes
 them again), and their SHA-256, which is checked whenever they are read.

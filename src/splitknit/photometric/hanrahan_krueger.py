@@ -47,8 +47,8 @@ def hanrahan_krueger(
     """Normals, albedo and layers of skin under distant lights, seen along z.
 
     Every pixel has five unknowns: the normal (2), the matt base, and W and optical depth of the epidermis; the dermis,
-    the phase functions and the refractive index are the same everywhere (:class:`SkinLayers`). Seven images say little
-    of the two last unknowns: they are held to typical skin with the spreads of the settings.
+    the phase functions and the refractive index are the same everywhere (:class:`SkinLayers`). Seven images determine
+    little of the two last unknowns: they are held to typical skin with the spreads of the settings.
 
     Parameters
     ----------

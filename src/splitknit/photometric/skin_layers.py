@@ -36,7 +36,7 @@ class SkinLayers:
     dermis_asymmetry: float = 0.81
     """g' of the dermis."""
     epidermis_scattering_per_mm: float = 50.0
-    """With absorption and thickness: where a pixel's fit starts, and what holds it where its images do not say."""
+    """With absorption and thickness: where a pixel's fit starts, and what holds it where its images do not."""
     epidermis_absorption_per_mm: float = 3.8
     """See scattering."""
     epidermis_thickness_mm: float = 0.08

@@ -1,4 +1,4 @@
-"""How good a print is: one score made of figures that say what is wrong with it."""
+"""How good a print is: one score made of figures that show what is wrong with it."""
 
 from __future__ import annotations
 

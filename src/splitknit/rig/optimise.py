@@ -26,7 +26,7 @@ from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """What the thesis's sweep chose (4.1.1)."""
 Progress = Callable[[str, float], None]
-"""Hears what is being done, and the fraction of the whole that is done."""
+"""Called with what is being done and the fraction of the whole that is done."""
 
 
 def sweep(
@@ -45,7 +45,7 @@ def sweep(
     candidates : rigs to compare
     study : what they are evaluated with
     workers : processes; the result does not depend on it
-    progress : hears the candidate and the fraction done
+    progress : called with the candidate and the fraction done
 
     Returns
     -------
@@ -77,7 +77,7 @@ def sweep(
 
 
 def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = "hausdorff") -> dict[str, Any]:
-    """What a sweep says: the best rig, those as good, the Pareto front, and where the thesis's choice stands.
+    """What a sweep found: the best rig, those as good, the Pareto front, and where the thesis's choice stands.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
     Raises
     ------
     BadInput
-        If not one candidate was done; the message says why.
+        If not one candidate was done; the message gives the reason.
     """
     require(objective in OBJECTIVES, f"the objective must be one of {', '.join(OBJECTIVES)}, not '{objective}'.")
     done = [one for one in records if one["status"] == DONE]

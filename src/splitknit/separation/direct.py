@@ -88,7 +88,7 @@ def direct_light(
     -----
     Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
     shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
-    tells.
+    shows.
 
     References
     ----------

@@ -25,7 +25,7 @@ from splitknit.separation.stacks import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseSeparation(Separation):
-    """Direct and global light, and the phase that says which line of the projector lit a pixel."""
+    """Direct and global light, and the phase that identifies which line of the projector lit a pixel."""
 
     phase_rad: FloatArray
     """(H, W) in [-pi, pi]: phase of the pattern at the pixel in the image of phase zero. It is *wrapped*: it gives

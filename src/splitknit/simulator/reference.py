@@ -55,7 +55,7 @@ def walk(
 ) -> tuple[list[Any], Any, Any]:
     """Walk `walks` times from each seen point; return the lights' sums, the light that left, and the steps, by lane.
 
-    With a diffuse boundary (`spread_rad` None), the Fresnel terms say how much passes, and what passes or is reflected
+    With a diffuse boundary (`spread_rad` None), the Fresnel terms give how much passes, and what passes or is reflected
     is spread as by a matt surface. A smooth boundary refracts and mirrors at the triangles; the lights then have a lobe
     of `spread_rad`, and a scattered walk looks for one of them through the boundary.
 

@@ -56,7 +56,7 @@ class BackgroundSettings(Checked):
 
 
 def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
-    """(H, W) albedo of the background: even, with a gradient and specks of dust where the settings ask for them."""
+    """(H, W) albedo of the background: even, with a gradient and specks of dust where the settings enable them."""
     height, width = camera.image_size
     albedo = np.full((height, width), settings.albedo, dtype=np.float32)
     if settings.gradient:
@@ -128,7 +128,7 @@ class TwinSettings(Checked):
     mirrors: MirrorViews = field(default_factory=MirrorViews)
     """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
     condition: Condition = field(default_factory=Condition)
-    """State of the finger's skin: clean unless `condition.kind` says wet, dry, dusty, scarred or glossy."""
+    """State of the finger's skin: clean unless `condition.kind` is wet, dry, dusty, scarred or glossy."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -60,7 +60,7 @@ def simulate_capture(
     Raises
     ------
     BadInput
-        If there is no such `pattern`, or `settings` ask for what the twin cannot show together (motion and mirrors).
+        If there is no such `pattern`, or `settings` combine what the twin cannot show together (motion and mirrors).
 
     Notes
     -----

@@ -228,7 +228,7 @@ def packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping
     ----------
     name, what : of the network, and what it turns into what
     state : ``state_dict`` of a :func:`splitknit.training.networks.fields_network`
-    facts : what the card says beside: command, training, data, metrics
+    facts : what the card also contains: command, training, data, metrics
 
     Raises
     ------

@@ -193,8 +193,8 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     -------
     dict of
     ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the network's
-    unit; ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the part of
-    the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
+    unit; ``error_ratio``, that error over what the network expected of it (one is calibrated); ``glare_r2``, the part
+    of the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
     """
     counts = sample[WEIGHT] > 0.5
     if not counts.any():
@@ -368,7 +368,7 @@ def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any])
 
 
 def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
-    """What a card says of how a network does on fingers that it was not trained on.
+    """The card's figures of a network on fingers that it was not trained on.
 
     Parameters
     ----------

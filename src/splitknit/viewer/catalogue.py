@@ -78,7 +78,7 @@ class Entry:
     """One result."""
 
     key: str
-    """By which the page asks for it: its number."""
+    """By which the page requests it: its number."""
     name: str
     """As people know it: where it lies below what was named."""
     folder: Path

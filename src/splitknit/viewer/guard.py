@@ -1,7 +1,7 @@
 """Which requests are authorised: only the page that this server gave out, on this machine.
 
 Another page in the same browser may send requests to the loopback address, but it does not know the token; the name it
-uses may lead here (DNS rebinding), but then the ``Host`` is another; and browsers say where a request comes from.
+uses may lead here (DNS rebinding), but then the ``Host`` is another; and browsers state where a request comes from.
 Another user of the machine may connect to the port, but does not know the token either.
 """
 

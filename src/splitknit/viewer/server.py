@@ -90,7 +90,7 @@ def serve(server: ViewerServer) -> None:
 
 @contextlib.contextmanager
 def opened_page(url: str) -> Iterator[bool]:
-    """Open `url` in the browser; say whether there is one.
+    """Open `url` in the browser; return whether there is one.
 
     The browser's command line can be read by every user of the machine and must not hold the token: it is given a file
     that only its owner may read, which leads on.
@@ -179,7 +179,7 @@ class _Handler(BaseHTTPRequestHandler):
     _unread = b""
 
     def handle_one_request(self) -> None:
-        """Answer a request whose head comes whole, in time and not too long; else close, or say why not."""
+        """Answer a request whose head comes whole, in time and not too long; else close, or report why not."""
         head = self._head()
         self.connection.settimeout(_ANSWER_S)
         self.close_connection = True
@@ -261,4 +261,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(chunk)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: the address holds the token."""
+        """Log nothing: the address holds the token."""

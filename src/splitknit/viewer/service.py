@@ -292,7 +292,7 @@ def listed(entry: Entry) -> dict[str, Any]:
 
 
 def describe(entry: Entry, surface: Surface) -> dict[str, Any]:
-    """All that the page needs of a result before it asks for pieces of it."""
+    """All that the page needs of a result before it requests pieces of it."""
     levels = strides(surface)
     return {
         **listed(entry),

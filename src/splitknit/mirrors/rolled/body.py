@@ -37,7 +37,7 @@ MAX_MISSING = 0.4
 NEAR_EDGE_MM = 3.0
 """A straight outline this near to where the mirror should end is the mirror's edge."""
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
-"""Radians of roll to the right for each unit of a body's shear; and the most that is believed."""
+"""Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
 CUT_ROUNDS = 20
 """Corrections of the fit where views are cut."""
 CUT_TURN_DEG = 0.6

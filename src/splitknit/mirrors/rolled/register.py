@@ -53,8 +53,8 @@ OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
 """The same where the front's outline determines the surface, this near to a right angle from the front."""
 BEND_PRIOR_MM = 0.04
 """Standard deviation of the correction's second difference from knot to knot."""
-ALIKE_MM = 0.3
-"""Ridges say something new at about this distance."""
+CORRELATED_MM = 0.3
+"""Ridges are independent at about this distance."""
 ROBUST = 1.0
 """Difference of two views' ridges, of unit contrast, from which it counts less and less."""
 ROUNDS = 12
@@ -151,7 +151,7 @@ def align(  # noqa: PLR0917
         _Part(chart, radius_mm, front, first, one, every, knots) if int(one.both.sum()) >= FEW else None
         for one in mirrors
     ]
-    weight = (chart.pitch_mm / ALIKE_MM) ** 2  # neighbouring pixels say the same
+    weight = (chart.pitch_mm / CORRELATED_MM) ** 2  # neighbouring pixels are correlated
     seen = np.any([one.both for one in mirrors], axis=0)
     prior = _priors(knots, _depth_prior(chart, seen, every, knots), pose_free, len(mirrors))
     values = np.zeros(count + 3 * len(mirrors))

@@ -180,7 +180,7 @@ class BenchSettings(Checked):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GroundScene(ABC):
-    """A flat ground in front of the camera; its kinds say where it lies and how bright it is."""
+    """A flat ground in front of the camera; its kinds define where it lies and how bright it is."""
 
     camera: Camera
     leds: tuple[Led, ...]

@@ -1,4 +1,4 @@
-"""The simulated camera and LEDs: they do what :mod:`splitknit.devices` asks for, on a clock that costs no time.
+"""The simulated camera and LEDs: they implement :mod:`splitknit.devices`, on a clock that costs no time.
 
 The camera is timed like the Raspberry Pi's: it runs freely at its frame rate, a new exposure takes effect some frames
 after it was asked for, and a frame is there when it was read out and carried over. So the times that a capture session

@@ -204,7 +204,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
 
 
 class _Hand:
-    """Standard normal scores that say how a person's fingers differ from the mean, similar among themselves."""
+    """Standard normal scores that describe how a person's fingers differ from the mean, similar among themselves."""
 
     EXTRA = ("width", "length", "period", "pattern")
 

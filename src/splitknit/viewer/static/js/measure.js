@@ -49,7 +49,7 @@ export class Measure {
     this.#show();
   }
 
-  /** Say what goes wrong. @param {Promise<void>} work */
+  /** Report what goes wrong. @param {Promise<void>} work */
   #reported(work) {
     work.catch((error) => trouble(error.message));
   }
