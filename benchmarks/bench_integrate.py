@@ -30,13 +30,13 @@ def main() -> None:
     mask = case.mask
     p, q = case.gradient_x.astype(np.float32), case.gradient_y.astype(np.float32)
     inner = cv2.erode(mask.astype(np.uint8), np.ones((51, 51), np.uint8), borderValue=1) > 0
-    share = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 24)
+    fraction = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 24)
 
     def rms(height: np.ndarray) -> str:
         """Rms of the error in px: whole surface and ridge band (Gaussian high-pass of 24 px, 25 px inside the rim)."""
         error = np.where(mask, height - case.height, 0)
         error = np.where(mask, error - error[mask].mean(), 0)
-        band = error - cv2.GaussianBlur(error, (0, 0), 24) / np.maximum(share, 1e-3)
+        band = error - cv2.GaussianBlur(error, (0, 0), 24) / np.maximum(fraction, 1e-3)
         return f"{np.std(error[mask]):.4g} / {np.std(band[inner]):.4g}"
 
     print(f"Integrators, {mask.shape[0]} x {mask.shape[1]}, {machine()}")

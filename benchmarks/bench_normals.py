@@ -28,8 +28,8 @@ def main() -> None:
         angle = np.degrees(np.arccos(np.clip((normals * case.normals).sum(axis=-1), -1, 1)))
         return f"{angle[mask & ~dark].mean():.3f} / {angle[dark].mean():.3f}"
 
-    share = 100 * dark.sum() / mask.sum()
-    print(f"Photometric stereo, {' x '.join(map(str, stack.shape))}, {share:.1f} % shadowed, {machine()}")
+    fraction = 100 * dark.sum() / mask.sum()
+    print(f"Photometric stereo, {' x '.join(map(str, stack.shape))}, {fraction:.1f} % shadowed, {machine()}")
     contenders = {
         "robust (shadow-aware)": lambda: robust(stack, lights, mask)[0],
         "lambertian": lambda: lambertian(stack, lights, mask)[0],

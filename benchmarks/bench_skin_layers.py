@@ -37,12 +37,12 @@ def skin_case() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     strength = np.linalg.norm(case.lights, axis=1, keepdims=True).astype(np.float32)
     unit = (case.lights / strength).astype(np.float32)
     depth = (layers.epidermis_depth * np.exp(rng.normal(0, 0.7, len(flat)))).astype(np.float32)
-    share = rng.uniform(0.7, 0.97, len(flat)).astype(np.float32)
+    fraction = rng.uniform(0.7, 0.97, len(flat)).astype(np.float32)
     base = np.full(len(flat), 0.5, dtype=np.float32)
     exposure = float(np.pi * 0.5 / (EQUAL.base_reflectance * layers.refractive_index**2))
     facing = np.maximum(flat[:, 2], np.float32(0.02))
     stack = np.stack([
-        s * reflected((u @ flat.T)[None], facing, u[2:, None], base, share, depth, exposure, layers).value[0]
+        s * reflected((u @ flat.T)[None], facing, u[2:, None], base, fraction, depth, exposure, layers).value[0]
         for u, s in zip(unit, strength, strict=True)
     ])  # fmt: skip
     stack += rng.normal(0, 0.5 * NOISE, stack.shape).astype(np.float32)

@@ -16,7 +16,7 @@ class Row:
 
     name: str
     result: Any
-    least_s: float
+    min_s: float
     median_s: float
 
 
@@ -38,7 +38,7 @@ def print_table(title: str, rows: list[Row], facts: Callable[[Any], str], head: 
     print("| --- | --- | --- | --- |")
     for row in rows:
         ratio = row.median_s / rows[0].median_s
-        print(f"| {row.name} | {row.least_s:.3f} / {row.median_s:.3f} | {facts(row.result)} | {ratio:.1f} |")
+        print(f"| {row.name} | {row.min_s:.3f} / {row.median_s:.3f} | {facts(row.result)} | {ratio:.1f} |")
 
 
 def machine() -> str:

@@ -91,10 +91,10 @@ def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], 
 
 
 def test_progress_only_grows(capture: Capture) -> None:
-    shares: list[float] = []
-    reconstruct(capture, "snk", progress=lambda _, share: shares.append(share))
-    assert shares == sorted(shares)
-    assert 0 <= shares[0] < shares[-1] <= 1
+    fractions: list[float] = []
+    reconstruct(capture, "snk", progress=lambda _, fraction: fractions.append(fraction))
+    assert fractions == sorted(fractions)
+    assert 0 <= fractions[0] < fractions[-1] <= 1
 
 
 def test_the_phalange_ends_at_the_crease(results: dict[str, Reconstruction], capture: Capture, truth: Truth) -> None:

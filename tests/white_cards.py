@@ -92,10 +92,10 @@ def card_folder(
     card = scene_of(rig)
     base = well_exposed(card, [(0,)], 0.75)
     entries = []
-    for k, share in enumerate(series):
-        shot = photograph_bench(card, (0,), 40 + k, exposure=base * share, sensor=sensor)
+    for k, fraction in enumerate(series):
+        shot = photograph_bench(card, (0,), 40 + k, exposure=base * fraction, sensor=sensor)
         write_image(folder / f"step_{k}.png", shot)
-        entries.append({"file": f"step_{k}.png", "exposure_s": 0.001 * share})
+        entries.append({"file": f"step_{k}.png", "exposure_s": 0.001 * fraction})
     document = {"format": "splitknit-radiometry", "version": 1, "dark": "dark.png", "exposures": entries}
     (folder / "radiometry.json").write_text(json.dumps(document))
     return rig, stored

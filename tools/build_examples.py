@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE, PICTURES = ROOT / "docs" / "guide" / "examples.md", ROOT / "docs" / "images" / "examples"
 ORDER = ("twin", "reconstruct", "prints", "match", "evaluate")
 """First on the page; the others follow by name."""
-WIDEST_PX, MOST_BYTES = 1200, 200_000
+WIDEST_PX, MAX_BYTES = 1200, 200_000
 HEAD = """# Examples, executed
 
 Every section was made by running the file it names (`make examples` runs all of them again and rewrites this page):
@@ -80,10 +80,10 @@ def keep(picture: Path, name: str) -> str:
         return Path(os.path.relpath(target, PAGE.parent)).as_posix()
     image = cv2.imread(str(picture))
     if image.shape[1] > WIDEST_PX:
-        share = WIDEST_PX / image.shape[1]
-        image = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+        fraction = WIDEST_PX / image.shape[1]
+        image = cv2.resize(image, None, fx=fraction, fy=fraction, interpolation=cv2.INTER_AREA)
     quality = 88
-    while len(data := cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()) > MOST_BYTES:
+    while len(data := cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()) > MAX_BYTES:
         quality -= 6
     target = PICTURES / f"{name}-{picture.stem}.jpg"
     target.write_bytes(data)

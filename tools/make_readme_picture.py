@@ -25,7 +25,7 @@ HEIGHT_PX = 400
 GAP_PX = 12
 LEVELS = (256, 64, 48, 32, 24)
 """Levels of each channel, as many as fit: smooth shades survive few."""
-MOST_BYTES = 400_000
+MAX_BYTES = 400_000
 Picture = np.ndarray
 
 
@@ -59,7 +59,7 @@ def encoded(picture: Picture, levels: int) -> bytes | None:
     step = 255 / (levels - 1)
     coarse = np.round(np.round(picture / step) * step).astype(np.uint8)
     done, data = cv2.imencode(".png", coarse[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    return bytes(data) if done and data.nbytes <= MOST_BYTES else None
+    return bytes(data) if done and data.nbytes <= MAX_BYTES else None
 
 
 def main() -> None:
@@ -92,7 +92,7 @@ def main() -> None:
     row = np.hstack([fitted(panel, 255) for panel in panels])[:, :-GAP_PX]
     data = next(filter(None, (encoded(row, levels) for levels in LEVELS)), None)
     if data is None:
-        raise SystemExit(f"the picture does not fit into {MOST_BYTES} bytes.")
+        raise SystemExit(f"the picture does not fit into {MAX_BYTES} bytes.")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_bytes(data)
     sys.stdout.write(f"{options.out}: {row.shape[1]} x {row.shape[0]} pixels, {len(data)} bytes\n")

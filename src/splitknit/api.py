@@ -92,7 +92,7 @@ def match(
     -------
     dict
         ``similarity`` (higher is more similar), ``fmr`` (false match rate at this similarity, where it was measured),
-        ``alignment`` and the rest of what ``splitknit match --json`` says.
+        ``alignment`` and the rest of what ``splitknit match --json`` prints.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def calibrate_camera(folder: AnyPath, out: AnyPath, **options: Any) -> dict[str,
     Returns
     -------
     dict
-        What was found, as ``splitknit calibrate camera --json`` says it.
+        What was found, as ``splitknit calibrate camera --json`` prints it.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def calibrate_lights(out: AnyPath | None = None, **options: Any) -> dict[str, An
     Returns
     -------
     dict
-        What was found, as ``splitknit calibrate lights --json`` says it.
+        What was found, as ``splitknit calibrate lights --json`` prints it.
 
     Raises
     ------
@@ -260,7 +260,7 @@ def calibrate_radiometry(folder: AnyPath, out: AnyPath, **options: Any) -> dict[
     Returns
     -------
     dict
-        What was found, as ``splitknit calibrate radiometry --json`` says it.
+        What was found, as ``splitknit calibrate radiometry --json`` prints it.
 
     Raises
     ------

@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
-    """The input cannot be used; the message says which part, and the remedy.
+    """The input cannot be used; the message names the part, and the remedy.
 
     A message quotes what files hold: characters that end a line or cannot be printed become escapes in it, and what is
     longer than 2000 characters is cut.

@@ -39,11 +39,11 @@ class Shade:
     """x of the first and last column."""
     y_mm: tuple[float, float]
     """y of the first and last row."""
-    share: NDArray[np.float32]
+    fraction: NDArray[np.float32]
     """(h, w) in [0, 1], at least 2 x 2; read bilinearly, and at its border beyond it."""
 
     def __post_init__(self) -> None:
-        require(self.share.ndim == 2 and min(self.share.shape) >= 2, "a light's shade must be at least 2 x 2.")
+        require(self.fraction.ndim == 2 and min(self.fraction.shape) >= 2, "a light's shade must be at least 2 x 2.")
         require(self.x_mm[0] != self.x_mm[1] and self.y_mm[0] != self.y_mm[1], "a light's shade must have a size.")
 
 
@@ -124,7 +124,7 @@ class Mirror:
     corners_mm: tuple[tuple[float, float, float], ...]
     """Outline of the reflecting face, at least three corners in order, all in one plane."""
     reflectance: float = 0.9
-    """Share of the light that it reflects, the same in all bands."""
+    """Fraction of the light that it reflects, the same in all bands."""
 
     def __post_init__(self) -> None:
         require(self.name in ("left", "right", "tip"), f"a mirror is left, right or tip, not '{self.name}'.")
@@ -200,7 +200,7 @@ class Camera:
             mixing = np.asarray(self.crosstalk, dtype=np.float64)
             require(
                 mixing.shape == (3, 3) and bool(np.isfinite(mixing).all()) and bool(np.linalg.cond(mixing) < 50.0),
-                "camera.crosstalk must be 3 x 3 finite numbers by which the three colours can be told apart.",
+                "camera.crosstalk must be 3 x 3 finite numbers that separate the three colours.",
             )
         require(np.isfinite(self.px_per_mm) and self.px_per_mm > 0, "camera.px_per_mm must be a positive number.")
         require(np.isfinite(self.height_mm) and self.height_mm > 0, "camera.height_mm must be a positive number.")

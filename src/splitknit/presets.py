@@ -38,8 +38,8 @@ class DirectSettings(Checked):
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     from_colours: bool = False
-    """Find the share of direct light in the colours, where there are any, and apply it to the grey images; the thesis
-    gives the network the grey images themselves."""
+    """Find the fraction of direct light in the colours, where there are any, and apply it to the grey images; the
+    thesis gives the network the grey images themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class PipelineSettings(FingerSettings):
         require(self.method == "thesis" or rough, "smooth.sigma_mm smooths the thesis's cases only; set method=thesis.")
 
     def finding(self) -> FingerSettings:
-        """The part that says how the capture is read and the finger is found in it."""
+        """The part that defines how the capture is read and the finger is found in it."""
         return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
 
 
@@ -148,7 +148,7 @@ def _kumar() -> PipelineSettings:
 
 
 def _xie() -> PipelineSettings:
-    """Case EA with a two-layer model of skin in place of Lambert's: all lights count alike, as in EA.
+    """Case EA with a two-layer model of skin in place of Lambert's: all lights count equally, as in EA.
 
     References
     ----------

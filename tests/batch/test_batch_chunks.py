@@ -77,7 +77,7 @@ def test_damage_is_refused_in_a_sentence(chunk: Path) -> None:
 
 
 def test_sizes_are_checked_before_a_chunk_is_read(chunk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitknit.batch.chunks._MOST_ROWS", 1)
+    monkeypatch.setattr("splitknit.batch.chunks._MAX_ROWS", 1)
     with pytest.raises(BadInput, match="too large"):
         read_chunk(chunk)
     monkeypatch.undo()

@@ -1,4 +1,4 @@
-"""Which captures are compared: all of them, or a share that grows without changing, in blocks."""
+"""Which captures are compared: all of them, or a fraction that grows without changing, in blocks."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.capture.exposure import ExposureSettings, _level_of, clipped_share, find_exposure, split, survey
+from splitknit.capture.exposure import ExposureSettings, _level_of, clipped_fraction, find_exposure, split, survey
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput
 
@@ -79,10 +79,10 @@ def test_levels_count_black_and_the_brightest_channel():
 def test_a_pixel_is_clipped_if_two_channels_are():
     pixels = np.zeros((20, 20, 3), dtype=np.uint8)
     pixels[5:10, 5:15, 0] = 255
-    assert clipped_share(pixels, REGION) == 0.0
+    assert clipped_fraction(pixels, REGION) == 0.0
     pixels[5:10, 5:15, 1] = 254
-    assert clipped_share(pixels, REGION) == 0.5
-    assert clipped_share(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
+    assert clipped_fraction(pixels, REGION) == 0.5
+    assert clipped_fraction(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
 
 
 @pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])

@@ -40,9 +40,9 @@ class SceneRequest(FakeRequest):
     def make_array(self, name):
         pins = [gpiozero.Device.pin_factory.pin(pin) for pin in PINS]
         lit = [k for k, pin in enumerate(pins) if pin.function == "output" and pin.state]
-        share = self.shot.exposure_us * 1e-6 * self.shot.gain * 500
+        fraction = self.shot.exposure_us * 1e-6 * self.shot.gain * 500
         rng = np.random.default_rng(self.shot.at_ns)
-        light = 255 * share * self.camera.scene.light(lit)
+        light = 255 * fraction * self.camera.scene.light(lit)
         return np.clip(np.rint(light + rng.normal(0, 0.7, light.shape)), 0, 255).astype(np.uint8)
 
 

@@ -277,7 +277,7 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     assert facts_of(capsys, "gallery", "rekey", file, "--new-key-file", new)["encrypted"]
     assert "is 32 bytes" in refusal_of(capsys, "gallery", "list", file)
     assert len(who(capsys, file, "--key-file", new)) == 1
-    assert "or say --plain" in refusal_of(capsys, "gallery", "rekey", file, "--key-file", new)
+    assert "or give --plain" in refusal_of(capsys, "gallery", "rekey", file, "--key-file", new)
     said = words_of(capsys, "gallery", "rekey", file, "--key-file", new, "--plain")
     assert "not encrypted any more" in said
     assert "was given, but the gallery" in refusal_of(capsys, "gallery", "list", file)
@@ -446,7 +446,7 @@ def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["enroll", "NEW", "SOURCE"], "say whose finger"),
+        (["enroll", "NEW", "SOURCE"], "name whose finger"),
         (["enroll", "NEW", "--person", "A", "--finger", "right_index"], "name a capture"),
         (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "nose"], "is no finger"),
         (["enroll", "NEW", "SOURCE", "--person", "", "--finger", "right_index"], "person's name"),
@@ -467,7 +467,7 @@ def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
         (["gallery", "list", "NOWHERE"], "there is no gallery"),
         (["gallery", "list", "WHOLE", "--person", "Nobody"], "holds nothing of"),
         (["gallery", "remove", "WHOLE", "--person", "Nobody"], "holds nothing of Nobody"),
-        (["gallery", "remove", "WHOLE"], "say whose"),
+        (["gallery", "remove", "WHOLE"], "name whose"),
         (["gallery", "remove", "WHOLE", "--row", "77"], "holds no row 77"),
         (["gallery", "export", "TEXT", "--out", "NEW"], "is not a gallery"),
         (["gallery", "import", "NEW", "FOLDER"], "is no export"),

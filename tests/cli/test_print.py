@@ -73,14 +73,14 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
         pytest.importorskip("nbis")
     from scipy.spatial import cKDTree
 
-    from splitknit.io.iso19794 import _read_iso19794
-    from splitknit.io.minutiae3d import _read_minutiae3d
+    from splitknit.io.iso19794 import read_iso19794
+    from splitknit.io.minutiae3d import read_minutiae3d
     from splitknit.prints.make import make_print
     from splitknit.prints.sources import read_source
 
     out = tmp_path / "out"
     facts = facts_of(capsys, result, "--set", f"minutiae={way}", "--out", out)
-    view = _read_iso19794(out / "minutiae.iso").views[0]
+    view = read_iso19794(out / "minutiae.iso").views[0]
     assert set(view.type.tolist()) == {1, 2}
     assert view.size == tuple(facts["size"])
     found = np.stack([view.x_px, view.y_px], axis=1).astype(float)
@@ -96,7 +96,7 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     assert (cKDTree(true).query(found)[0] < 5).mean() > 0.7
     mirrored = [made.image.shape[1] - 1, 0] + true * [-1, 1]
     assert (cKDTree(found).query(mirrored)[0] < 5).mean() < 0.4
-    space = _read_minutiae3d(out / "minutiae3d.json")
+    space = read_minutiae3d(out / "minutiae3d.json")
     assert space.count == facts["minutiae"]["in_space"] > 20
     arrays = read_npz(result / "height.npz")
     assert (
@@ -231,9 +231,9 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     assert set(weak["advice"]) <= set(words)
     assert f"Quality: {weak['ours']:.0f} of 100" in " ".join(words)
     if facts["minutiae"]["written"]:
-        from splitknit.io.iso19794 import _read_iso19794
+        from splitknit.io.iso19794 import read_iso19794
 
-        assert _read_iso19794(tmp_path / "shallow" / "minutiae.iso").views[0].finger_quality == round(weak["ours"])
+        assert read_iso19794(tmp_path / "shallow" / "minutiae.iso").views[0].finger_quality == round(weak["ours"])
         assert 0 <= weak["nfiq2"]["print"] <= 100
 
 

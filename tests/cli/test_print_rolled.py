@@ -13,8 +13,8 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.cli.print import _words
 from splitknit.io.capture import write_capture
-from splitknit.io.minutiae3d import _read_minutiae3d
-from splitknit.io.ply import _read_ply
+from splitknit.io.minutiae3d import read_minutiae3d
+from splitknit.io.ply import read_ply
 from splitknit.model import Capture
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "mirrors"))
@@ -64,7 +64,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     # the skin's true size: the width of the print is the length around the finger
     around = np.deg2rad(rolled["coverage_deg"]["median"]) * 0.5 * (scene.A + scene.B)
     assert facts["size"][1] * 25.4 / 500 == pytest.approx(around, rel=0.15)
-    mesh = _read_ply(out / "rolled.ply")
+    mesh = read_ply(out / "rolled.ply")
     assert len(mesh.vertices_mm) == rolled["mesh_points"]
     # the side of +x is there, that of -x is not, and the mesh turns its outside outwards
     assert mesh.vertices_mm[:, 0].max() > 7.5
@@ -74,7 +74,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert outwards.mean() > 0.99
     if facts["minutiae"]["written"] and facts["minutiae"]["count"]:
         assert facts["minutiae"]["in_space"] > 0
-        record = _read_minutiae3d(out / "minutiae3d.json")
+        record = read_minutiae3d(out / "minutiae3d.json")
         assert np.abs(np.asarray(record.x_mm)).max() < scene.A + 0.5
 
 

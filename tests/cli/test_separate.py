@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io.float_tiff import _read_light_tiff, write_light_tiff
+from splitknit.io.float_tiff import read_light_tiff, write_light_tiff
 from splitknit.io.images import read_image, write_image
 from splitknit.separation.states import checkerboard_patterns
 
@@ -69,8 +69,8 @@ def test_checkerboards_of_a_folder(boards: Path, tmp_path: Path, capsys: pytest.
     out = tmp_path / "out"
     assert run(boards, "--out", out, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
-    direct, metadata = _read_light_tiff(out / "direct.tiff")
-    global_, _ = _read_light_tiff(out / "global.tiff")
+    direct, metadata = read_light_tiff(out / "direct.tiff")
+    global_, _ = read_light_tiff(out / "global.tiff")
     assert np.abs(direct - DIRECT).max() < 3 * STEP
     assert np.abs(global_ - GLOBAL).max() < 4 * STEP
     assert facts["method"] == "checkerboard"
@@ -101,7 +101,7 @@ def test_found_and_given_patterns_and_a_mask(boards: Path, tmp_path: Path) -> No
         out = tmp_path / Path(choice).name
         out = out.with_name("out_" + out.name)
         assert run(boards, "--out", out, "--patterns", choice) == 0
-        direct, metadata = _read_light_tiff(out / "direct.tiff")
+        direct, metadata = read_light_tiff(out / "direct.tiff")
         assert np.array_equal(np.isnan(direct), mask == 0)
         assert np.nanmax(np.abs(direct - DIRECT)) < 3 * STEP
         assert metadata["settings"]["separate"]["patterns"] == ("estimate" if choice == "estimate" else "given")
@@ -111,13 +111,13 @@ def test_checkerboards_by_symmetry(boards: Path, tmp_path: Path, capsys: pytest.
     """The white image takes part: without it the pattern's fifth harmonics stay in the result."""
     document(boards, method="symmetry", shifts=SHIFTS, period=10)
     assert run(boards, "--check-px", 5, "--out", tmp_path / "out") == 0
-    direct, metadata = _read_light_tiff(tmp_path / "out" / "direct.tiff")
+    direct, metadata = read_light_tiff(tmp_path / "out" / "direct.tiff")
     assert metadata["settings"]["separate"]["method"] == "symmetry"
     assert np.abs(direct - DIRECT).max() < 4 * STEP
     (boards / "white.png").unlink()
     (boards / "separation.json").unlink()
     assert run(boards, "--method", "symmetry", "--out", tmp_path / "without") == 0
-    without = np.abs(_read_light_tiff(tmp_path / "without" / "direct.tiff")[0] - DIRECT)
+    without = np.abs(read_light_tiff(tmp_path / "without" / "direct.tiff")[0] - DIRECT)
     assert 100 * STEP < without.max() < 0.1 * DIRECT.max()
     out = tmp_path / "x"
     capsys.readouterr()
@@ -139,7 +139,7 @@ def test_known_states_ask_for_the_size_of_checks(
         facts = json.loads(capsys.readouterr().out)
         assert ("give check_px for skin" in " ".join(facts["warnings"])) == ("--check-px" not in words)
         assert facts["settings"]["separate"]["patterns"] == "estimate"
-        written[number] = _read_light_tiff(out / "direct.tiff")[0]
+        written[number] = read_light_tiff(out / "direct.tiff")[0]
         assert np.abs(written[number] - DIRECT).max() < 4 * STEP
     assert not np.array_equal(written[0], written[1])
     assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
@@ -156,8 +156,8 @@ def test_sinusoids_by_their_shifts(tmp_path: Path) -> None:
     folder = write(tmp_path / "waves", images)
     document(folder, method="sinusoid", images=["c.tiff", "a.tiff", "b.tiff"], shifts=shifts, period=21)
     assert run(folder, "--out", tmp_path / "out") == 0
-    direct, _ = _read_light_tiff(tmp_path / "out" / "direct.tiff")
-    found, metadata = _read_light_tiff(tmp_path / "out" / "phase.tiff")
+    direct, _ = read_light_tiff(tmp_path / "out" / "direct.tiff")
+    found, metadata = read_light_tiff(tmp_path / "out" / "phase.tiff")
     assert np.abs(direct - DIRECT[..., None] * tint).max() < 5 * STEP
     assert np.abs(np.angle(np.exp(1j * (found - phase)))).max() < 1e-3
     assert metadata["unit"] == "rad, wrapped"
@@ -168,11 +168,11 @@ def test_a_film_and_a_single_image(tmp_path: Path, capsys: pytest.CaptureFixture
     film = {f"f{k}.png": (abs(COLUMNS - 4 * k) > 3) * DIRECT + GLOBAL for k in range(14)}
     folder = write(tmp_path / "film", film)
     assert run(folder, "--method", "occluder", "--out", tmp_path / "line") == 0
-    assert np.abs(_read_light_tiff(tmp_path / "line" / "direct.tiff")[0] - DIRECT).max() < 3 * STEP
+    assert np.abs(read_light_tiff(tmp_path / "line" / "direct.tiff")[0] - DIRECT).max() < 3 * STEP
     one = write(tmp_path / "one", {"a.png": checkerboard_patterns(SIZE, 3, [(0, 0)])[0] * 0.3 + 0.2})
     assert run(one, "--method", "single", "--check-px", 3, "--block", 10, "--out", tmp_path / "small", "--json") == 0
     assert json.loads(capsys.readouterr().out.split("\n", 2)[2])["result_size"] == [4, 5]
-    assert np.abs(_read_light_tiff(tmp_path / "small" / "direct.tiff")[0] - 0.3).max() < 3 * STEP
+    assert np.abs(read_light_tiff(tmp_path / "small" / "direct.tiff")[0] - 0.3).max() < 3 * STEP
     message = refusal(capsys, tmp_path / "x", one, "--method", "single")
     assert "needs block" in message
 
@@ -237,7 +237,7 @@ def test_bad_documents(
 def test_light_tiff(tmp_path: Path) -> None:
     light = np.array([[0.5, np.nan], [-0.1, 2.0]], dtype=np.float32)
     write_light_tiff(tmp_path / "a.tiff", light, "lux", {"n": 3})
-    read, metadata = _read_light_tiff(tmp_path / "a.tiff")
+    read, metadata = read_light_tiff(tmp_path / "a.tiff")
     assert np.array_equal(read, light, equal_nan=True)
     assert metadata == {"n": 3, "unit": "lux"}
     for bad in (np.zeros((2, 2, 2)), np.zeros(3)):
@@ -246,4 +246,4 @@ def test_light_tiff(tmp_path: Path) -> None:
     write_image(tmp_path / "c.tiff", np.zeros((2, 2), dtype=np.uint8))
     for name in ("c.tiff", "d.tiff"):
         with pytest.raises(ValueError, match=name):
-            _read_light_tiff(tmp_path / name)
+            read_light_tiff(tmp_path / name)

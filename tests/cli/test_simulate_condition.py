@@ -21,14 +21,14 @@ def test_a_scarred_finger_is_written_with_its_truth(tmp_path: Path) -> None:
     truth = read_npz(out / "truth.npz")
     assert str(truth["condition_kind"]) == "scarred"
     assert float(truth["condition_severity"]) == 0.6
-    share = truth["condition_share"].astype(np.float32)
-    assert 0.001 < share[truth["mask"]].mean() < 0.3
+    fraction = truth["condition_share"].astype(np.float32)
+    assert 0.001 < fraction[truth["mask"]].mean() < 0.3
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--severity", "0.5"], "--severity says how bad a --condition is"),
+        (["--severity", "0.5"], "--severity sets how bad a --condition is"),
         (["--condition", "wet", "--severity", "1.5"], "condition.severity must be from 0 to 1"),
         (["--condition", "wet", "--bench"], "--bench and --condition do not go together"),
         (["--condition", "wet", "--motion", "0.3"], "lies still and without mirrors"),
@@ -57,5 +57,5 @@ def test_reconstruct_tells_of_dust_and_is_silent_about_clean_skin(tmp_path: Path
         assert main(["reconstruct", str(tmp_path / name), "--out", str(made), "--preset", "ea"]) == 0
         said = capsys.readouterr().out
         assert ("dark specks cover" in said) == (name == "dusty")
-        share = json.loads((made / "report.json").read_text())["quality"]["white"]["dark_specks"]
-        assert (share > 0.002) == (name == "dusty")
+        fraction = json.loads((made / "report.json").read_text())["quality"]["white"]["dark_specks"]
+        assert (fraction > 0.002) == (name == "dusty")

@@ -88,8 +88,8 @@ def test_interval_of_rank_one() -> None:
     found = cmc(matrix(values.tolist()))
     assert found is not None
     low, high = rank_one_interval(found, replicates=500)
-    share = found.rate[0]
-    assert low < share < high
-    assert high - low == pytest.approx(2 * 1.96 * np.sqrt(share * (1 - share) / 40), rel=0.2)
+    fraction = found.rate[0]
+    assert low < fraction < high
+    assert high - low == pytest.approx(2 * 1.96 * np.sqrt(fraction * (1 - fraction) / 40), rel=0.2)
     sure = cmc(matrix((9 * np.eye(30)).tolist()))
     assert sure is not None and rank_one_interval(sure) == (pytest.approx(0.9), 1.0)

@@ -122,9 +122,9 @@ def test_failures_are_rejections_or_left_out(sides: tuple[list[float], list[floa
     assert auc(genuine, impostor) == auc(*made)
     # ISO/IEC 19795-1: FAR = FMR (1 - FTA), FRR = FTA + FNMR (1 - FTA)
     every, some = roc(genuine, impostor), roc(genuine, impostor, counting="made")
-    shares = [1 - len(few) / len(all_) for few, all_ in zip(made, sides, strict=True)]
-    np.testing.assert_allclose(every.far, some.far * (1 - shares[1]))
-    np.testing.assert_allclose(every.frr, shares[0] + some.frr * (1 - shares[0]), atol=1e-12)
+    fractions = [1 - len(few) / len(all_) for few, all_ in zip(made, sides, strict=True)]
+    np.testing.assert_allclose(every.far, some.far * (1 - fractions[1]))
+    np.testing.assert_allclose(every.frr, fractions[0] + some.frr * (1 - fractions[0]), atol=1e-12)
 
 
 @given(either)

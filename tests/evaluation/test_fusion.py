@@ -135,8 +135,8 @@ def test_newton_finds_the_least_loss() -> None:
     known = ~np.isnan(table)
     normal = np.where(known, (table - np.nanmean(table, axis=0)) / np.nanstd(table, axis=0), 0)
     x, y = np.hstack([normal, ~known, np.ones((len(table), 1))]), np.where(genuine, 1, -1)
-    share = np.where(genuine, 0.5 / genuine.sum(), 0.5 / (~genuine).sum())
-    loss = lambda w: share @ np.logaddexp(0, -y * (x @ w)) + 0.005 * (w[:-1] ** 2).sum()  # noqa: E731
+    fraction = np.where(genuine, 0.5 / genuine.sum(), 0.5 / (~genuine).sum())
+    loss = lambda w: fraction @ np.logaddexp(0, -y * (x @ w)) + 0.005 * (w[:-1] ** 2).sum()  # noqa: E731
     best = minimize(loss, np.zeros(5), method="BFGS", tol=1e-12)
     mine = np.concatenate([model.weight, model.missing, [model.intercept]])
     assert loss(mine) <= best.fun + 1e-9

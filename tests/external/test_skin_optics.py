@@ -47,8 +47,8 @@ def test_band_averages_bracket_the_effective_wavelengths(data_dir):
     weight = sensor[:, 1:] * (np.interp(nm, led["nm"], led["LEDB3"]) * nm)[:, None]
     weight /= weight.sum(axis=0)
     mixed = sum(
-        share * np.interp(nm, blood[:, 0], blood[:, k]) * 2.303 * 150.0 / 645_000.0
-        for k, share in ((1, 0.75), (2, 0.25))
+        fraction * np.interp(nm, blood[:, 0], blood[:, k]) * 2.303 * 150.0 / 645_000.0
+        for k, fraction in ((1, 0.75), (2, 0.25))
     )
     average = weight.T @ mixed
     used = [0.75 * EFFECTIVE[c].oxygenated + 0.25 * EFFECTIVE[c].deoxygenated for c in ("red", "green", "blue")]

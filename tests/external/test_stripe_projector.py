@@ -52,7 +52,7 @@ def test_the_files_are_linear(data_dir):
 def test_tape_glows_and_black_ink_does_not(data_dir):
     """Translucent adhesive tape sends back light that went through it: more of it is global than on bare paper."""
     parts = checkerboard([light(data_dir, name + inverse) for name in PAIRS for inverse in ("", "_inverse")])
-    share = parts.global_ / np.maximum(parts.white, 0.02)
-    share = cv2.blur(share, (9, 9))
-    tape, paper = share[240, 80], share[240, 530]
+    fraction = parts.global_ / np.maximum(parts.white, 0.02)
+    fraction = cv2.blur(fraction, (9, 9))
+    tape, paper = fraction[240, 80], fraction[240, 530]
     assert tape > paper + 0.15

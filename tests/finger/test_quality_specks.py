@@ -13,7 +13,7 @@ from splitknit.finger.quality import (
     QualitySettings,
     SpeckSettings,
     _short_marks_filled,
-    _speck_shares,
+    _speck_fractions,
     capture_quality,
     quality_warnings,
 )
@@ -56,30 +56,30 @@ def marked(px_per_mm: float, number: int, diameter_mm: float, factor: float) -> 
     return skin(px_per_mm) * at_scale(cover, px_per_mm).astype(np.float32)
 
 
-def shares(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
-    dark, bright = _speck_shares(stack, np.ones(stack.shape[1:], bool), px_per_mm)
+def fractions(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
+    dark, bright = _speck_fractions(stack, np.ones(stack.shape[1:], bool), px_per_mm)
     assert dark is not None and bright is not None
     return dark, bright
 
 
 @pytest.mark.parametrize("px_per_mm", [12.0, 17.0, 26.0, 44.0])
 def test_dark_specks_at_every_scale(px_per_mm):
-    clean = shares(skin(px_per_mm), px_per_mm)
+    clean = fractions(skin(px_per_mm), px_per_mm)
     assert max(clean) < 0.0005
-    little = shares(marked(px_per_mm, 300, 0.1, 0.3), px_per_mm)
-    more = shares(marked(px_per_mm, 900, 0.1, 0.3), px_per_mm)
+    little = fractions(marked(px_per_mm, 300, 0.1, 0.3), px_per_mm)
+    more = fractions(marked(px_per_mm, 900, 0.1, 0.3), px_per_mm)
     assert little[0] > 0.01
     assert 1.7 * little[0] < more[0] < 0.1
     assert little[1] < 0.0005
 
 
 def test_scales_agree():
-    found = [shares(marked(px, 600, 0.12, 0.3), px)[0] for px in (12.0, 18.0, 26.0, 44.0)]
+    found = [fractions(marked(px, 600, 0.12, 0.3), px)[0] for px in (12.0, 18.0, 26.0, 44.0)]
     assert max(found) < 1.35 * min(found)
 
 
 def test_bright_specks():
-    dark, bright = shares(marked(24.0, 120, 0.25, 1.5), 24.0)
+    dark, bright = fractions(marked(24.0, 120, 0.25, 1.5), 24.0)
     assert bright > 0.01
     assert dark < 0.001
 
@@ -90,26 +90,26 @@ def test_long_marks_are_no_specks():
     for slope, offset, width, depth in ((0.3, 2.0, 0.05, 0.8), (-1.2, 9.0, 0.06, 0.8), (0.02, 7.0, 0.3, 0.5)):
         away = np.abs(y[:, None] - offset - slope * x[None, :]) / np.hypot(1.0, slope)
         stack = stack * (1 - depth * np.clip(1.5 - away / width, 0, 1)).astype(np.float32)
-    assert shares(stack, 24.0)[0] < 0.002
+    assert fractions(stack, 24.0)[0] < 0.002
 
 
 def test_glare_that_turns_with_the_light_is_no_speck():
     glints = np.random.default_rng(1).random(skin(24.0).shape) < 0.003  # other places in every image
     glary = skin(24.0) + 3.0 * gaussian_filter(glints.astype(np.float32), (0, 1, 1))
-    assert shares(glary, 24.0)[1] < 0.001
+    assert fractions(glary, 24.0)[1] < 0.001
     same = skin(24.0) + 3.0 * gaussian_filter(glints[:1].astype(np.float32), (0, 1, 1))
-    assert shares(same, 24.0)[1] > 0.01
+    assert fractions(same, 24.0)[1] > 0.01
 
 
 def test_finer_images_are_seen_at_one_scale():
     fine = marked(24.0, 300, 0.1, 0.3)
     rows, columns = fine.shape[1] // 2, fine.shape[2] // 2
     binned = fine.reshape(4, rows, 2, columns, 2).mean(axis=(2, 4), dtype=np.float32)
-    assert shares(fine, 24.0) == pytest.approx(shares(binned, 12.0), abs=1e-4)
+    assert fractions(fine, 24.0) == pytest.approx(fractions(binned, 12.0), abs=1e-4)
 
 
 def test_coarse_images_are_not_measured():
-    assert _speck_shares(skin(11.0), np.ones((154, 132), bool), 11.0) == (None, None)
+    assert _speck_fractions(skin(11.0), np.ones((154, 132), bool), 11.0) == (None, None)
     quality = capture_quality(skin(11.0), np.ones((154, 132), bool), 11.0)
     assert quality["dark_specks"] is None
     assert not any("specks" in text for text in quality_warnings(quality))
@@ -118,7 +118,7 @@ def test_coarse_images_are_not_measured():
 def test_brightness_does_not_matter():
     stack = marked(24.0, 300, 0.1, 0.3)
     uneven = stack * np.array([0.2, 1.0, 0.5, 0.8], np.float32)[:, None, None]
-    assert shares(uneven, 24.0) == pytest.approx(shares(stack, 24.0), abs=1e-5)
+    assert fractions(uneven, 24.0) == pytest.approx(fractions(stack, 24.0), abs=1e-5)
 
 
 def test_one_sentence_says_what_to_do():

@@ -47,7 +47,7 @@ from tqdm import tqdm
 import splitknit
 from splitknit.errors import BadInput
 
-MOST_S, MOST_MB = 3.0, 1024
+MAX_S, MAX_MB = 3.0, 1024
 IDLE_S = 10.0
 """A process that has used no processor time for so long waits for something that never comes."""
 BLOCK = 200
@@ -179,9 +179,9 @@ def _work(block: Block, samples: list[Files], scratch: Path) -> None:
         taken = _memory_mb(b"VmHWM:") - held
         slowest, peak = max(slowest, (used, number)), max(peak, (taken, number))
         if kind in ("accepted", "refused"):
-            if used > MOST_S:
+            if used > MAX_S:
                 kind, words = "slow", f"{used:.1f} s of processor time"
-            elif taken > MOST_MB:
+            elif taken > MAX_MB:
                 kind, words = "memory", f"{taken:.0f} MB"
         accepted += kind == "accepted"
         refused += kind == "refused"
@@ -339,7 +339,7 @@ class Runner:
             block.number, block.started_cpu_s, block.moved_at = number, used, now
         if used > block.cpu_s + 0.01:
             block.cpu_s, block.moved_at = used, now
-        if used - block.started_cpu_s > 3 * MOST_S:
+        if used - block.started_cpu_s > 3 * MAX_S:
             return "hang: at work without end"
         return "hang: waits without end" if now - block.moved_at > IDLE_S else None
 

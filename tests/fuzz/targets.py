@@ -56,29 +56,29 @@ from splitknit.gallery.identify import IdentifySettings, Question, identify_file
 from splitknit.gallery.key import Key, ScryptSettings, key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
 from splitknit.io.capture import read_capture, write_capture
-from splitknit.io.float_tiff import _read_height_tiff, _read_light_tiff, write_height_tiff, write_light_tiff
+from splitknit.io.float_tiff import read_height_tiff, read_light_tiff, write_height_tiff, write_light_tiff
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
-from splitknit.io.iso19794 import _decode_card, _encode_card, _read_iso19794, decode_iso19794
-from splitknit.io.itl_reading import _read_transaction, _TransactionFacts, _TransactionPrint, encode_transaction
-from splitknit.io.mesh import _read_glb, _write_glb, surface_mesh
-from splitknit.io.minutiae3d import Minutiae3D, _read_minutiae3d, write_minutiae3d
+from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
+from splitknit.io.itl_reading import _TransactionFacts, _TransactionPrint, encode_transaction, read_transaction
+from splitknit.io.mesh import _write_glb, read_glb, surface_mesh
+from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     _decode_ansi378,
     _decode_ansi378_2009,
-    _read_ansi378,
     decode_minutiae_record,
+    read_ansi378,
     read_minutiae_record,
 )
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.plain import capture_from_plain_images, read_lights_txt
-from splitknit.io.ply import _read_ply, write_ply
-from splitknit.io.prints import _read_print_tiff, _write_print_tiff, read_print_png, write_print_png
+from splitknit.io.ply import read_ply, write_ply
+from splitknit.io.prints import read_print_png, read_print_tiff, write_print_png, write_print_tiff
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
-from splitknit.io.wsq_image import _read_print_wsq, encode_wsq
+from splitknit.io.wsq_image import encode_wsq, read_print_wsq
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.inputs import read_print, read_side
 from splitknit.matching.inputs import read_surface as read_matched
@@ -398,7 +398,7 @@ def _record(folder: Path, files: Files) -> object:
     data = files.get("x.fmr")
     path = folder / "x.fmr"
     if not isinstance(data, bytes):
-        return _any(lambda: read_minutiae_record(path), lambda: _read_iso19794(path), lambda: _read_ansi378(path))
+        return _any(lambda: read_minutiae_record(path), lambda: read_iso19794(path), lambda: read_ansi378(path))
 
     def same(record: Any) -> None:
         assert encode(record) == data
@@ -409,20 +409,20 @@ def _record(folder: Path, files: Files) -> object:
         lambda: same(_decode_ansi378_2009(data)),
         lambda: same(decode_minutiae_record(data)),
         lambda: same(read_minutiae_record(path)),
-        lambda: same(_read_iso19794(path)),
-        lambda: same(_read_ansi378(path)),
+        lambda: same(read_iso19794(path)),
+        lambda: same(read_ansi378(path)),
     )
 
 
 def _cards() -> list[Files]:
-    return _each("bytes", _encode_card(three_minutiae(), True), _encode_card(three_minutiae(), False))
+    return _each("bytes", encode_card(three_minutiae(), True), encode_card(three_minutiae(), False))
 
 
 def _card(data: bytes) -> object:
     def compact() -> None:  # 0.1 mm is wider than a pixel, so that no two places fall together
-        assert _encode_card(_decode_card(data, (500, 350), (197, 197), True), True) == data
+        assert encode_card(decode_card(data, (500, 350), (197, 197), True), True) == data
 
-    return _any(compact, lambda: _decode_card(data, (500, 350), (197, 197), False))
+    return _any(compact, lambda: decode_card(data, (500, 350), (197, 197), False))
 
 
 def _transactions() -> list[Files]:
@@ -829,7 +829,7 @@ def put(folder: Path, files: Files) -> None:
 
 
 def _tiffs(path: Path) -> object:
-    return _any(lambda: _read_height_tiff(path), lambda: _read_light_tiff(path))
+    return _any(lambda: read_height_tiff(path), lambda: read_light_tiff(path))
 
 
 def _tiff_samples() -> list[Files]:
@@ -874,21 +874,21 @@ TARGETS = (
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
     Target("float_tiff", _tiff_samples, _of_files("x.tiff", _tiffs)),
-    Target("ply", _plys, _of_files("x.ply", _read_ply)),
-    Target("glb", _glbs, _of_files("x.glb", _read_glb)),
+    Target("ply", _plys, _of_files("x.ply", read_ply)),
+    Target("glb", _glbs, _of_files("x.glb", read_glb)),
     Target("stl", _stls, _of_files("x.stl", read_stl)),
     Target("print_png", _prints, _of_files("print.png", read_print_png, read_print)),
-    Target("print_tiff", lambda: _written("print.tiff", lambda path: _write_print_tiff(path, _print(), 500.0)),
-           _of_files("print.tiff", _read_print_tiff, read_print)),
+    Target("print_tiff", lambda: _written("print.tiff", lambda path: write_print_tiff(path, _print(), 500.0)),
+           _of_files("print.tiff", read_print_tiff, read_print)),
     Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
            _skt_repaired),
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
     Target("packed", _packed, _of_bytes(unpack_minutiae, unpack_space_minutiae, unpack_surface_code), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
     Target("minutiae_card", _cards, _of_bytes(_card)),
-    Target("minutiae3d", _spaces, _of_files("x.json", _read_minutiae3d)),
-    Target("transaction", _transactions, _of_files("x.eft", _read_transaction)),
-    Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", _read_print_wsq)),
+    Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
+    Target("transaction", _transactions, _of_files("x.eft", read_transaction)),
+    Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_print_wsq)),
     Target("scores", lambda: [{"scores.csv": SCORES, "excluded.csv": EXCLUDED}], _scores),
     Target("settings", _setting_files, _settings),
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),

@@ -15,10 +15,10 @@ from splitknit.io.minutiae_files import (
     _decode_ansi378,
     _decode_ansi378_2009,
     _encode_ansi378,
-    _encode_ansi378_2009,
-    _read_ansi378,
-    _write_ansi378,
+    encode_ansi378_2009,
+    read_ansi378,
     read_minutiae_record,
+    write_ansi378,
 )
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 
@@ -50,8 +50,8 @@ def test_fields_are_where_the_standard_has_them() -> None:
 
 
 def test_a_file_is_written_and_read(tmp_path: Path) -> None:
-    _write_ansi378(tmp_path / "a.fmr", contactless_thumb())
-    assert _encode_ansi378(_read_ansi378(tmp_path / "a.fmr")) == ANSI_BYTES
+    write_ansi378(tmp_path / "a.fmr", contactless_thumb())
+    assert _encode_ansi378(read_ansi378(tmp_path / "a.fmr")) == ANSI_BYTES
 
 
 def test_directions_are_rounded_to_two_degrees() -> None:
@@ -119,18 +119,18 @@ def little_finger() -> MinutiaeRecord:
 
 
 def test_2009_bytes_are_those_of_the_standard() -> None:
-    assert _encode_ansi378_2009(little_finger()).hex(" ") == ANSI_2009_BYTES.hex(" ")
+    assert encode_ansi378_2009(little_finger()).hex(" ") == ANSI_2009_BYTES.hex(" ")
     record = _decode_ansi378_2009(ANSI_2009_BYTES)
     (view,) = record.views
     assert (record.device, record.certification, record.product) == (0xABCD, 0x80, (0x1B, 0))
     assert (view.finger, view.impression, view.finger_quality) == ("left_little", "contactless", 254)
     assert (view.size, view.resolution_ppcm, view.quality_algorithm) == ((80, 64), (394, 394), (0x0103, 1))
     np.testing.assert_array_equal(view.quality, [254, 255])
-    assert _encode_ansi378_2009(record) == ANSI_2009_BYTES
+    assert encode_ansi378_2009(record) == ANSI_2009_BYTES
 
 
 def test_the_amendment_differs_in_its_version() -> None:
-    data = _encode_ansi378_2009(little_finger(), amendment=True)
+    data = encode_ansi378_2009(little_finger(), amendment=True)
     assert data == ANSI_2009_BYTES[:6] + b"5" + ANSI_2009_BYTES[7:]
     assert _decode_ansi378_2009(data).standard == ANSI_2009_AM1
     assert _decode_ansi378_2009(ANSI_2009_BYTES).standard == ANSI_2009
@@ -139,7 +139,7 @@ def test_the_amendment_differs_in_its_version() -> None:
 def test_views_of_2009_may_differ_in_size() -> None:
     first = little_finger().views[0]
     second = dataclasses.replace(first, size=(90, 70), resolution_ppcm=(197, 197), finger="left_ring")
-    read = _decode_ansi378_2009(_encode_ansi378_2009(MinutiaeRecord((first, second))))
+    read = _decode_ansi378_2009(encode_ansi378_2009(MinutiaeRecord((first, second))))
     assert [view.size for view in read.views] == [(80, 64), (90, 70)]
 
 
@@ -175,7 +175,7 @@ def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
         read_minutiae_record(tmp_path / "minutiae.any")
 
 
-@pytest.mark.parametrize("encode", [_encode_ansi378, _encode_ansi378_2009])
+@pytest.mark.parametrize("encode", [_encode_ansi378, encode_ansi378_2009])
 def test_products_need_an_owner(encode) -> None:
     with pytest.raises(BadInput, match="owner must lie between 1 and 65535"):
         encode(dataclasses.replace(contactless_thumb(), product=(0, 0)))

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import _read_float_tiff, _read_height_tiff, _read_light_tiff, _write_float_tiff
+from splitknit.io.float_tiff import _read_float_tiff, _write_float_tiff, read_height_tiff, read_light_tiff
 
 FIELD = np.linspace(-1, 1, 24, dtype=np.float32).reshape(4, 6)
 
@@ -50,9 +50,9 @@ def test_light_is_no_height(tmp_path: Path) -> None:
         {"unit": "mm", "pitch_mm": 0},
     ):
         _write_float_tiff(path, FIELD, description)
-        assert _read_light_tiff(path)[1] == description
+        assert read_light_tiff(path)[1] == description
         with pytest.raises(BadInput, match="is not a height map"):
-            _read_height_tiff(path)
+            read_height_tiff(path)
 
 
 def test_a_small_file_cannot_claim_a_large_field(tmp_path: Path) -> None:

@@ -19,10 +19,10 @@ import tifffile
 
 import splitknit
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import _read_height_tiff, write_height_tiff
+from splitknit.io.float_tiff import read_height_tiff, write_height_tiff
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.ply import _read_ply, write_ply
+from splitknit.io.ply import read_ply, write_ply
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
 
@@ -73,7 +73,7 @@ def test_ply_round_trip(tmp_path: Path, size: tuple[int, int]) -> None:
     normals = rng.normal(size=vertices.shape).astype(np.float32)
     shade = rng.integers(0, 256, len(vertices)).astype(np.uint8)
     write_ply(tmp_path / "m.ply", vertices, normals, shade, faces, ["units mm", "splitknit"])
-    mesh = _read_ply(tmp_path / "m.ply")
+    mesh = read_ply(tmp_path / "m.ply")
     np.testing.assert_array_equal(mesh.vertices_mm, vertices)
     np.testing.assert_array_equal(mesh.normals, normals)
     np.testing.assert_allclose(mesh.quality, shade / 255, atol=1e-7)
@@ -88,17 +88,17 @@ def test_ply_round_trip(tmp_path: Path, size: tuple[int, int]) -> None:
     )
     assert struct.unpack("<B3i", data[start + 28 * len(vertices) :][:13]) == (3, *map(int, faces[0]))
     write_ply(tmp_path / "cloud.ply", vertices, normals, mesh.quality)
-    assert _read_ply(tmp_path / "cloud.ply").faces.shape == (0, 3)
-    np.testing.assert_array_equal(_read_ply(tmp_path / "cloud.ply").quality, mesh.quality)
+    assert read_ply(tmp_path / "cloud.ply").faces.shape == (0, 3)
+    np.testing.assert_array_equal(read_ply(tmp_path / "cloud.ply").quality, mesh.quality)
     (tmp_path / "m.ply").write_bytes(data[:-1])
     with pytest.raises(BadInput, match="truncated"):
-        _read_ply(tmp_path / "m.ply")
+        read_ply(tmp_path / "m.ply")
     (tmp_path / "m.ply").write_bytes(data.replace(b"property float quality", b"property float qualitx"))
     with pytest.raises(BadInput, match="another layout"):
-        _read_ply(tmp_path / "m.ply")
+        read_ply(tmp_path / "m.ply")
     (tmp_path / "m.ply").write_bytes(b"solid")
     with pytest.raises(BadInput, match="not a PLY"):
-        _read_ply(tmp_path / "m.ply")
+        read_ply(tmp_path / "m.ply")
 
 
 def test_ply_refuses_what_does_not_fit(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_height_tiff(tmp_path: Path) -> None:
     height[:3] = np.nan
     path = tmp_path / "h.tiff"
     write_height_tiff(path, height, 1 / 75.7, provenance({"sigma": 1.5}, {"white_0.png": "ab"}))
-    found, pitch_mm, metadata = _read_height_tiff(path)
+    found, pitch_mm, metadata = read_height_tiff(path)
     np.testing.assert_array_equal(found, height)
     assert pitch_mm == 1 / 75.7
     assert (metadata["unit"], metadata["version"], metadata["inputs"]) == (
@@ -143,10 +143,10 @@ def test_height_tiff(tmp_path: Path) -> None:
     assert path.read_bytes() == first
     path.write_bytes(first[: len(first) // 2])
     with pytest.raises(BadInput, match="truncated"):
-        _read_height_tiff(path)
+        read_height_tiff(path)
     tifffile.imwrite(path, height)
     with pytest.raises(BadInput, match="not a height map"):
-        _read_height_tiff(path)
+        read_height_tiff(path)
     with pytest.raises(BadInput, match="pitch_mm"):
         write_height_tiff(path, height, 0.0)
     with pytest.raises(BadInput, match="shape"):
@@ -276,11 +276,11 @@ def test_ply_with_faces_that_lead_nowhere_is_refused(tmp_path: Path) -> None:
     points = np.zeros((3, 3), dtype=np.float32)
     write_ply(tmp_path / "m.ply", points, points, np.zeros(3, np.uint8), np.array([[0, 1, 2]], dtype=np.int32))
     whole = (tmp_path / "m.ply").read_bytes()
-    assert _read_ply(tmp_path / "m.ply").faces.tolist() == [[0, 1, 2]]
+    assert read_ply(tmp_path / "m.ply").faces.tolist() == [[0, 1, 2]]
     for end in (b"\3\0\0\0", b"\xff\xff\xff\xff"):
         (tmp_path / "m.ply").write_bytes(whole[:-4] + end)
         with pytest.raises(BadInput, match="vertices that are not there"):
-            _read_ply(tmp_path / "m.ply")
+            read_ply(tmp_path / "m.ply")
     (tmp_path / "m.ply").write_bytes(whole[:-13] + b"\4" + whole[-12:])
     with pytest.raises(BadInput, match="vertices that are not there"):
-        _read_ply(tmp_path / "m.ply")
+        read_ply(tmp_path / "m.ply")

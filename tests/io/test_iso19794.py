@@ -13,7 +13,7 @@ import fmr_samples
 from fmr_samples import ANSI_BYTES, ISO_BYTES, three_minutiae
 from splitknit.errors import BadInput
 from splitknit.io.fmr_bytes import ISO_2005
-from splitknit.io.iso19794 import _read_iso19794, decode_iso19794, encode_iso19794, write_iso19794
+from splitknit.io.iso19794 import decode_iso19794, encode_iso19794, read_iso19794, write_iso19794
 from splitknit.io.minutiae_record import MinutiaeRecord, pixels_per_cm
 
 
@@ -57,9 +57,9 @@ def test_a_file_is_written_and_read(tmp_path: Path) -> None:
     file = tmp_path / "new" / "minutiae.iso"
     write_iso19794(file, sample_record())
     assert file.read_bytes() == ISO_BYTES
-    assert encode_iso19794(_read_iso19794(file)) == ISO_BYTES
+    assert encode_iso19794(read_iso19794(file)) == ISO_BYTES
     with pytest.raises(BadInput, match="does not exist"):
-        _read_iso19794(tmp_path / "none.iso")
+        read_iso19794(tmp_path / "none.iso")
 
 
 def test_directions_are_rounded_to_the_nearest_step() -> None:

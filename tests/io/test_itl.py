@@ -16,11 +16,11 @@ from splitknit.errors import BadInput
 from splitknit.io import itl_reading
 from splitknit.io.itl_reading import (
     Transaction,
-    _read_transaction,
     _TransactionFacts,
     _TransactionPrint,
     decode_transaction,
     encode_transaction,
+    read_transaction,
     write_transaction,
 )
 from splitknit.io.minutiae_record import FINGER_CODES
@@ -62,7 +62,7 @@ def test_prints_come_back_as_they_were(tmp_path: Path) -> None:
         ]
     ]
     write_transaction(tmp_path / "t.an2", prints, FACTS)
-    read = _read_transaction(tmp_path / "t.an2")
+    read = read_transaction(tmp_path / "t.an2")
     assert read.facts == FACTS
     assert_same(read, prints)
 

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from io_shared import edit
 
 from splitknit.errors import BadInput
-from splitknit.io.minutiae3d import Minutiae3D, _read_minutiae3d, angles_of, write_minutiae3d
+from splitknit.io.minutiae3d import Minutiae3D, angles_of, read_minutiae3d, write_minutiae3d
 
 
 def some(count: int = 5, **changes) -> Minutiae3D:
@@ -37,7 +37,7 @@ def some(count: int = 5, **changes) -> Minutiae3D:
 def test_what_is_written_is_read_exactly(tmp_path: Path, count: int) -> None:
     minutiae = some(count, provenance={"software": "splitknit"})
     write_minutiae3d(tmp_path / "a.json", minutiae)
-    read = _read_minutiae3d(tmp_path / "a.json")
+    read = read_minutiae3d(tmp_path / "a.json")
     for name in ("x_mm", "y_mm", "z_mm", "theta_rad", "phi_rad", "type", "quality"):
         np.testing.assert_array_equal(getattr(read, name), getattr(minutiae, name))
     assert (read.finger, read.count, dict(read.provenance)) == ("left_ring", count, {"software": "splitknit"})
@@ -111,7 +111,7 @@ def test_other_files_are_refused(tmp_path: Path, change, words: str) -> None:
     write_minutiae3d(tmp_path / "a.json", some())
     edit(tmp_path / "a.json", change)
     with pytest.raises(BadInput, match=words) as refused:
-        _read_minutiae3d(tmp_path / "a.json")
+        read_minutiae3d(tmp_path / "a.json")
     assert "a.json" in str(refused.value)
 
 
@@ -119,4 +119,4 @@ def test_what_is_no_json_is_refused(tmp_path: Path) -> None:
     for data in (b"", b"[1]", b"{", b"\xff\xfe", b'{"format": NaN}'):
         (tmp_path / "a.json").write_bytes(data)
         with pytest.raises(BadInput, match=r"a\.json"):
-            _read_minutiae3d(tmp_path / "a.json")
+            read_minutiae3d(tmp_path / "a.json")

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from splitknit.errors import BadInput
-from splitknit.io.prints import _read_print_tiff, _write_print_tiff, read_print_png, write_print_png
+from splitknit.io.prints import read_print_png, read_print_tiff, write_print_png, write_print_tiff
 
 IMAGE = np.random.default_rng(3).integers(0, 256, (31, 23)).astype(np.uint8)
 
@@ -25,18 +25,18 @@ def test_png_states_its_resolution(tmp_path: Path, ppi: int) -> None:
 
 @pytest.mark.parametrize("ppi", [500, 1000, 787.4])
 def test_tiff_states_its_resolution(tmp_path: Path, ppi: float) -> None:
-    _write_print_tiff(tmp_path / "a.tiff", IMAGE, ppi, {"software": "splitknit", "note": "Größe"})
-    read = _read_print_tiff(tmp_path / "a.tiff")
+    write_print_tiff(tmp_path / "a.tiff", IMAGE, ppi, {"software": "splitknit", "note": "Größe"})
+    read = read_print_tiff(tmp_path / "a.tiff")
     np.testing.assert_array_equal(read.image, IMAGE)
     assert read.resolution_ppi == pytest.approx(ppi, rel=1e-6)
     assert read.text == {"software": "splitknit", "note": "Größe"}
-    _write_print_tiff(tmp_path / "b.tiff", IMAGE, ppi, {"note": "Größe", "software": "splitknit"})
+    write_print_tiff(tmp_path / "b.tiff", IMAGE, ppi, {"note": "Größe", "software": "splitknit"})
     assert (tmp_path / "b.tiff").read_bytes() == (tmp_path / "a.tiff").read_bytes()
 
 
 def test_other_programs_see_it(tmp_path: Path) -> None:
     pillow = pytest.importorskip("PIL.Image")
-    _write_print_tiff(tmp_path / "a.tiff", IMAGE, 1000)
+    write_print_tiff(tmp_path / "a.tiff", IMAGE, 1000)
     write_print_png(tmp_path / "a.png", IMAGE, 1000)
     for name in ("a.tiff", "a.png"):
         with pillow.open(tmp_path / name) as image:
@@ -48,26 +48,26 @@ def test_other_programs_see_it(tmp_path: Path) -> None:
 def test_tiffs_of_others_are_read(tmp_path: Path) -> None:
     file = tmp_path / "a.tiff"
     tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, resolution=(200, 200), resolutionunit=3)
-    assert _read_print_tiff(file).resolution_ppi == pytest.approx(508)
+    assert read_print_tiff(file).resolution_ppi == pytest.approx(508)
     tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, description="a print")
-    assert (_read_print_tiff(file).resolution_ppi, _read_print_tiff(file).text) == (None, {})
+    assert (read_print_tiff(file).resolution_ppi, read_print_tiff(file).text) == (None, {})
     tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, resolution=(500, 400), resolutionunit=2)
     with pytest.raises(BadInput, match="square pixels"):
-        _read_print_tiff(file)
+        read_print_tiff(file)
     tifffile.imwrite(file, np.stack([IMAGE] * 3, axis=-1), photometric="rgb", metadata=None)
     with pytest.raises(BadInput, match="not an 8-bit grey image"):
-        _read_print_tiff(file)
+        read_print_tiff(file)
 
 
 @pytest.mark.parametrize(("image", "ppi", "words"), [(IMAGE / 2, 500, "uint8"), (IMAGE, 5, "between 10 and 100000")])
 def test_other_images_are_refused(tmp_path: Path, image, ppi: float, words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        _write_print_tiff(tmp_path / "a.tiff", image, ppi)
+        write_print_tiff(tmp_path / "a.tiff", image, ppi)
     assert not (tmp_path / "a.tiff").exists()
 
 
 def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
-    _write_print_tiff(tmp_path / "a.tiff", IMAGE)
+    write_print_tiff(tmp_path / "a.tiff", IMAGE)
     sound = (tmp_path / "a.tiff").read_bytes()
     random = np.random.default_rng(5)
     for trial in range(120):
@@ -79,7 +79,7 @@ def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
                 data[random.integers(0, 300)] ^= random.integers(1, 256)
         (tmp_path / "b.tiff").write_bytes(bytes(data))
         try:
-            read = _read_print_tiff(tmp_path / "b.tiff")
+            read = read_print_tiff(tmp_path / "b.tiff")
         except BadInput as error:
             assert "\n" not in str(error)
         else:
@@ -99,15 +99,15 @@ def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
 def test_odd_tags_of_a_print_are_no_crash(tmp_path: Path, tag: int, entry: bytes, resolution: int | None) -> None:
     """`resolution` is 0 where none is known, None where the file is refused."""
     path = tmp_path / "a.tiff"
-    _write_print_tiff(path, IMAGE, 500, {"note": "x"})
+    write_print_tiff(path, IMAGE, 500, {"note": "x"})
     with tifffile.TiffFile(path) as file:
         place = file.pages[0].tags[tag].offset
     data = path.read_bytes()
     path.write_bytes(data[: place + 2] + entry + data[place + 12 :])
     if resolution is None:
         with pytest.raises(BadInput, match="tags are damaged"):
-            _read_print_tiff(path)
+            read_print_tiff(path)
     else:
-        found = _read_print_tiff(path)
+        found = read_print_tiff(path)
         assert (found.resolution_ppi or 0) == pytest.approx(resolution)
         np.testing.assert_array_equal(found.image, IMAGE)

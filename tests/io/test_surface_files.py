@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.mesh import _read_glb, _write_glb, _write_mesh_stl, glb_chunks, stl_chunks, stl_size, surface_mesh
+from splitknit.io.mesh import _write_glb, glb_chunks, read_glb, stl_chunks, stl_size, surface_mesh, write_mesh_stl
 from splitknit.rig.assembly import read_stl, unit_normals
 
 
@@ -27,7 +27,7 @@ def mesh() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def test_stl_is_read_back(mesh, tmp_path: Path) -> None:
     vertices, _, _, faces = mesh
-    _write_mesh_stl(tmp_path / "a.stl", vertices, faces, "metric")
+    write_mesh_stl(tmp_path / "a.stl", vertices, faces, "metric")
     data = (tmp_path / "a.stl").read_bytes()
     assert data.startswith(b"splitknit, unit mm metric")
     assert len(data) == stl_size(len(faces))
@@ -48,7 +48,7 @@ def test_stl_comes_in_pieces(mesh, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_glb_is_read_back(mesh, tmp_path: Path) -> None:
     vertices, normals, intensity, faces = mesh
     _write_glb(tmp_path / "a.glb", vertices, normals, intensity, faces, {"preset": "metric"})
-    back = _read_glb(tmp_path / "a.glb")
+    back = read_glb(tmp_path / "a.glb")
     np.testing.assert_array_equal(back.vertices_mm, vertices)
     np.testing.assert_array_equal(back.normals, normals)
     np.testing.assert_array_equal(back.intensity, intensity)
@@ -80,7 +80,7 @@ def test_a_truncated_glb_is_refused(mesh, tmp_path: Path, cut: int) -> None:
     _write_glb(tmp_path / "a.glb", *mesh)
     (tmp_path / "b.glb").write_bytes((tmp_path / "a.glb").read_bytes()[:cut])
     with pytest.raises(BadInput):
-        _read_glb(tmp_path / "b.glb")
+        read_glb(tmp_path / "b.glb")
 
 
 def test_faces_that_lead_nowhere_are_refused(mesh, tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_faces_that_lead_nowhere_are_refused(mesh, tmp_path: Path) -> None:
     wrong = faces.copy()
     wrong[0, 0] = len(vertices)
     for write in (
-        lambda: _write_mesh_stl(tmp_path / "a.stl", vertices, wrong),
+        lambda: write_mesh_stl(tmp_path / "a.stl", vertices, wrong),
         lambda: _write_glb(tmp_path / "a.glb", vertices, normals, intensity, wrong),
         lambda: _write_glb(tmp_path / "a.glb", vertices, normals, intensity, faces[:0]),
     ):
@@ -125,7 +125,7 @@ def glb_with(mesh, tmp_path: Path, change) -> Path:
 )
 def test_a_glb_whose_document_does_not_fit_is_refused(mesh, tmp_path: Path, change, words: str) -> None:
     with pytest.raises(BadInput, match=words) as caught:
-        _read_glb(glb_with(mesh, tmp_path, change))
+        read_glb(glb_with(mesh, tmp_path, change))
     assert "\n" not in str(caught.value)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
 from splitknit.io import wsq_image
-from splitknit.io.wsq_image import _read_print_wsq, _write_print_wsq, _wsq_header, decode_wsq, encode_wsq
+from splitknit.io.wsq_image import _wsq_header, decode_wsq, encode_wsq, read_print_wsq, write_print_wsq
 
 pytest.importorskip("_wsq")
 
@@ -38,8 +38,8 @@ def psnr_db(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
 
 def test_prints_come_back_nearly_as_they_were(tmp_path: Path) -> None:
     image = ridges()
-    _write_print_wsq(tmp_path / "print.wsq", image)
-    read = _read_print_wsq(tmp_path / "print.wsq")
+    write_print_wsq(tmp_path / "print.wsq", image)
+    read = read_print_wsq(tmp_path / "print.wsq")
     assert read.image.shape == image.shape
     assert psnr_db(read.image, image) > 30
     assert np.corrcoef(read.image.ravel(), image.ravel())[0, 1] > 0.99

@@ -73,9 +73,9 @@ def test_histograms_count() -> None:
         for column in range(2):
             part = codes[20 * row : 20 * row + 20, 20 * column : 20 * column + 20]
             assert counts[row, column].tolist() == [int((part == code).sum()) for code in range(256)]
-    shares = _cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
-    assert shares.shape == (3, 2, 59)
-    np.testing.assert_allclose(shares.sum(axis=2), 1.0, rtol=1e-6)
+    fractions = _cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
+    assert fractions.shape == (3, 2, 59)
+    np.testing.assert_allclose(fractions.sum(axis=2), 1.0, rtol=1e-6)
     lengths = np.linalg.norm(_cell_histograms(codes, 20, LbpSettings()), axis=2)
     np.testing.assert_allclose(lengths, 1.0, rtol=1e-6)
 

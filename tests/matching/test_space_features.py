@@ -17,8 +17,8 @@ from splitknit.matching.minutiae3d import (
     PreparedMinutiae3D,
     PreparedTetrahedra,
     TetrahedraSettings,
-    _alike_pairs,
-    _alike_tetrahedra,
+    _similar_pairs,
+    _similar_tetrahedra,
     minutiae3d_match,
     tetrahedra_match,
 )
@@ -37,7 +37,7 @@ from splitknit.matching.space_alignment import (
     _agreeing,
     _one_to_one,
     _rigid_motion,
-    share_of_both,
+    fraction_of_both,
 )
 
 MATCHERS = [minutiae3d_match, tetrahedra_match]
@@ -119,7 +119,7 @@ def test_sides_must_be_prepared_alike() -> None:
 
 def test_pairs_as_slow_loops_find_them() -> None:
     a, b = PreparedMinutiae3D(finger(6, 14)), PreparedMinutiae3D(again(finger(6, 14), 1))
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _alike_pairs(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _similar_pairs(a, b)), strict=True)}
     settings, slow = Minutiae3DSettings(), set()
     for pair in _near(a, settings.neighbours):
         for other in _near(b, settings.neighbours):
@@ -152,7 +152,7 @@ def test_tetrahedra_as_slow_loops_find_them() -> None:
     settings = TetrahedraSettings(neighbours=4, edge_mm=0.6, angle_deg=30.0)
     a = PreparedTetrahedra(finger(7, 12), settings)
     b = PreparedTetrahedra(again(finger(7, 12), 1, kept=1.0), settings)
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _alike_tetrahedra(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _similar_tetrahedra(a, b)), strict=True)}
     slow = set()
     for left in _tetrahedra(a, 4):
         for right in _tetrahedra(b, 4):
@@ -234,8 +234,8 @@ def test_motions_are_found_back() -> None:
 def test_pairing_and_score() -> None:
     i, j = np.array([0, 0, 1, 2]), np.array([0, 1, 0, 2])
     assert _one_to_one(i, j, np.array([2.0, 1.0, 0.5, 9.0])).tolist() == [2, 1, 3]
-    assert share_of_both(30, 60, 50) == 0.3
-    assert share_of_both(0, 0, 5) == 0.0
+    assert fraction_of_both(30, 60, 50) == 0.3
+    assert fraction_of_both(0, 0, 5) == 0.0
 
 
 def test_packed_minutiae_are_read_again() -> None:
@@ -259,7 +259,7 @@ def test_bad_minutiae_and_settings_are_refused() -> None:
     one = finger(1)
     with pytest.raises(BadInput, match="finite"):
         SpaceMinutiae(one.position_mm * np.nan, one.theta_rad, one.phi_rad, one.type, one.quality)
-    with pytest.raises(BadInput, match="give them alike"):
+    with pytest.raises(BadInput, match="all of one length"):
         SpaceMinutiae(one.position_mm[:5], one.theta_rad, one.phi_rad, one.type, one.quality)
     with pytest.raises(BadInput, match="neighbours"):
         Minutiae3DSettings(neighbours=0)

@@ -95,7 +95,7 @@ def test_order_does_not_matter() -> None:
 
 @pytest.mark.parametrize("shift", [(0, 0), (6, -5), (-9, 3)])
 def test_distance_as_a_slow_loop_counts_it(shift: tuple[int, int]) -> None:
-    """Without turns to speak of: the least share of unequal bits over all shifts with enough overlap."""
+    """Without turns to speak of: the least fraction of unequal bits over all shifts with enough overlap."""
     rng = np.random.default_rng(0)
     one, moved = skin(6, (61, 71)), skin(6, (61, 71), shift=shift)
     two = SurfaceCode(

@@ -20,11 +20,11 @@ from splitknit.matching.template import Template, _failed_template, make_templat
     seed=st.integers(0, 10_000),
     rows=st.integers(1, 40),
     columns=st.integers(1, 40),
-    share=st.sampled_from([0.01, 0.5, 1]),
+    fraction=st.sampled_from([0.01, 0.5, 1]),
 )
-def test_packed_templates_come_back(seed: int, rows: int, columns: int, share: float) -> None:
+def test_packed_templates_come_back(seed: int, rows: int, columns: int, fraction: float) -> None:
     rng = np.random.default_rng(seed)
-    valid = rng.random((rows, columns)) < share
+    valid = rng.random((rows, columns)) < fraction
     valid[rng.integers(rows), rng.integers(columns)] = True
     level = np.where(valid, rng.integers(0, 4, (rows, columns)), 0).astype(np.uint8)
     again = unpack(pack(Template(level, valid, 0.1)))

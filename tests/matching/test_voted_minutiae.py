@@ -55,7 +55,7 @@ def test_true_minutiae_win_and_false_ones_lose() -> None:
     turn = np.angle(np.exp(1j * (found.direction_rad - truth[nearest, 2])))
     assert np.abs(turn).max() < 0.15
     np.testing.assert_array_equal(found.type, truth[nearest, 3])
-    assert 65 < found.quality.mean() < 95  # the share that saw them: 80 %
+    assert 65 < found.quality.mean() < 95  # the fraction that saw them: 80 %
 
 
 def test_quality_is_the_share_and_the_limit_is_met_exactly() -> None:

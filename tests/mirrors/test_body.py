@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.body import MOST_SQUARE, Body, Sections, basis
+from splitknit.mirrors.body import MAX_SQUARE, Body, Sections, basis
 from splitknit.mirrors.outline import finger_axis, medial_line, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
 from splitknit.model import Camera, Mirror
@@ -24,7 +24,7 @@ def section(squareness: float, shear: float) -> tuple[Sections, np.ndarray]:
     return sections, np.column_stack([1.5 + 8 * points[:, 0] + shear * 6 * points[:, 1], -4 + 6 * points[:, 1]])
 
 
-@pytest.mark.parametrize("squareness", [0.0, 0.2, MOST_SQUARE])
+@pytest.mark.parametrize("squareness", [0.0, 0.2, MAX_SQUARE])
 @pytest.mark.parametrize("shear", [0.0, 0.1])
 def test_support_is_the_farthest_point(squareness: float, shear: float) -> None:
     sections, points = section(squareness, shear)

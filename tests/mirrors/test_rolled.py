@@ -56,11 +56,11 @@ def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
     normals = finger.normals.astype(np.float64)
     rows = (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
     around = coverage_deg(finger.chart, finger.blended.known, normals)[rows]
-    front = coverage_deg(finger.chart, finger.blended.shares[0] > 0.001, normals)[rows]
+    front = coverage_deg(finger.chart, finger.blended.fractions[0] > 0.001, normals)[rows]
     assert np.median(around) > 180
     assert np.median(front) < 150
     assert finger.names == ("front", "left", "right")
-    assert np.allclose(finger.blended.shares.sum(axis=0)[finger.blended.known], 1.0, atol=1e-4)
+    assert np.allclose(finger.blended.fractions.sum(axis=0)[finger.blended.known], 1.0, atol=1e-4)
 
 
 def test_the_surface_is_the_finger(finger: Rolled) -> None:

@@ -174,8 +174,8 @@ def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
 def test_the_direct_part_of_enhanced_images_follows_the_colours(network: Network, images: np.ndarray) -> None:
     enhanced = np.sqrt(images.mean(axis=1))
     weights = np.array([0.299, 0.587, 0.114])[:, None, None]
-    share = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(axis=1)
-    assert np.ptp(share) > 0.05
-    np.testing.assert_allclose(direct_of_enhanced(enhanced, images, network), enhanced * share, rtol=1e-4, atol=1e-6)
+    fraction = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(axis=1)
+    assert np.ptp(fraction) > 0.05
+    np.testing.assert_allclose(direct_of_enhanced(enhanced, images, network), enhanced * fraction, rtol=1e-4, atol=1e-6)
     with pytest.raises(BadInput, match="do not match"):
         direct_of_enhanced(enhanced[:1], images, network)

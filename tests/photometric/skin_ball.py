@@ -18,7 +18,7 @@ def ring(count=7, elevation_deg=69.0):
     )
 
 
-def ball(lights, *, base=0.5, layers=THIN, reflectance=0.45, noise=0.0, edge=0.8, size=64, share=None, depth=None):
+def ball(lights, *, base=0.5, layers=THIN, reflectance=0.45, noise=0.0, edge=0.8, size=64, fraction=None, depth=None):
     """Images of a ball of two-layer skin, its normals and its mask."""
     i, j = np.mgrid[0:size, 0:size]
     x, y = (2 * j - size + 1) / size, (size - 1 - 2 * i) / size
@@ -32,7 +32,7 @@ def ball(lights, *, base=0.5, layers=THIN, reflectance=0.45, noise=0.0, edge=0.8
     unit = lights / strength
     stack = strength * reflected(
         unit @ flat.T, flat[:, 2], unit[:, 2:], base * one,
-        (layers.epidermis_share if share is None else share) * one,
+        (layers.epidermis_fraction if fraction is None else fraction) * one,
         (layers.epidermis_depth if depth is None else depth) * one, exposure, layers,
     ).value  # fmt: skip
     stack += np.random.default_rng(0).normal(0, noise, stack.shape)

@@ -47,7 +47,7 @@ def test_under_noise_the_error_is_that_of_the_noise():
 
 def test_layers_are_recovered_where_many_lights_and_no_noise_say_so():
     lights = np.vstack([ring(12, 25.0), ring(12, 50.0), ring(9, 75.0)])
-    stack, normals, mask = ball(lights, reflectance=0.05, share=0.6, depth=0.8, edge=0.5)
+    stack, normals, mask = ball(lights, reflectance=0.05, fraction=0.6, depth=0.8, edge=0.5)
     loose = replace(
         EQUAL, layers=THIN, base_reflectance=0.05, noise=1e-4, spread_share=5.0, spread_depth=5.0,
         fit=LevenbergSettings(iterations=200, step=1e-5, gain=1e-9),
@@ -56,7 +56,7 @@ def test_layers_are_recovered_where_many_lights_and_no_noise_say_so():
     typical = np.nanmedian(lambertian(stack, lights, mask)[1])
     got, _, fit = hanrahan_krueger(stack, lights, mask, replace(loose, base_reflectance=0.05 * typical / 0.5))
     assert error_deg(got, normals, mask).mean() < 0.1
-    assert np.abs(fit.share[mask] - 0.6).mean() < 0.05
+    assert np.abs(fit.fraction[mask] - 0.6).mean() < 0.05
     assert np.abs(fit.depth[mask] - 0.8).mean() < 0.1
 
 
@@ -83,7 +83,7 @@ def test_scale_of_images_and_lights_does_not_matter():
     for other, factor in ((by_image, 1e-3), (by_light, 1 / 40.0)):
         assert error_deg(other[0], normals, mask).mean() < 0.05
         assert np.allclose(other[1][mask], factor * albedo[mask], rtol=5e-3)
-        assert np.allclose(other[2].share[mask], fit.share[mask], atol=5e-3)
+        assert np.allclose(other[2].fraction[mask], fit.fraction[mask], atol=5e-3)
 
 
 def test_order_of_the_lights_does_not_matter():
@@ -100,7 +100,7 @@ def test_bytes_do_not_depend_on_threads_or_chunks(monkeypatch):
 
     def content():
         normals, albedo, fit = hanrahan_krueger(stack, lights, mask)
-        return [a.tobytes() for a in (normals, albedo, fit.share, fit.depth, fit.misfit, fit.iterations)]
+        return [a.tobytes() for a in (normals, albedo, fit.fraction, fit.depth, fit.misfit, fit.iterations)]
 
     first = content()
     monkeypatch.setattr(chunks.os, "cpu_count", lambda: 1)
@@ -137,7 +137,7 @@ def test_near_lights_need_their_distance():
     to_light = (towards[..., 2] / distance).reshape(7, -1)
     one = np.ones(size * size)
     value = reflected(
-        to_light, one, to_light, 0.5 * one, THIN.epidermis_share * one, THIN.epidermis_depth * one,
+        to_light, one, to_light, 0.5 * one, THIN.epidermis_fraction * one, THIN.epidermis_depth * one,
         np.pi * 0.5 / (0.45 * THIN.refractive_index**2), THIN,
     ).value.reshape(7, size, size)  # fmt: skip
     stack = (value * (80.0 / distance) ** 2).astype(np.float32)

@@ -27,13 +27,13 @@ def residuals(theta, pixels, i):
     """The very cost, written plainly for scipy."""
     one, settings = pixels.take(np.array([i])), pixels.settings
     normal, _, _ = directions(theta[:, None])
-    share, depth = 1 / (1 + np.exp(-theta[3:4])), np.exp(theta[4:5])
+    fraction, depth = 1 / (1 + np.exp(-theta[3:4])), np.exp(theta[4:5])
     to_light = one.lights[:, :, 0] @ normal
     value = reflected(
-        to_light, normal[2], one.lights[:, 2], one.albedo * np.exp(theta[2]), share, depth, one.exposure,
+        to_light, normal[2], one.lights[:, 2], one.albedo * np.exp(theta[2]), fraction, depth, one.exposure,
         settings.layers,
     ).value  # fmt: skip
-    typical = settings.layers.epidermis_share
+    typical = settings.layers.epidermis_fraction
     held = [
         (theta[3] - np.log(typical / (1 - typical))) / settings.spread_share,
         (theta[4] - np.log(settings.layers.epidermis_depth)) / settings.spread_depth,

@@ -26,8 +26,8 @@ def test_a_shade_dims_a_light_where_it_says() -> None:
     led = Led("white", position_mm=(30.0, 0.0, 100.0))
     whole = light_vectors_at(rig_of(led), *PLACES)
     shaded = light_vectors_at(rig_of(replace(led, shade=Shade((-9.0, 9.0), (5.0, -5.0), ramp))), *PLACES)
-    share = shaded[0, 2] / whole[0, 2]
-    assert np.abs(share - (X + 9) / 18).max() < 2e-3  # 60 000 places: more than one line of OpenCV's
+    fraction = shaded[0, 2] / whole[0, 2]
+    assert np.abs(fraction - (X + 9) / 18).max() < 2e-3  # 60 000 places: more than one line of OpenCV's
 
 
 def test_images_in_mirrors_add_light_and_do_not_change_what_an_exposure_is_called() -> None:
@@ -44,7 +44,7 @@ def test_images_in_mirrors_add_light_and_do_not_change_what_an_exposure_is_calle
     assert np.allclose(middle, expected, rtol=2e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize("share", [np.ones(4, np.float32), np.ones((1, 4), np.float32)])
-def test_a_shade_needs_a_size(share: np.ndarray) -> None:
+@pytest.mark.parametrize("fraction", [np.ones(4, np.float32), np.ones((1, 4), np.float32)])
+def test_a_shade_needs_a_size(fraction: np.ndarray) -> None:
     with pytest.raises(BadInput, match="2 x 2"):
-        Shade((0.0, 1.0), (0.0, 1.0), share)
+        Shade((0.0, 1.0), (0.0, 1.0), fraction)

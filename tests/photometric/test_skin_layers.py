@@ -11,7 +11,7 @@ from splitknit.errors import BadInput
 from splitknit.photometric.hanrahan_krueger_fit import SkinLayers, _refracted, _scattered, _transmitted, reflected
 
 LAYERS = SkinLayers(epidermis_thickness_mm=0.01)
-SHARE, DEPTH, BASE, EXPOSURE = LAYERS.epidermis_share, LAYERS.epidermis_depth, 0.4, 6.0
+FRACTION, DEPTH, BASE, EXPOSURE = LAYERS.epidermis_fraction, LAYERS.epidermis_depth, 0.4, 6.0
 
 
 def by_the_book(normal, light, layers, base, exposure):
@@ -59,8 +59,8 @@ def test_model_is_the_integral_over_depth(slant_deg, azimuth_deg):
     wanted = by_the_book(normal, light, LAYERS, BASE, EXPOSURE)
     one = np.ones(1)
     got = reflected(
-        np.array([[light @ normal]]), one * normal[2], light[2:, None], BASE * one, SHARE * one, DEPTH * one, EXPOSURE,
-        LAYERS,
+        np.array([[light @ normal]]), one * normal[2], light[2:, None], BASE * one, FRACTION * one, DEPTH * one,
+        EXPOSURE, LAYERS,
     )  # fmt: skip
     assert got.value[0, 0] == pytest.approx(wanted, rel=2e-4)
     without = by_the_book(normal, light, LAYERS, BASE, 0.0)
@@ -70,11 +70,11 @@ def test_model_is_the_integral_over_depth(slant_deg, azimuth_deg):
 def test_light_behind_the_surface_gives_nothing():
     one = np.ones(2)
     got = reflected(np.array([[-0.2, 0.0]]), 0.5 * one, np.array([[0.9]]), one, 0.9 * one, one, 5.0, LAYERS)
-    for name in ("value", "by_light", "by_view", "by_base", "by_share", "by_depth"):
+    for name in ("value", "by_light", "by_view", "by_base", "by_fraction", "by_depth"):
         assert np.array_equal(getattr(got, name), np.zeros((1, 2)))
 
 
-@pytest.mark.parametrize(("name", "place"), [("light", 0), ("view", 1), ("base", 3), ("share", 4), ("depth", 5)])
+@pytest.mark.parametrize(("name", "place"), [("light", 0), ("view", 1), ("base", 3), ("fraction", 4), ("depth", 5)])
 def test_derivatives_are_those_of_finite_differences(name, place):
     rng = np.random.default_rng(3)
     n = 400

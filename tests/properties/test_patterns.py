@@ -13,7 +13,7 @@ from splitknit.separation.states import checkerboard_patterns
 
 quick = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
-shares = st.floats(0.0, 0.5)
+fractions = st.floats(0.0, 0.5)
 SIZE = (20, 20)
 PATTERNS = checkerboard_patterns(SIZE, 2, [(i, j) for i in range(4) for j in range(2)])
 
@@ -41,7 +41,7 @@ def methods(seed, dark):
 
 
 @quick
-@given(seeds, shares)
+@given(seeds, fractions)
 def test_direct_and_global_light_add_up_to_white(seed, dark):
     cases, white = methods(seed, dark)
     for stack, method in cases:
@@ -49,7 +49,7 @@ def test_direct_and_global_light_add_up_to_white(seed, dark):
 
 
 @quick
-@given(seeds, shares, st.sampled_from([0.125, 0.5, 2.0, 1024.0]))
+@given(seeds, fractions, st.sampled_from([0.125, 0.5, 2.0, 1024.0]))
 def test_brighter_images_mean_more_light_alone(seed, dark, scale):
     for full, method in methods(seed, dark)[0]:
         stack = 0.4 * full  # no value clips at twice that
@@ -59,7 +59,7 @@ def test_brighter_images_mean_more_light_alone(seed, dark, scale):
 
 
 @quick
-@given(seeds, shares)
+@given(seeds, fractions)
 def test_order_of_the_images_does_not_matter(seed, dark):
     for stack, method in methods(seed, dark)[0]:
         order = np.random.default_rng(seed + 1).permutation(len(stack))

@@ -11,9 +11,9 @@ import pytest
 
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import _read_height_tiff
+from splitknit.io.float_tiff import read_height_tiff
 from splitknit.io.npz import read_npz
-from splitknit.io.ply import _read_ply
+from splitknit.io.ply import read_ply
 from splitknit.io.prints import read_print_png
 from splitknit.io.results import _upright_mesh
 from splitknit.report import result as result_files
@@ -34,7 +34,7 @@ def test_fields_lie_on_the_input_grid(written: Written) -> None:
         assert np.array_equal(arrays[name], getattr(result, name), equal_nan=name != "mask"), name
     assert float(arrays["pitch_mm"]) == result.pitch_mm
     assert tuple(arrays["upright_size"]) == result.upright_size
-    height, pitch_mm, metadata = _read_height_tiff(written[0] / "height.tiff")
+    height, pitch_mm, metadata = read_height_tiff(written[0] / "height.tiff")
     assert np.array_equal(height, result.height_mm, equal_nan=True)
     assert pitch_mm == result.pitch_mm
     assert metadata["inputs"] == dict(result.hashes)
@@ -57,7 +57,7 @@ def test_pictures_of_fields_lie_on_the_input_grid(written: Written) -> None:
 def test_mesh_is_upright_and_not_resampled(written: Written) -> None:
     """The finger's yaw of 12 deg is gone from the coordinates, and every vertex still is one pixel."""
     result, _ = finger()
-    mesh = _read_ply(written[0] / "phalange.ply")
+    mesh = read_ply(written[0] / "phalange.ply")
     assert len(mesh.vertices_mm) == int(result.mask.sum())
     assert np.array_equal(mesh.vertices_mm[:, 2], result.height_mm[result.mask])
     x, y = mesh.vertices_mm[:, 0], mesh.vertices_mm[:, 1]

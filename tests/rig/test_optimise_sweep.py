@@ -61,7 +61,7 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     again = Counted()
     monkeypatch.setattr(module, "evaluate", again)
     seen = []
-    found = sweep(tmp_path / "out", RIGS, STUDY, progress=lambda stage, share: seen.append((stage, share)))
+    found = sweep(tmp_path / "out", RIGS, STUDY, progress=lambda stage, fraction: seen.append((stage, fraction)))
     assert again.asked == [RIGS[1].name, RIGS[2].name, RIGS[3].name]
     assert seen[0] == ("resuming", 0.25) and seen[-1] == (RIGS[3].name, 1.0)
     assert found == expected

@@ -147,8 +147,8 @@ def test_a_mirror_leans_by_45_deg_and_fits_its_holder():
     front = np.array(_mirror_front(parts))
     profile = np.array(mirror_profile(parts))
     along, behind = np.array([1, 1]) / math.sqrt(2), np.array([1, -1]) / math.sqrt(2)
-    shares = (profile - front) @ np.stack([along, behind], axis=1)
-    ramp = shares[np.isclose(shares[:, 1], MIRROR_THICK_MM + JOINT_CLEARANCE_MM)]
+    fractions = (profile - front) @ np.stack([along, behind], axis=1)
+    ramp = fractions[np.isclose(fractions[:, 1], MIRROR_THICK_MM + JOINT_CLEARANCE_MM)]
     assert len(ramp) == 2
     assert np.ptp(ramp[:, 0]) == pytest.approx(parts.mirror.wide_mm)
     signed = 0.5 * np.sum(profile[:, 0] * np.roll(profile[:, 1], -1) - profile[:, 1] * np.roll(profile[:, 0], -1))

@@ -15,7 +15,7 @@ def square(x, y, z, size):
     return corners[np.array([[0, 1, 2], [0, 2, 3]])]
 
 
-def share(picture, colour):
+def fraction(picture, colour):
     """Part of the picture whose dominant channel is `colour`."""
     red, green, blue = (picture[..., k].astype(int) for k in range(3))
     wanted, others = (red, np.maximum(green, blue)) if colour == "red" else (green, np.maximum(red, blue))
@@ -28,11 +28,11 @@ def test_the_nearer_surface_hides_the_farther():
     for bodies in ([below, above], [above, below]):
         picture = draw(bodies, FROM_ABOVE, (200, 200), margin=0.0)
         assert picture.shape == (200, 200, 3)
-        assert share(picture, "red") == pytest.approx(0.75, abs=0.02)
-        assert share(picture, "green") == pytest.approx(0.25, abs=0.02)
+        assert fraction(picture, "red") == pytest.approx(0.75, abs=0.02)
+        assert fraction(picture, "green") == pytest.approx(0.25, abs=0.02)
         assert picture[150, 50, 1] > picture[150, 50, 0]  # x to the right, y up
     picture = draw([below, above], View(-90.0, -90.0), (200, 200), margin=0.0)
-    assert share(picture, "green") == 0  # from below
+    assert fraction(picture, "green") == 0  # from below
 
 
 def test_small_triangles_hide_each_other_too():
@@ -45,15 +45,15 @@ def test_small_triangles_hide_each_other_too():
         picture = draw(
             [Body(first, (1.0, 0.1, 0.1)), Body(second, (0.1, 1.0, 0.1))], FROM_ABOVE, (120, 120), margin=0.0
         )
-        assert share(picture, "red") == pytest.approx(float(high > low), abs=0.05)
+        assert fraction(picture, "red") == pytest.approx(float(high > low), abs=0.05)
 
 
 def test_turning_the_viewer_shows_another_side():
     body = Body(np.concatenate([square(0, 0, 0, 10), square(0, 0, 0, 10)[..., [0, 2, 1]]]), (1.0, 0.1, 0.1))
     flat = draw([body], View(-90.0, 0.0), (100, 100), margin=0.0)  # along +y: the upright square fills it
-    assert share(flat, "red") > 0.95
+    assert fraction(flat, "red") > 0.95
     lying = draw([Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1))], View(-90.0, 30.0), (100, 100), margin=0.0)
-    assert share(lying, "red") == pytest.approx(0.5, abs=0.05)  # half as high: sin 30 deg
+    assert fraction(lying, "red") == pytest.approx(0.5, abs=0.05)  # half as high: sin 30 deg
 
 
 def test_large_and_small_triangles_meet():

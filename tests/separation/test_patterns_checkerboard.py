@@ -86,8 +86,8 @@ def test_noise_biases_extremes_and_not_known_states(patterns):
 def test_light_from_around_is_told_from_light_of_the_check(patterns):
     """A third of the light spreads over 0.8 checks: what counts is the middle of the checks, noise or none."""
     direct, global_ = scene()
-    share = np.array([0.5, 1, 1, 1, 0.5]) / 4  # four of five pixels
-    around = np.stack([cv2.sepFilter2D(p, -1, share, share, borderType=cv2.BORDER_REFLECT) for p in patterns])
+    fraction = np.array([0.5, 1, 1, 1, 0.5]) / 4  # four of five pixels
+    around = np.stack([cv2.sepFilter2D(p, -1, fraction, fraction, borderType=cv2.BORDER_REFLECT) for p in patterns])
     stack = patterns * direct + around * direct / 2 + 0.5 * global_
     contrast = np.take_along_axis(around, around.argmax(axis=0)[None], axis=0)[0] - around.min(axis=0)
     expected = direct * (1 + contrast / 2)

@@ -134,8 +134,8 @@ def test_bad_films_are_refused():
     film = sweep(count=20) * DIRECT + GLOBAL
     with pytest.raises(BadInput, match=r"(\d+\.\d) % of the bright pixels were never shadowed") as caught:
         occluder(film)
-    share = np.mean(film.max(axis=0) == film.min(axis=0))
-    assert f"{100 * share:.1f} %" in str(caught.value)
+    fraction = np.mean(film.max(axis=0) == film.min(axis=0))
+    assert f"{100 * fraction:.1f} %" in str(caught.value)
     whole = sweep() * DIRECT + GLOBAL
     refused("'line' or 'mesh'", occluder, whole, "net")
     refused("a mesh needs alpha", occluder, whole, "mesh")

@@ -56,10 +56,10 @@ def test_without_tolerances_the_built_rig_is_the_drawn_one_but_for_the_cosine_la
     assert np.allclose(built.camera.matrix, drawn.camera.matrix)
     assert built.camera.distortion == (0, 0, 0, 0, 0)
     half_diagonal_mm = np.hypot(*drawn.camera.image_size) / 2 / drawn.camera.px_per_mm
-    for share in (0.5, 1.0):
-        r2 = share**2
+    for fraction in (0.5, 1.0):
+        r2 = fraction**2
         brightness = 1 + built.camera.shading[0] * r2 + built.camera.shading[1] * r2**2
-        field_angle = np.arctan(share * half_diagonal_mm / 140)
+        field_angle = np.arctan(fraction * half_diagonal_mm / 140)
         assert brightness == pytest.approx(np.cos(field_angle) ** 4, abs=5e-4)
 
 
@@ -98,18 +98,18 @@ def test_two_hundred_rigs_scatter_as_their_tolerances_say():
 
 
 def test_lenses_bend_and_darken_the_corners_as_far_as_they_may():
-    shifts, shares = [], []
+    shifts, fractions = [], []
     for seed in range(100):
         camera = built_rig(seed, scale=0.1).camera
         corner2 = np.sum((np.array(camera.image_size) / 2) ** 2) / camera.matrix[0, 0] ** 2
         shifts.append(camera.distortion[0] * corner2)
-        shares.append(1 + sum(camera.shading))
+        fractions.append(1 + sum(camera.shading))
         assert camera.px_per_mm == pytest.approx(camera.matrix[0, 0] / camera.height_mm)
     assert -0.005 <= min(shifts) < -0.003
     assert 0.003 < max(shifts) <= 0.005
     # cos^4 leaves 93 to 94 % at the corners, vignetting takes 10 to 20 % more
-    assert 0.72 < min(shares) < 0.77
-    assert 0.80 < max(shares) < 0.85
+    assert 0.72 < min(fractions) < 0.77
+    assert 0.80 < max(fractions) < 0.85
 
 
 def test_an_oblique_camera_sees_the_leds_turned_and_the_base_with_them():

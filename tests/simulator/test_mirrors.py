@@ -137,13 +137,13 @@ def test_light_passes_a_gate_where_the_led_is_seen_through_it():
     led = Led("white", position_mm=(0.0, 0.0, 10.0))
     x = np.array([0.0, 1.9, 2.1, 2.0, 0.0, 0.0])
     y = np.array([0.0, 0.0, 0.0, 0.0, 3.9, 4.1])
-    share = gate.share(x, y, np.zeros(6), led, 0.05)
-    assert share == pytest.approx([1, 1, 0, 0.5, 1, 0], abs=1e-6)
-    assert gate.share(x, y, np.full(6, 6.0), led, 0.05).max() == 0.0  # the gate lies behind
-    soft = gate.share(np.linspace(1.5, 2.5, 11), np.zeros(11), np.zeros(11), led, 1.0)
+    fraction = gate.fraction(x, y, np.zeros(6), led, 0.05)
+    assert fraction == pytest.approx([1, 1, 0, 0.5, 1, 0], abs=1e-6)
+    assert gate.fraction(x, y, np.full(6, 6.0), led, 0.05).max() == 0.0  # the gate lies behind
+    soft = gate.fraction(np.linspace(1.5, 2.5, 11), np.zeros(11), np.zeros(11), led, 1.0)
     assert np.all(np.diff(soft) < 0) and soft[5] == pytest.approx(0.5)
     sun = Led("white", direction=(0.0, 0.0, 1.0))
-    assert gate.share(np.array([0.9, 1.1]), np.zeros(2), np.zeros(2), sun, 1.0) == pytest.approx([1, 0], abs=1e-6)
+    assert gate.fraction(np.array([0.9, 1.1]), np.zeros(2), np.zeros(2), sun, 1.0) == pytest.approx([1, 0], abs=1e-6)
 
 
 def test_true_mirrors_are_near_the_drawn_ones_and_seeded():
@@ -402,13 +402,13 @@ def test_an_outline_covers_as_much_of_each_pixel_as_it_does():
     x, y = 1.23, -0.41
     corners = np.array([(x - 1, y - 0.5, 0), (x + 1, y - 0.5, 0), (x + 1, y + 0.5, 0), (x - 1, y + 0.5, 0)])
     cover = outline_coverage(camera, corners)
-    assert cover.share.sum() == pytest.approx(200.0, rel=0.03)
+    assert cover.fraction.sum() == pytest.approx(200.0, rel=0.03)
     rows, columns = (np.arange(part.start, part.stop) for part in cover.window)
-    total = cover.share.sum()
-    assert (cover.share.sum(axis=0) @ columns) / total == pytest.approx(29.5 + 10 * x, abs=0.15)
-    assert (cover.share.sum(axis=1) @ rows) / total == pytest.approx(19.5 - 10 * y, abs=0.15)
+    total = cover.fraction.sum()
+    assert (cover.fraction.sum(axis=0) @ columns) / total == pytest.approx(29.5 + 10 * x, abs=0.15)
+    assert (cover.fraction.sum(axis=1) @ rows) / total == pytest.approx(19.5 - 10 * y, abs=0.15)
     outside = outline_coverage(camera, corners + np.array([50.0, 0.0, 0.0]))
-    assert outside.share.size == 0 or outside.share.max() == 0.0
+    assert outside.fraction.size == 0 or outside.fraction.max() == 0.0
 
 
 @pytest.mark.parametrize(

@@ -234,12 +234,12 @@ def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
 
 
 def test_a_mirror_shows_the_light_where_angles_are_equal() -> None:
-    """On a level sheet: at the share camera / (camera + light) of the way, heights above the sheet."""
+    """On a level sheet: at the fraction camera / (camera + light) of the way, heights above the sheet."""
     sheet = perspective_plane(perspective_camera((160, 240), 4.0, 60.0, off=(11.0, 5.0)), -8.0)
     _, sharp = light_on(cut_out(sheet), Led("white", (40.0, 6.0, 50.0)), 0.02, 0.0)
     row, column = np.unravel_index(np.argmax(sharp), sharp.shape)
-    share = 68.0 / (68.0 + 58.0)
-    np.testing.assert_allclose(_points(sheet)[row, column, :2], [40.0 * share, 6.0 * share], atol=0.4)
+    fraction = 68.0 / (68.0 + 58.0)
+    np.testing.assert_allclose(_points(sheet)[row, column, :2], [40.0 * fraction, 6.0 * fraction], atol=0.4)
 
 
 def test_diffusion_has_the_pitch_of_the_fingers_distance() -> None:
@@ -267,15 +267,15 @@ def test_the_beam_falls_off_about_its_aim() -> None:
     camera = Camera(2.0, (161, 241))
     even = Led("white", tuple(position))
     aimed = replace(even, lobe_exponent=12.0, aim=tuple(aim))
-    share = white_card(camera, aimed, step=1) / white_card(camera, even, step=1)
+    fraction = white_card(camera, aimed, step=1) / white_card(camera, even, step=1)
     hit = position - position[2] / aim[2] * aim  # where the beam's axis meets the plane
-    row, column = np.unravel_index(np.argmax(share), share.shape)
+    row, column = np.unravel_index(np.argmax(fraction), fraction.shape)
     assert (column - 120) / 2.0 == pytest.approx(hit[0], abs=0.5)
     assert (80 - row) / 2.0 == pytest.approx(hit[1], abs=0.5)
     x, y = (np.arange(241) - 120)[None, :] / 2.0, (80 - np.arange(161))[:, None] / 2.0
     away = np.stack(np.broadcast_arrays(x - position[0], y - position[1], np.array([[-position[2]]])), -1)
     cosine = away @ aim / np.linalg.norm(away, axis=-1) / np.linalg.norm(aim)
-    np.testing.assert_allclose(share, cosine**12, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(fraction, cosine**12, rtol=1e-4, atol=1e-5)
     to_origin = replace(even, lobe_exponent=12.0)
     same = replace(to_origin, aim=tuple(-0.01 * position))
     np.testing.assert_allclose(white_card(camera, same), white_card(camera, to_origin), rtol=1e-6)

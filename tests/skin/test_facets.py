@@ -84,15 +84,15 @@ def test_mean_normal_is_that_of_a_fine_ridged_height_field(tilt):
         # rotate the slope of each facet by the shape's slope, along and across the ridge
         leaning = np.tan(angle + np.arctan(swing)) if across_deg == 0.0 else None
         if leaning is not None:
-            # each facet covers cos(total) / cos(own) of the picture for its share of the shape
-            share = np.cos(angle + np.arctan(swing)) / np.cos(np.arctan(swing))
+            # each facet covers cos(total) / cos(own) of the picture for its fraction of the shape
+            fraction = np.cos(angle + np.arctan(swing)) / np.cos(np.arctan(swing))
             normal = np.stack([-leaning, 0 * leaning, np.ones_like(leaning)])
         else:
             length = np.sqrt(1 + tilt**2)  # dz along x is the tilt, the ridges climb along y
             normal = np.stack([-tilt * np.ones_like(swing), -swing * length, np.ones_like(swing)])
-            share = np.ones_like(swing)
+            fraction = np.ones_like(swing)
         normal /= np.linalg.norm(normal, axis=0)
-        expected = (normal * share).sum(axis=1) / share.sum()
+        expected = (normal * fraction).sum(axis=1) / fraction.sum()
         found = facet_normals(*slope_field(tilt, 0.0), facets_of(swing[::40], across_deg=across_deg))[0, 0]
         np.testing.assert_allclose(found, expected, atol=2e-3)
 

@@ -340,9 +340,9 @@ def test_repeating_settles_and_does_not_grow():
 
 
 def test_fine_grid_leaves_the_shape_to_the_coarse_one():
-    share = high_pass(GRID)
-    assert share[0, 0] == 0
-    np.testing.assert_allclose(share, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6)
+    fraction = high_pass(GRID)
+    assert fraction[0, 0] == 0
+    np.testing.assert_allclose(fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6)
     measured, slopes, glare = synthetic((0.3 * np.ones(SHAPE), np.zeros(SHAPE)), (np.zeros(SHAPE),) * 2, 0.003)
     mix = unmixing(measured, GRID, slopes, glare)
     found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))

@@ -128,8 +128,8 @@ def test_a_sample_holds_what_the_network_sees_and_shall_draw(scene) -> None:
     np.testing.assert_allclose(sample[GLARE][:, inner].mean(axis=1), wanted, atol=5e-3)
     assert sample[GLARE][:, inner].std(axis=1).max() < 5e-3
     mask = grid.mask.astype(np.float64)
-    blur, share = (ndimage.gaussian_filter(part, 7.5, mode="mirror") for part in (scene.relief_mm * mask, mask))
-    relief = (scene.relief_mm - blur / share) / float(RELIEF_MM)
+    blur, fraction = (ndimage.gaussian_filter(part, 7.5, mode="mirror") for part in (scene.relief_mm * mask, mask))
+    relief = (scene.relief_mm - blur / fraction) / float(RELIEF_MM)
     np.testing.assert_allclose(sample[RELIEF][inner], relief[inner], atol=0.03)
     assert (sample[:, ~grid.mask] == 0).all()
 

@@ -67,7 +67,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
         DATA,
         SETTINGS,
         command="splitknit train relief --out run",
-        progress=lambda stage, share: heard.append((stage, share)),
+        progress=lambda stage, fraction: heard.append((stage, fraction)),
         chart=_curve_svg,
     )
     assert numbers == [30, 31, 10, 11, HELD_OUT_FROM, HELD_OUT_FROM + 1]
@@ -90,8 +90,8 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
     assert [row.split(",")[0] for row in rows[1:]] == ["2", "4", "5"]
     chart = ElementTree.fromstring((tmp_path / "run" / "curve.svg").read_text())
     assert chart.tag == "{http://www.w3.org/2000/svg}svg"
-    shares = [share for _, share in heard]
-    assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
+    fractions = [fraction for _, fraction in heard]
+    assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] == 1
     made = run_network(load_network(tmp_path / "run" / "relief.onnx"), np.zeros((1, 32, 33, 47), dtype=np.float32))
     assert made.shape == (1, 9, 33, 47)
 
@@ -103,8 +103,8 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
         pass
 
     def stopping(limit: float):
-        def progress(stage: str, share: float) -> None:
-            if share > limit:
+        def progress(stage: str, fraction: float) -> None:
+            if fraction > limit:
                 raise StopError
 
         return progress

@@ -37,12 +37,12 @@ def torch() -> Any:
     return pytest.importorskip("torch", reason="torch (extra 'train') is not installed")
 
 
-def flat(share: float = 0.5, count: int = 8) -> Photograph:
-    """A photograph of noise whose direct part is `share` of it everywhere."""
+def flat(fraction: float = 0.5, count: int = 8) -> Photograph:
+    """A photograph of noise whose direct part is `fraction` of it everywhere."""
     rng = np.random.default_rng(1)
     image = rng.random((120, 110, 3), dtype=np.float32)
     grey = rng.random((120, 110, 1), dtype=np.float32)
-    pixels = np.concatenate([image, share * image, grey, share * grey], axis=2).astype(np.float16)
+    pixels = np.concatenate([image, fraction * image, grey, fraction * grey], axis=2).astype(np.float16)
     corners = np.stack([rng.integers(0, 48, count), rng.integers(0, 38, count)], axis=1).astype(np.int32)
     return Photograph(pixels, corners, {})
 
@@ -55,10 +55,10 @@ def test_a_photograph_holds_image_and_direct_light_on_one_scale(by_truth: Photog
     assert pixels.shape == (150, 146, 8)
     image, direct, enhanced, enhanced_direct = pixels[..., :3], pixels[..., 3:6], pixels[..., 6], pixels[..., 7]
     assert 0.98 < np.percentile(image, 99.9) < 1.05
-    share = direct.mean() / image.mean()
-    assert 0.1 < share < 0.6
+    fraction = direct.mean() / image.mean()
+    assert 0.1 < fraction < 0.6
     assert (direct > 0).all() and (direct < image + 0.1).all()  # noise is in the image alone
-    # the enhanced image's direct part is its share of the light
+    # the enhanced image's direct part is its fraction of the light
     weights = np.array([0.299, 0.587, 0.114])
     np.testing.assert_allclose(enhanced_direct / enhanced, direct @ weights / (image @ weights), rtol=0.2)
     assert by_truth.corners.shape == (6, 2)
@@ -136,7 +136,7 @@ def test_fixed_patches_are_as_stored() -> None:
 
 
 def test_the_learning_rate_falls_at_the_end_only() -> None:
-    assert [_learning_factor(share, 0.0) for share in (0.0, 0.5, 1.0)] == [1.0, 1.0, 1.0]
+    assert [_learning_factor(fraction, 0.0) for fraction in (0.0, 0.5, 1.0)] == [1.0, 1.0, 1.0]
     assert _learning_factor(0.59, 0.4) == 1.0
     assert _learning_factor(0.8, 0.4) == pytest.approx(0.5)
     assert _learning_factor(1.0, 0.4) == pytest.approx(0.0)

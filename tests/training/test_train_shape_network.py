@@ -51,10 +51,10 @@ def test_each_part_of_the_loss_says_what_it_is_named_after() -> None:
     parts = _shape_losses(torch.from_numpy(made), torch.from_numpy(batch), 4)
     error, count = made - batch[:, SLOPES], weight.sum() + 1
     blocks = (error * weight[:, None]).reshape(2, 2, 2, 4, 3, 4).mean(axis=(3, 5))
-    shares = weight.reshape(2, 1, 2, 4, 3, 4).mean(axis=(3, 5))
+    fractions = weight.reshape(2, 1, 2, 4, 3, 4).mean(axis=(3, 5))
     wanted = {
         "slope": (error**2 * weight[:, None]).sum() / count,
-        "wide": (blocks**2 / (shares + 0.05)).sum() * 16 / count,
+        "wide": (blocks**2 / (fractions + 0.05)).sum() * 16 / count,
     }
     assert tuple(parts) == PARTS == tuple(wanted)
     for name, value in wanted.items():

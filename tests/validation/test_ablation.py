@@ -48,13 +48,13 @@ def test_the_finger_is_that_of_the_accuracy(twin: Any) -> None:
 
 
 def test_true_parts_of_the_light(script: Script, twin: Any) -> None:
-    shares = script("ablation_light").true_shares(twin, 0.42)
+    fractions = script("ablation_light").true_shares(twin, 0.42)
     mask = twin.truth["mask"]
-    direct, matt, rest = (shares[n][:, mask] for n in ("direct", "direct without glare", "all but glare"))
+    direct, matt, rest = (fractions[n][:, mask] for n in ("direct", "direct without glare", "all but glare"))
     assert np.all((matt >= 0) & (matt <= direct) & (direct <= 1))
     np.testing.assert_allclose(direct - matt, 1 - rest, atol=1e-5)
     assert 0.1 < direct.mean() < 0.6
-    # the share of the glare, times the photograph, is the glare of the photograph
+    # the fraction of the glare, times the photograph, is the glare of the photograph
     light = linear_stack(twin.capture.bands["white"], "linear", "grey")[:, mask]
     glare = twin.truth["glare_white"].astype(np.float32)[:, mask]
     assert np.sum((1 - rest) * light) == pytest.approx(glare.sum(), rel=0.03)
@@ -79,8 +79,8 @@ def test_the_twin_takes_the_networks_place(script: Script, bench: Any, monkeypat
     rows = script("ablation_rows").ROWS
     plain = bench.reconstructed(rows["snk_plain_all"])
     ones = np.ones((7, *bench.twin.capture.shape), dtype=np.float32)
-    shares = {"direct": ones, "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None]}
-    monkeypatch.setitem(bench.__dict__, "_shares", shares)
+    fractions = {"direct": ones, "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None]}
+    monkeypatch.setitem(bench.__dict__, "_shares", fractions)
     same, other = (bench.reconstructed(rows[name]) for name in ("snk_plain_direct", "snk_plain_matt"))
     np.testing.assert_array_equal(same.height_mm, plain.height_mm)
     np.testing.assert_array_equal(same.mask, plain.mask)
@@ -101,10 +101,10 @@ def test_share_that_the_network_finds_in_colours(script: Script, bench: Any, mon
     rows = script("ablation_rows")
     with monkeypatch.context() as patch:
         patch.setattr(rows, "direct_of_enhanced", finding)
-        share = type(bench)._coloured.func(bench)
-    np.testing.assert_allclose(share[:, 0, 0], 1)
-    monkeypatch.setitem(bench.__dict__, "_coloured", share)
-    monkeypatch.setitem(bench.__dict__, "_shares", {"all but glare": share})
+        fraction = type(bench)._coloured.func(bench)
+    np.testing.assert_allclose(fraction[:, 0, 0], 1)
+    monkeypatch.setitem(bench.__dict__, "_coloured", fraction)
+    monkeypatch.setitem(bench.__dict__, "_shares", {"all but glare": fraction})
     by_network, by_truth = (bench.reconstructed(rows.ROWS[f"snk_plain_{name}"]) for name in ("colours", "matt"))
     np.testing.assert_array_equal(by_network.height_mm, by_truth.height_mm)
 

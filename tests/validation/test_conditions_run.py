@@ -76,9 +76,9 @@ def test_rows_from_before_the_check_hear_of_specks_too(script: Script, tmp_path:
 def test_whom_the_check_for_specks_speaks_to(script: Script) -> None:
     specks = script("specks")
     said = "white band: dark specks cover 0.9 % of the finger: wipe the finger, and the lens or its cover."
-    shares = {"white": [0.009, 0.0], "nir": [None, None]}
+    fractions = {"white": [0.009, 0.0], "nir": [None, None]}
     rows = [
-        {"set": "conditions", "kind": "dusty", "severity": 1.0, "shares": shares, "said": [said] if k else []}
+        {"set": "conditions", "kind": "dusty", "severity": 1.0, "shares": fractions, "said": [said] if k else []}
         for k in range(4)
     ]
     found = specks.summary(rows)["conditions"]["dusty 1"]

@@ -29,15 +29,15 @@ def test_two_writings_of_one_model_agree(script: Script) -> None:
     normals = np.dstack([slope, np.ones((30, 40))])
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     lights = np.array([[0.3, 0.1, 1.0], [-0.5, 0.4, 0.7], [0.9, 0.0, 0.2]])
-    skin = painter.Skin(depth=0.6, share=0.7)
-    share, depth = painter.layers(skin, (30, 40), 10.0, rng)
+    skin = painter.Skin(depth=0.6, fraction=0.7)
+    fraction, depth = painter.layers(skin, (30, 40), 10.0, rng)
     assert abs(np.log(depth).std() - skin.depth_spread) < 0.01
-    images = painter.paint(normals, lights, skin, share, depth)
+    images = painter.paint(normals, lights, skin, fraction, depth)
     strength = np.linalg.norm(lights, axis=1, keepdims=True)
     flat = normals.reshape(-1, 3)
     own = reflected(
-        lights / strength @ flat.T, flat[:, 2], lights[:, 2:] / strength, np.full(len(flat), skin.base), share.ravel(),
-        depth.ravel(), np.pi / skin.index**2, SkinLayers(refractive_index=skin.index),
+        lights / strength @ flat.T, flat[:, 2], lights[:, 2:] / strength, np.full(len(flat), skin.base),
+        fraction.ravel(), depth.ravel(), np.pi / skin.index**2, SkinLayers(refractive_index=skin.index),
     )  # fmt: skip
     np.testing.assert_allclose((strength * own.value).reshape(images.shape), images, atol=2e-4)
     assert (images == 0).any() and images.max() > 0.3

@@ -16,7 +16,7 @@ from viewer_server import Asking, started
 
 from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.gallery.gallery import Gallery
-from splitknit.io.mesh import _read_glb
+from splitknit.io.mesh import read_glb
 from splitknit.matching.template import Template, pack
 
 pytestmark = [
@@ -140,7 +140,7 @@ def test_a_finger_is_looked_at_and_measured(shown: Path, asking: Serve, page: Pa
     names = {"metric.png", "metric-every-4.ply", "metric-every-4.stl", "metric-every-4.glb"}
     while not names <= {file.name for file in tmp_path.iterdir()} and time.monotonic() < end:
         time.sleep(0.1)
-    assert len(_read_glb(tmp_path / "metric-every-4.glb").faces) > 1000
+    assert len(read_glb(tmp_path / "metric-every-4.glb").faces) > 1000
     saved = cv2.imread(str(tmp_path / "metric.png"))
     assert saved[0, 0].tolist() == [255, 255, 255]
     assert saved.std() > 10

@@ -52,8 +52,8 @@ def test_a_point_from_the_side_is_the_first_that_is_met(surface: Surface) -> Non
     found = pick(surface, origin, way)
     assert found is not None
     assert found[0] < 0  # the near flank
-    share = (found[0] - origin[0]) / way[0]
-    np.testing.assert_allclose(found, origin + share * way, atol=0.02)
+    fraction = (found[0] - origin[0]) / way[0]
+    np.testing.assert_allclose(found, origin + fraction * way, atol=0.02)
     assert found[2] == pytest.approx(height_at(found[0], found[1]), abs=0.02)
 
 

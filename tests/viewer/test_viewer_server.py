@@ -23,8 +23,8 @@ from viewer_server import Asking
 
 from splitknit.errors import BadInput
 from splitknit.io.images import read_image
-from splitknit.io.mesh import _read_glb
-from splitknit.io.ply import _read_ply
+from splitknit.io.mesh import read_glb
+from splitknit.io.ply import read_ply
 from splitknit.rig.assembly import read_stl
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service
@@ -166,7 +166,7 @@ def test_an_answer_that_is_not_finite_is_refused() -> None:
 
 def test_a_picture_that_is_too_large_is_not_sent(shown: Path, asking: Serve, tmp_path: Path) -> None:
     folder = changed(shown, tmp_path / "result")
-    os.truncate(folder / "preview.png", service._MOST_PICTURE_BYTES + 1)
+    os.truncate(folder / "preview.png", service._MAX_PICTURE_BYTES + 1)
     status, _, body = asking(folder).get("api/result/0/picture/preview.png")
     assert status == 404 and b"is too large" in body
 
@@ -217,7 +217,7 @@ def test_photographs_of_another_capture_are_not_shown(shown: Path, asking: Serve
 
 def test_exports_are_read_back(shown: Path, asking: Serve, tmp_path: Path) -> None:
     server = asking(shown / "metric")
-    whole = _read_ply(shown / "metric" / "phalange.ply")
+    whole = read_ply(shown / "metric" / "phalange.ply")
 
     def saved(kind: str, step: int) -> Path:
         status, headers, data = server.get(f"api/result/0/export/{kind}?step={step}")
@@ -229,7 +229,7 @@ def test_exports_are_read_back(shown: Path, asking: Serve, tmp_path: Path) -> No
 
     assert saved("ply", 1).read_bytes() == (shown / "metric" / "phalange.ply").read_bytes()
     for step in (1, 2):
-        glb, stl = _read_glb(saved("glb", step)), read_stl(saved("stl", step))
+        glb, stl = read_glb(saved("glb", step)), read_stl(saved("stl", step))
         np.testing.assert_array_equal(stl, glb.vertices_mm[glb.faces])
         if step == 1:
             np.testing.assert_allclose(glb.vertices_mm, whole.vertices_mm, atol=2e-6)
@@ -237,7 +237,7 @@ def test_exports_are_read_back(shown: Path, asking: Serve, tmp_path: Path) -> No
             np.testing.assert_array_equal(glb.faces, whole.faces)
             np.testing.assert_allclose(glb.intensity / 255, whole.quality, atol=1e-6)
         else:
-            ply = _read_ply(saved("ply", step))
+            ply = read_ply(saved("ply", step))
             np.testing.assert_array_equal(ply.vertices_mm, glb.vertices_mm)
             assert 0.24 < len(ply.vertices_mm) / len(whole.vertices_mm) < 0.26
             assert any("unit mm" in line for line in ply.comments)
@@ -402,7 +402,7 @@ def test_a_request_that_never_ends_is_given_up(shown: Path, asking: Serve, monke
 
 
 def test_connections_are_limited(shown: Path, asking: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_module, "_MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(server_module, "_MAX_CONNECTIONS", 3)
     server = asking(shown / "metric")
     before = threading.active_count()
     with contextlib.ExitStack() as stack:

@@ -10,7 +10,7 @@ import pytest
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.ply import _read_ply
+from splitknit.io.ply import read_ply
 from splitknit.io.results import _upright_mesh
 from splitknit.report.result import write_results
 from splitknit.viewer.surface import (
@@ -32,7 +32,7 @@ def surface(shown: Path) -> Surface:
 
 
 def test_places_are_those_of_the_mesh(shown: Path, surface: Surface) -> None:
-    mesh = _read_ply(shown / "metric" / "phalange.ply")
+    mesh = read_ply(shown / "metric" / "phalange.ply")
     points = np.stack([surface.x_mm, surface.y_mm, surface.height_mm], axis=-1)[surface.mask]
     np.testing.assert_allclose(points, mesh.vertices_mm, atol=2e-6)
     np.testing.assert_allclose(surface.low_mm, mesh.vertices_mm.min(axis=0), atol=2e-6)

@@ -45,7 +45,7 @@ ROWS: dict[str, Row] = {
     "ridge_rms_um": Row("ridge band, rms error", "um", 1),
     "shape_rms_mm": Row("shape without ridges, rms", "mm", 3),
     "normals_mean_deg": Row("normals, mean angle", "deg", 1),
-    "mask_on_finger": Row("share of the mask on the finger", "", 4, better="high"),
+    "mask_on_finger": Row("fraction of the mask on the finger", "", 4, better="high"),
     "yaw_error_deg": Row("yaw, error", "deg", 2),
     "crease_right": Row("first crease found rightly", "", 3, better="high"),
     "crease_error_mm": Row("first crease, distance from the true one", "mm", 2),
@@ -96,7 +96,7 @@ def _statistics(values: Sequence[tuple[int, float]], row: Row, tried: int) -> di
 def interval(
     values: Sequence[tuple[int, float]],
     statistic: Callable[[Any], Any] = np.mean,
-    share: float = 0.95,
+    fraction: float = 0.95,
     seed: int = 0,
 ) -> Range:
     """Percentile bootstrap of a statistic of (finger, value) pairs; fingers are drawn with all their captures."""
@@ -107,6 +107,6 @@ def interval(
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, len(members), (RESAMPLES, len(members)))
     found = [float(statistic(np.concatenate([members[k] for k in draw]))) for draw in draws]
-    tail = 50.0 * (1.0 - share)
+    tail = 50.0 * (1.0 - fraction)
     low, high = np.percentile(found, (tail, 100.0 - tail))
     return float(low), float(high)

@@ -140,8 +140,10 @@ def summary(results: dict[str, Any]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for name, row in results["cases"].items():
-        share = "-" if row["inside_95"] is None else f"{100 * row['inside_95']:.0f} % of {row['interval_deg']:.2f} deg"
-        lines.append(f"| {name} | {_words(row)} | {share} |")
+        fraction = (
+            "-" if row["inside_95"] is None else f"{100 * row['inside_95']:.0f} % of {row['interval_deg']:.2f} deg"
+        )
+        lines.append(f"| {name} | {_words(row)} | {fraction} |")
     if "photographs" in results:
         row = results["photographs"]
         lines.append(f"| photographs, joint fit, four positions | {_words(row)} | - |")

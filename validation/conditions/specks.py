@@ -2,8 +2,8 @@
 
 On clean captures drawn from a population, on three of the reported fingers at other scales, on all six in every
 condition and severity (captures that ``run.py --keep`` left in SCRATCH, else made anew), and on six with other faults:
-the share of the finger under dark and under bright specks in both bands, and whether the sentence about dust, or that
-about dry skin, was said.
+the fraction of the finger under dark and under bright specks in both bands, and whether the sentence about dust, or
+that about dry skin, was said.
 SCRATCH/specks.jsonl holds a row for each capture, and running it again goes on; ``specks.json`` is the summary.
 ``summary.py`` takes the sentences from there for rows that were made before the check existed.
 
@@ -42,10 +42,10 @@ DARK, BRIGHT = "dark specks", "bright specks"
 
 
 def facts(capture: Capture) -> dict[str, Any]:
-    """Shares under dark and bright specks in each band, and every sentence about specks."""
+    """Fractions under dark and bright specks in each band, and every sentence about specks."""
     finger = find_finger(capture, preset_settings("metric"))
-    shares = {band: [found["dark_specks"], found["bright_specks"]] for band, found in finger.quality.items()}
-    return {"shares": shares, "said": [text for text in finger.warnings if DARK in text or BRIGHT in text]}
+    fractions = {band: [found["dark_specks"], found["bright_specks"]] for band, found in finger.quality.items()}
+    return {"shares": fractions, "said": [text for text in finger.warnings if DARK in text or BRIGHT in text]}
 
 
 def condition_tasks(seeds: tuple[int, ...]) -> Iterator[dict[str, Any]]:
@@ -97,15 +97,15 @@ def population_tasks(population: Path, count: int) -> Iterator[dict[str, Any]]:
 
 
 def wilson(passed: int, trials: int, z: float = 1.959964) -> list[float]:
-    """95 % interval of a share of independent trials (Wilson 1927)."""
-    share, more = passed / trials, z * z / trials
-    middle = (share + more / 2) / (1 + more)
-    half = z * float(np.sqrt(share * (1 - share) / trials + more / (4 * trials))) / (1 + more)
+    """95 % interval of a fraction of independent trials (Wilson 1927)."""
+    fraction, more = passed / trials, z * z / trials
+    middle = (fraction + more / 2) / (1 + more)
+    half = z * float(np.sqrt(fraction * (1 - fraction) / trials + more / (4 * trials))) / (1 + more)
     return [round(max(0.0, middle - half), 4), round(min(1.0, middle + half), 4)]
 
 
 def told(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many heard of dust and of dry skin, with intervals, and the range of the shares."""
+    """How many heard of dust and of dry skin, with intervals, and the range of the fractions."""
     result: dict[str, Any] = {"captures": len(rows)}
     for name, words in (("dust", DARK), ("dry", BRIGHT)):
         heard = sum(any(words in text for text in row["said"]) for row in rows)

@@ -9,7 +9,7 @@
 in `work`, so that a run that was stopped goes on. The tolerances of the matchers were chosen on the part `tuned`
 (subjects S01 and S02, case ea); `reported` (S03 and S04) and `more` (five others) were not looked at before. With
 ``--store`` the surfaces come from a store of ``splitknit batch``. ``report`` writes features.json beside this script:
-d', the share of genuine pairs accepted at a false accept rate of 1 %, with intervals, and milliseconds.
+d', the fraction of genuine pairs accepted at a false accept rate of 1 %, with intervals, and milliseconds.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from splitknit.matching.voted_minutiae import VoteSettings, vote
 
 TUNED = [(subject, 1, finger) for subject in ("S15", "S16", "S17") for finger in ("right_index", "left_thumb")]
 REPORTED = [(f"S{k:02d}", session, "right_index") for session in (1, 2) for k in range(1, 11)]
-SHARES = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7)
+FRACTIONS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7)
 REGION = {"margin_px": 10.0, "slant": (0.0, 60.0)}
 """Half a millimetre inside the print, where the finger's slant is below 60 deg."""
 
@@ -50,8 +50,10 @@ def ways(lists: dict[str, list[str]], plain: dict[str, Minutiae | None]) -> dict
     found = {f"{case}, relief print": one for case, one in plain.items() if one is not None}
     for name in PICTURES:
         found[f"{name} of the first set"] = unpacked(lists, (name,))[0]
-    for share in SHARES:
-        found[f"vote of all pictures, {share:g}"] = vote(unpacked(lists, PICTURES), VoteSettings(least_share=share))
+    for fraction in FRACTIONS:
+        found[f"vote of all pictures, {fraction:g}"] = vote(
+            unpacked(lists, PICTURES), VoteSettings(least_share=fraction)
+        )
     default = VoteSettings()
     found["vote of all pictures"] = vote(unpacked(lists, PICTURES), default)
     for name in PICTURES:

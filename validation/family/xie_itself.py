@@ -36,8 +36,8 @@ def on_itself(seed: int, scale: float) -> list[dict[str, Any]]:
     found = []
     for name, skin in SKINS.items():
         rng = np.random.default_rng([seed, 0x42])
-        share, depth = layers(skin, mask.shape, laid.rig.camera.px_per_mm / 2, rng)
-        clean = paint(normals, lights, skin, share, depth)
+        fraction, depth = layers(skin, mask.shape, laid.rig.camera.px_per_mm / 2, rng)
+        clean = paint(normals, lights, skin, fraction, depth)
         level = float(np.median(clean[:, mask]))
         for noise in NOISES:
             noisy = clean + rng.normal(0, 1, clean.shape) * (noise * level)
@@ -53,7 +53,7 @@ def on_itself(seed: int, scale: float) -> list[dict[str, Any]]:
                 "converged": float(fit.converged[mask].mean()),
             }  # fmt: skip
             for key, true, seen in (
-                ("share", _logit(share), _logit(fit.share)),
+                ("share", _logit(fraction), _logit(fit.fraction)),
                 ("depth", np.log(depth), np.log(fit.depth)),
             ):
                 row[f"{key}_correlation"] = float(np.corrcoef(true[mask], seen[mask])[0, 1])
@@ -61,7 +61,7 @@ def on_itself(seed: int, scale: float) -> list[dict[str, Any]]:
                 row[f"{key}_spread"] = float(np.std(true[mask]))
             if noise > 0:
                 row["allowed_rms_deg"] = _allowed(
-                    np.where(mask[..., None], normals, 0), lights, settings, (share, depth), albedo
+                    np.where(mask[..., None], normals, 0), lights, settings, (fraction, depth), albedo
                 )
             found.append(row)
     return found
@@ -73,7 +73,7 @@ def _settings(skin: Skin, noise: float, albedo: float) -> HanrahanKruegerSetting
     rate = 53.8
     book = SkinLayers(
         refractive_index=skin.index, epidermis_asymmetry=skin.upper_g, dermis_asymmetry=skin.lower_g,
-        epidermis_scattering_per_mm=rate * skin.share, epidermis_absorption_per_mm=rate * (1 - skin.share),
+        epidermis_scattering_per_mm=rate * skin.fraction, epidermis_absorption_per_mm=rate * (1 - skin.fraction),
         epidermis_thickness_mm=skin.depth / rate,
     )  # fmt: skip
     return replace(
@@ -82,15 +82,15 @@ def _settings(skin: Skin, noise: float, albedo: float) -> HanrahanKruegerSetting
     )  # fmt: skip
 
 
-def _logit(share: Any) -> Any:
-    return np.log(share / (1 - share))
+def _logit(fraction: Any) -> Any:
+    return np.log(fraction / (1 - fraction))
 
 
 def _allowed(normals: Any, lights: Any, settings: Any, layered: Any, albedo: Any) -> float:
     """Root mean square angle that the noise and the spread of the layers leave, to first order (Cramer and Rao)."""
     mask = normals[..., 2] > 0
     lit = mask & ((normals @ lights.T).min(axis=-1) > 0)
-    n, (share, depth) = normals[lit].T, (field[lit] for field in layered)
+    n, (fraction, depth) = normals[lit].T, (field[lit] for field in layered)
     strength = np.linalg.norm(lights, axis=1, keepdims=True)
     bright = albedo[lit].astype(np.float64)
     exposure = (
@@ -102,7 +102,7 @@ def _allowed(normals: Any, lights: Any, settings: Any, layered: Any, albedo: Any
         np.zeros((len(lights), n.shape[1])), np.full((len(lights), n.shape[1]), 1 / sigma),
         (lights / strength)[..., None], strength, bright, exposure, settings,
     )  # fmt: skip
-    theta = np.stack([n[0] / (1 + n[2]), n[1] / (1 + n[2]), np.zeros(n.shape[1]), _logit(share), np.log(depth)])
+    theta = np.stack([n[0] / (1 + n[2]), n[1] / (1 + n[2]), np.zeros(n.shape[1]), _logit(fraction), np.log(depth)])
     moments = pixels.equations(theta).moments
     matrix = np.empty((n.shape[1], 5, 5))
     for k, (i, j) in enumerate(zip(*np.triu_indices(5), strict=True)):

@@ -24,10 +24,10 @@ class Skin:
     lower_g: float = 0.81
     lower_share: float = 21.7 / 22.0
     base: float = 0.45
-    share: float = 50.0 / 53.8
+    fraction: float = 50.0 / 53.8
     depth: float = 0.08 * 53.8
     share_spread: float = 1.0
-    """Standard deviation of the logit of the upper layer's share."""
+    """Standard deviation of the logit of the upper layer's scattering fraction."""
     depth_spread: float = 0.7
     """Standard deviation of the logarithm of its depth."""
     patch_mm: float = 0.5
@@ -35,16 +35,16 @@ class Skin:
 
 
 def layers(skin: Skin, shape: tuple[int, int], px_per_mm: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Share and depth of the upper layer at every pixel."""
+    """Scattering fraction and depth of the upper layer at every pixel."""
     fields = []
     for _ in range(2):
         field = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), skin.patch_mm * px_per_mm)
         fields.append(field / field.std())
-    logit = np.log(skin.share / (1 - skin.share)) + skin.share_spread * fields[0]
+    logit = np.log(skin.fraction / (1 - skin.fraction)) + skin.share_spread * fields[0]
     return 1 / (1 + np.exp(-logit)), skin.depth * np.exp(skin.depth_spread * fields[1])
 
 
-def paint(normals: Array, lights: Array, skin: Skin, share: Array, depth: Array) -> Array:
+def paint(normals: Array, lights: Array, skin: Skin, fraction: Array, depth: Array) -> Array:
     """Images (L, H, W) of reflectance: 1 is a white card that faces a light of strength one."""
     view = np.array([0.0, 0.0, 1.0])
     view_angle = np.arccos(np.clip(normals @ view, 1e-3, 1))
@@ -58,7 +58,7 @@ def paint(normals: Array, lights: Array, skin: Skin, share: Array, depth: Array)
         turn = np.pi - np.arccos(np.clip((into * out).sum(axis=-1), -1, 1))
         c_in, c_out = (into * normals).sum(axis=-1), (out * normals).sum(axis=-1)
         lost = np.exp(-depth / c_in - depth / c_out)
-        once = share * _phase(turn, skin.upper_g) * (1 - lost) + skin.lower_share * _phase(turn, skin.lower_g) * lost
+        once = fraction * _phase(turn, skin.upper_g) * (1 - lost) + skin.lower_share * _phase(turn, skin.lower_g) * lost
         once = once * np.pi / (c_in + c_out) / skin.index**2
         passed = _passed(angle, skin.index) * _passed(view_angle, skin.index) / _passed(np.array(1e-4), skin.index) ** 2
         images.append(np.where(cosine > 0, strength * cosine * passed * (skin.base + once), 0.0))

@@ -136,8 +136,8 @@ def trials() -> dict[str, HanrahanKruegerSettings]:
     found = {}
     for n, base, name, (upper, lower) in chosen:
         layers = SkinLayers(refractive_index=n, epidermis_asymmetry=upper, dermis_asymmetry=lower)
-        share, depth = spreads[name]
+        fraction, depth = spreads[name]
         found[f"n {n:g}, base {base:g}, g {upper:g}, {name}"] = replace(
-            SHIPPED, layers=layers, base_reflectance=base, spread_share=share, spread_depth=depth
+            SHIPPED, layers=layers, base_reflectance=base, spread_share=fraction, spread_depth=depth
         )
     return found

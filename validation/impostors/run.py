@@ -30,7 +30,7 @@ HERE = Path(__file__).resolve().parent
 
 def classes(count: int) -> list[str]:
     """`count` classes in their natural frequencies (largest remainders)."""
-    exact = {name: share * count for name, share in FREQUENCIES.items()}
+    exact = {name: fraction * count for name, fraction in FREQUENCIES.items()}
     whole = {name: int(value) for name, value in exact.items()}
     for name in sorted(exact, key=lambda name: whole[name] - exact[name])[: count - sum(whole.values())]:
         whole[name] += 1

@@ -6,17 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-SHARE = 0.02
+FRACTION = 0.02
 """Of the strangers' scores, the highest, that the tail is fitted to."""
 
 
 def tail_probability(strangers: NDArray[np.float32], score: float) -> float:
     """Chance that one more stranger scores at least `score`, given the scores (N,) of many with the same probe.
 
-    Below the highest `SHARE` it is counted; above, exceedances are taken as exponential (the tail of a normal
+    Below the highest `FRACTION` it is counted; above, exceedances are taken as exponential (the tail of a normal
     distribution falls faster, so that the chance is rather too high than too low).
     """
-    edge = float(np.quantile(strangers, 1.0 - SHARE))
+    edge = float(np.quantile(strangers, 1.0 - FRACTION))
     if score <= edge:
         return float(np.mean(strangers >= score))
     beyond = strangers[strangers > edge] - edge
@@ -49,8 +49,8 @@ def hit_rates(
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Interval of 95 % of a share, by Wilson's score."""
-    z2, share = 1.96**2, hits / count
-    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
-    half = 1.96 / (1 + z2 / count) * float(np.sqrt(share * (1 - share) / count + z2 / (4 * count**2)))
+    """Interval of 95 % of a fraction, by Wilson's score."""
+    z2, fraction = 1.96**2, hits / count
+    middle = (fraction + z2 / (2 * count)) / (1 + z2 / count)
+    half = 1.96 / (1 + z2 / count) * float(np.sqrt(fraction * (1 - fraction) / count + z2 / (4 * count**2)))
     return middle - half, middle + half

@@ -219,7 +219,7 @@ def stages(work: Path, folder: Path, subjects: int, share: int) -> dict[str, Any
 
 
 def rate(hits: NDArray[np.bool_]) -> list[float]:
-    """Share, and its interval of 95 % (Wilson)."""
+    """Fraction, and its interval of 95 % (Wilson)."""
     low, high = wilson(int(hits.sum()), len(hits))
     return [round(float(value), 4) for value in (hits.mean(), low, high)]
 

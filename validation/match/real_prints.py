@@ -132,10 +132,10 @@ def rows(systems: Sequence[Scores]) -> dict[str, Any]:
 
 
 def wilson(passed: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a share of independent trials (Wilson 1927); presses of one finger are not independent."""
-    share, more = passed / trials, z * z / trials
-    middle = (share + more / 2) / (1 + more)
-    half = z * np.sqrt(share * (1 - share) / trials + more / (4 * trials)) / (1 + more)
+    """95 % interval of a fraction of independent trials (Wilson 1927); presses of one finger are not independent."""
+    fraction, more = passed / trials, z * z / trials
+    middle = (fraction + more / 2) / (1 + more)
+    half = z * np.sqrt(fraction * (1 - fraction) / trials + more / (4 * trials)) / (1 + more)
     return float(middle - half), float(middle + half)
 
 

@@ -76,8 +76,8 @@ def front_alone(rolled: Rolled) -> Rolled:
     facing = rolled.normals[..., 2] > np.cos(np.deg2rad(STEEPEST_DEG))
     known = rolled.blended.known & (rolled.view_reliefs[0] != 0) & facing
     relief = np.where(known, rolled.view_reliefs[0], np.float32(0.0)).astype(np.float32)
-    shares = np.stack([known.astype(np.float32)])
-    blended = Blended(relief, rolled.blended.deviation_mm, known, shares)
+    fractions = np.stack([known.astype(np.float32)])
+    blended = Blended(relief, rolled.blended.deviation_mm, known, fractions)
     return replace(rolled, blended=blended, names=("front",), view_reliefs=rolled.view_reliefs[:1])
 
 
@@ -107,7 +107,7 @@ def _against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict
     length = rolled.chart.length_mm[::STEP, None]
     region = (length <= CAP_MM) & (length >= -BASE_MM)
     by_view = [_truth_of(rolled, k, truth) for k in range(len(rolled.names))]
-    best = np.argmax(rolled.blended.shares[:, ::STEP, ::STEP], axis=0)
+    best = np.argmax(rolled.blended.fractions[:, ::STEP, ::STEP], axis=0)
     result: dict[str, Any] = {}
     for name, one in (("rolled", rolled), ("front", front)):
         known = one.blended.known[::STEP, ::STEP]
@@ -142,11 +142,11 @@ def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | Non
         parts = [read(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1]) for k in range(2)]
         skin.append(np.stack(parts, axis=-1))
     length = rolled.chart.length_mm[::STEP, None]
-    shares = rolled.blended.shares[:, ::STEP, ::STEP]
+    fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
     result: dict[str, float | None] = {}
     for view, name in enumerate(rolled.names[1:], start=1):
         apart = np.linalg.norm(skin[view] - skin[0], axis=-1)
-        both = (np.minimum(shares[0], shares[view]) > 0.2) & (length <= CAP_MM) & (length >= -BASE_MM)
+        both = (np.minimum(fractions[0], fractions[view]) > 0.2) & (length <= CAP_MM) & (length >= -BASE_MM)
         values = apart[both & np.isfinite(apart)]
         result[name] = round(1000.0 * float(np.sqrt((values**2).mean())), 1) if values.size > 100 else None
     return result
@@ -180,13 +180,13 @@ def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float |
 def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:
     """Steps of the relief's error (rms, um) across each seam: cross-faded, as a hard cut would have them, and 1.5 mm to
     either side, where there is no seam."""
-    shares = rolled.blended.shares[:, ::STEP, ::STEP]
-    best = np.argmax(shares, axis=0)
+    fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
+    best = np.argmax(fractions, axis=0)
     cut = np.take_along_axis(rolled.view_reliefs[:, ::STEP, ::STEP], best[None], axis=0)[0]
     cut = ridge_band(np.ascontiguousarray(cut), rolled.blended.known[::STEP, ::STEP], pitch)
     result = {}
     for place, name in enumerate(rolled.names[1:], start=1):
-        line = seam_lines(shares, 0, place) & known
+        line = seam_lines(fractions, 0, place) & known
         if not line.any():
             result[name] = None
             continue

@@ -117,7 +117,7 @@ def measured(seed: int, scale: float) -> dict[str, float | str]:
 
 
 def summary(fingers: Mapping[str, Mapping[str, float | str]]) -> dict[str, Any]:
-    """Median, mean with a 95 % interval (bootstrap over fingers), maximum, share below the targets, refusals."""
+    """Median, mean with a 95 % interval (bootstrap over fingers), maximum, fraction below the targets, refusals."""
     rng = np.random.default_rng(0)
     table = {}
     for case in CASES:

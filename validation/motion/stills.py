@@ -36,10 +36,9 @@ def measured(folder: Path) -> dict[str, float]:
 def summary(captures: dict[str, dict[str, float]]) -> dict[str, float]:
     """The worst of each figure, and how many captures would be touched."""
     rows = list(captures.values())
-    least_mm = preset_settings("metric").motion.correct_mm
+    min_mm = preset_settings("metric").motion.correct_mm
     touched = [
-        row["seen_mm"] >= least_mm and row["registered_mm"] >= least_mm and row["left_over_before"] < HELPS
-        for row in rows
+        row["seen_mm"] >= min_mm and row["registered_mm"] >= min_mm and row["left_over_before"] < HELPS for row in rows
     ]
     return {
         "captures": len(rows),

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from splitknit.evaluation.rates import d_prime, equal_error
 from splitknit.simulator.finger.finger import Finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, ink_print
-from splitknit.simulator.population.people import DIGITS, FINGERS, Person, class_shares
+from splitknit.simulator.population.people import DIGITS, FINGERS, Person, class_fractions
 from splitknit.simulator.population.sessions import (
     PopulationSettings,
     draw_impression,
@@ -66,10 +66,10 @@ def sizes(count: int) -> dict[str, Any]:
         side, digit = name.split("_")
         drawn = [p.fingers[name].finger.pattern for p in everybody]
         row = {}
-        for pattern, share in class_shares(side, digit).items():
+        for pattern, fraction in class_fractions(side, digit).items():
             found = drawn.count(pattern) / count
-            worst = max(worst, abs(found - share) / max(np.sqrt(share * (1 - share) / count), 1e-9))
-            row[pattern] = [round(share, 4), round(found, 4)]
+            worst = max(worst, abs(found - fraction) / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9))
+            row[pattern] = [round(fraction, 4), round(found, 4)]
         result["classes"][name] = row
     result["classes_worst_deviation_in_sd"] = round(float(worst), 2)
     whorls = np.array([[p.fingers[f].finger.pattern in ("whorl", "twin_loop") for f in FINGERS] for p in everybody])

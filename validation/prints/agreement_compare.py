@@ -112,7 +112,7 @@ def by_finger(
 
 
 def agreed(rows: Sequence[dict[str, Any]], replicates: int = 1000, seed: int = 1) -> dict[str, Any]:
-    """:func:`recall_precision` with 95 % intervals of the two shares when fingers are drawn with replacement."""
+    """:func:`recall_precision` with 95 % intervals of the two fractions when fingers are drawn with replacement."""
     whole = recall_precision(rows)
     sums = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in ("true", "met", "found", "hit")}
     drawn = np.random.default_rng(seed).multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=replicates)

@@ -52,8 +52,8 @@ def section(facts: dict[str, Any]) -> str:
     lines += ["", "Of the true minutiae on a print:", ""]
     lines += ["| print | mindtct finds | it misses, the phase shows | neither |", "| --- | --- | --- | --- |"]
     for key, row in facts["held"].items():
-        shares = " | ".join(f"{100 * value:.0f} %" for name, value in row.items() if name != "minutiae")
-        lines.append(f"| {named(key + ' print')[0]} | {shares} |")
+        fractions = " | ".join(f"{100 * value:.0f} %" for name, value in row.items() if name != "minutiae")
+        lines.append(f"| {named(key + ' print')[0]} | {fractions} |")
     if "nfiq2" in facts:
         lines += ["", "NFIQ 2, medians over fingers:", ""]
         lines += ["| print | `metric` | true relief | median of the difference |", "| --- | --- | --- | --- |"]

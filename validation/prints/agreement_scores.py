@@ -32,7 +32,7 @@ def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) ->
 def told_apart(
     first: dict[str, Any], second: dict[str, Any], one: tuple[str, str], other: tuple[str | None, str]
 ) -> dict[str, Any]:
-    """Share of genuine scores above every impostor's; all of one side against all of the other."""
+    """Fraction of genuine scores above every impostor's; all of one side against all of the other."""
     names = [name for name in first if name in second]
     sides = [[_minutiae(first[n][one[0]], one[1]) for n in names]]
     sides.append([_minutiae(second[n] if other[0] is None else second[n][other[0]], other[1]) for n in names])

@@ -108,17 +108,17 @@ def reasons(rows: dict[str, Any], method: str) -> dict[str, Any]:
         ("beyond 2 mm of it", np.abs(height) >= 2.0),
     ):
         found[f"true ones {name}"] = {
-            "share": _share(where), "recall": _share(met[where] > 0), "count": int(where.sum()),
+            "share": _fraction(where), "recall": _fraction(met[where] > 0), "count": int(where.sum()),
         }  # fmt: skip
     false = wrong["hit"] == 0
     near, away = wrong["near"][false], wrong["away"][false]
     found["false ones"] = {
         "count": int(false.sum()),
-        "half to one period from a true one": _share(near < 1.0),
-        "one to two periods from a true one": _share((near >= 1.0) & (near < 2.0)),
-        "within one period of another found one": _share(away < 1.0),
-        "within 2 mm of the crease": _share(np.abs(wrong["crease"][false]) < 2.0),
-        "steeper than 60 deg": _share(wrong["slant"][false] >= 60.0),
+        "half to one period from a true one": _fraction(near < 1.0),
+        "one to two periods from a true one": _fraction((near >= 1.0) & (near < 2.0)),
+        "within one period of another found one": _fraction(away < 1.0),
+        "within 2 mm of the crease": _fraction(np.abs(wrong["crease"][false]) < 2.0),
+        "steeper than 60 deg": _fraction(wrong["slant"][false] >= 60.0),
     }
     return found
 
@@ -134,7 +134,7 @@ def _inside(prints: list[dict[str, Any]], side: str) -> dict[str, np.ndarray]:
     return {name: values[there] for name, values in columns.items()}
 
 
-def _share(where: np.ndarray) -> float | None:
+def _fraction(where: np.ndarray) -> float | None:
     return round(float(np.mean(where)), 4) if len(where) else None
 
 

@@ -2,7 +2,7 @@
 
 For captures of a population that are reconstructed in a store (``splitknit batch``): rank correlation of our score, of
 each of its figures, and of NFIQ 2 with the mean ridge-template similarity with the same finger's other sessions, and
-with the share of the true minutiae that mindtct finds on the unrolled print (within 5 pixels, half a ridge period).
+with the fraction of the true minutiae that mindtct finds on the unrolled print (within 5 pixels, half a ridge period).
 The 95 % intervals are those of a bootstrap over captures. ``--faults FOLDER`` (made by ``quality_faults.py``) adds what
 is said of fingers with one known fault; without it, what ``quality.json`` says of them stays. Writes
 ``validation/prints/quality.json``.

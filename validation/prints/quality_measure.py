@@ -31,7 +31,7 @@ MARGIN_PX = 13
 
 
 def facts_of(source: Source, minutiae_px: np.ndarray | None) -> dict:
-    """Quality of the unrolled print of a finger, NFIQ 2, and the share of the true minutiae that are found in it."""
+    """Quality of the unrolled print of a finger, NFIQ 2, and the fraction of the true minutiae that are found in it."""
     made = make_print(source, "unroll")
     found = measured(made, enhance(made, 500.0), 500.0)
     facts = {
@@ -46,7 +46,7 @@ def facts_of(source: Source, minutiae_px: np.ndarray | None) -> dict:
 
 
 def recall(made: Print, minutiae_px: np.ndarray) -> float | None:
-    """Share of the true minutiae (N, 2; column, row of the input) on the print that mindtct finds; None if under 10."""
+    """Fraction of the true minutiae (N, 2; column, row of the input) that mindtct finds on the print; None below 10."""
     true = made.map.print_from_input(minutiae_px)
     inside = cv2.erode((made.weight > 0.5).astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2)) > 0
     rows, columns = inside.shape

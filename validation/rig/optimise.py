@@ -115,8 +115,8 @@ def _run(name: str, out: Path, workers: int) -> dict[str, Any]:
     """Sweep, and keep of it what the report needs."""
     asked = SWEEPS[name]
 
-    def say(stage: str, share: float) -> None:
-        print(f"\r{name} {100 * share:3.0f} % {stage:40s}", end="", file=sys.stderr, flush=True)
+    def say(stage: str, fraction: float) -> None:
+        print(f"\r{name} {100 * fraction:3.0f} % {stage:40s}", end="", file=sys.stderr, flush=True)
 
     records = sweep(out, asked.candidates, asked.study, workers=workers, progress=say)
     print(file=sys.stderr)

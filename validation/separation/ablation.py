@@ -26,7 +26,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "ablation"
-SHARE = 0.95
+FRACTION = 0.95
 RECIPES = ("ablation_rows", "ablation_light")
 Needed = Mapping[str, Mapping[str, str]]
 """Networks of every row, by name, and their hashes."""
@@ -187,7 +187,7 @@ def statistics(values: Sequence[float]) -> dict[str, Any]:
     mean = float(np.mean(values))
     if len(values) < 2:
         return {"mean": mean, "interval": None}
-    half = float(t.ppf(0.5 + 0.5 * SHARE, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
+    half = float(t.ppf(0.5 + 0.5 * FRACTION, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
     return {"mean": mean, "interval": [mean - half, mean + half]}
 
 

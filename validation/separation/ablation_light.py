@@ -46,7 +46,7 @@ def twin_of(seed: int, scale: float) -> Twin:
 
 
 def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
-    """(L, H, W) what share of each white image's grey light a part of it is, as the twin knows it.
+    """(L, H, W) what fraction of each white image's grey light a part of it is, as the twin knows it.
 
     ``direct`` through checks of `check_mm`, glare included; ``direct without glare``; ``all but glare``. One where
     there is no light.
@@ -54,7 +54,7 @@ def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
     band = twin.capture.bands["white"]
     shape = (len(band.leds), *twin.capture.shape)
     names = ("direct", "direct without glare", "all but glare")
-    shares = {name: np.ones(shape, dtype=np.float32) for name in names}
+    fractions = {name: np.ones(shape, dtype=np.float32) for name in names}
     walks = load_walks()
     for k, (index,) in enumerate(band.leds):
         led = twin.capture.rig.leds[index]
@@ -62,9 +62,9 @@ def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
         direct, white = (np.tensordot(GREY_WEIGHTS, part, 1) for part in (light.direct, light.white))
         lit = white > 1e-6 * white.max()
         for name, part in zip(names, (direct, direct - light.glare, white - light.glare), strict=True):
-            share = np.divide(part, white, out=np.ones_like(white), where=lit)
-            shares[name][k][light.window] = np.clip(share, 0.0, 1.0)
-    return shares
+            fraction = np.divide(part, white, out=np.ones_like(white), where=lit)
+            fractions[name][k][light.window] = np.clip(fraction, 0.0, 1.0)
+    return fractions
 
 
 def without_glare(capture: Capture, name: str, glare: FloatArray) -> Capture:

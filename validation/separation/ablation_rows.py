@@ -41,7 +41,7 @@ class Row:
     preset: str = "metric"
     change: Mapping[str, Any] = field(default_factory=dict)
     """Settings, beside the preset's."""
-    share: str = ""
+    fraction: str = ""
     """What of the white light is let through instead of the network's grey output: that of the twin's truth by this
     name, or of the ``network`` that is given the colours; empty: nothing is changed."""
     glare: str = "in"
@@ -74,13 +74,13 @@ GLARES = {
 def _rows() -> dict[str, Row]:
     rows = {"ea": Row("thesis's chain, not split (`ea`)", "all light", "ea")}
     for clahe in (False, True):
-        for light, (words, share) in LIGHTS.items():
+        for light, (words, fraction) in LIGHTS.items():
             # where the twin gives the light, it does so in the network's place
             change = {"enhance.clahe": clahe, "direct.method": "none" if light == "all" else "network"}
             needs = ("direct",) if light in ("network", "colours") else ()
             text = f"CLAHE {'on' if clahe else 'off'}, {words}"
             name = f"snk_{'clahe' if clahe else 'plain'}_{light}"
-            rows[name] = Row(THESIS, text, "snk", change, share, networks=needs)
+            rows[name] = Row(THESIS, text, "snk", change, fraction, networks=needs)
     everything = ("relief", "shape")
     for glare, words in GLARES.items():
         needs = everything if glare == "network" else ()
@@ -154,11 +154,11 @@ class Bench:
         if row == ROWS["metric"]:
             return self._by_network[0]
         capture, settings = self._capture(row), self._settings(row)
-        if not row.share:
+        if not row.fraction:
             return reconstruct(capture, self.finger, settings)
-        share = self._coloured if row.share == "network" else self._shares[row.share]
-        share = share[(slice(None), *self.finger.window)]
-        with mock.patch.object(pipeline, "direct_light", lambda visible, _network: visible * share):
+        fraction = self._coloured if row.fraction == "network" else self._fractions[row.fraction]
+        fraction = fraction[(slice(None), *self.finger.window)]
+        with mock.patch.object(pipeline, "direct_light", lambda visible, _network: visible * fraction):
             return reconstruct(capture, self.finger, settings)
 
     def _capture(self, row: Row) -> Capture:
@@ -175,20 +175,20 @@ class Bench:
         return override(preset_settings(row.preset), {**names, **row.change})
 
     @cached_property
-    def _shares(self) -> dict[str, FloatArray]:
+    def _fractions(self) -> dict[str, FloatArray]:
         return true_shares(self.twin, self.options.check_mm)
 
     @cached_property
     def _coloured(self) -> FloatArray:
-        """(L, H, W) share of direct light in the grey images, as the network finds it in the linear, coloured ones."""
+        """(L, H, W) fraction of direct light in the grey images, as the network finds it in the linear colours."""
         capture, window = self.twin.capture, self.finger.window
         light = linear_channels(capture.bands["white"], capture.encoding, ("red", "green", "blue"), window)
         light = np.maximum(light, np.float32(0.0)) * self.finger.wider[window]
-        share = np.ones((light.shape[1], *capture.shape), dtype=np.float32)
-        share[(slice(None), *window)] = direct_of_enhanced(
+        fraction = np.ones((light.shape[1], *capture.shape), dtype=np.float32)
+        fraction[(slice(None), *window)] = direct_of_enhanced(
             np.ones_like(light[0]), light.swapaxes(0, 1), self.options.direct
         )
-        return share
+        return fraction
 
     @cached_property
     def _by_network(self) -> tuple[Reconstruction, FloatArray]:

@@ -115,8 +115,8 @@ def ideal(patches: dict[str, Patch]) -> list[dict[str, Any]]:
             error = np.abs(found.direct[..., 0] - truth.direct[0])[mask]
             peak = float(truth.direct[0][mask].max())
             what = {"surface": name, "check_mm": check, "alpha": alpha, "dark": dark}
-            share = float(np.abs(found.global_[..., 0][mask]).max()) / peak
-            rows.append({**what, "largest_error": float(error.max()) / peak, "global_share": share})
+            fraction = float(np.abs(found.global_[..., 0][mask]).max()) / peak
+            rows.append({**what, "largest_error": float(error.max()) / peak, "global_share": fraction})
     return rows
 
 

@@ -224,7 +224,7 @@ PART_OF = {
 
 
 def discarded_by_roll(captures: Captures, truth: Mapping[str, Row]) -> Row:
-    """Shares of the fingers, and of the genuine comparisons, that several limits discard."""
+    """Fractions of the fingers, and of the genuine comparisons, that several limits discard."""
     rolls = np.array([_rolls(truth).get(str(name), np.nan) for name in captures.names])
     spread = np.array(list(spreads(captures.finger, rolls).values()))
     same = [rolls[captures.finger == name] for name in np.unique(captures.finger)]

@@ -133,11 +133,11 @@ def _in_parallel(work_on: Callable[..., Row], work: Work, tasks: Sequence[tuple[
     if jobs <= 1 or len(tasks) <= 1:
         return [work_on(work, *task) for task in tasks]
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_share, initargs=(work_on, work)) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_fraction, initargs=(work_on, work)) as pool:
         return list(pool.map(_one, tasks))
 
 
-def _share(work_on: Callable[..., Row], work: Work) -> None:
+def _fraction(work_on: Callable[..., Row], work: Work) -> None:
     _shared[:] = [work_on, work]
 
 

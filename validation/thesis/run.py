@@ -97,8 +97,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="of the part scales")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
-    parser.add_argument("--scales-impostors", type=float, default=1.0, help="share of its impostor pairs")
-    parser.add_argument("--impostors", type=float, default=0.06, help="share of the impostor pairs of a chain's batch")
+    parser.add_argument("--scales-impostors", type=float, default=1.0, help="fraction of its impostor pairs")
+    parser.add_argument(
+        "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
+    )
     parser.add_argument("--replicates", type=int, default=300)
     parser.add_argument("--seed", type=int, default=680)
     parser.add_argument("--jobs", type=int, default=2)

@@ -69,7 +69,7 @@ def relief_images(capture: Capture, scales: Sequence[int] = SCALES) -> Reliefs:
 
 
 def scales_table(  # noqa: PLR0917
-    population: Path, names: Sequence[str], scratch: Path, share: float, seed: int, jobs: int
+    population: Path, names: Sequence[str], scratch: Path, fraction: float, seed: int, jobs: int
 ) -> Table:
     """Trials ``n = 2`` to ``n = 7`` on sessions 1 and 2 of the captures `names`.
 
@@ -80,7 +80,7 @@ def scales_table(  # noqa: PLR0917
     population : folder of the captures
     names : of captures (``S01/session_1/right_index``)
     scratch : folder
-    share : of the impostor pairs
+    fraction : of the impostor pairs
     seed : which of them
     jobs : processes
     """
@@ -96,7 +96,7 @@ def scales_table(  # noqa: PLR0917
     (scratch / "reliefs").mkdir(parents=True, exist_ok=True)
     _each(partial(_keep_relief, population, scratch), names, jobs)
     all_pairs = comparisons(captures.finger.tolist(), captures.session.tolist())
-    kept = all_pairs.genuine | drawn(captures.finger[all_pairs.a], captures.finger[all_pairs.b], share, seed)
+    kept = all_pairs.genuine | drawn(captures.finger[all_pairs.a], captures.finger[all_pairs.b], fraction, seed)
     pairs = Pairs(captures, all_pairs.a[kept], all_pairs.b[kept])
     groups = np.split(np.arange(pairs.a.size), np.flatnonzero(np.diff(pairs.a)) + 1)  # one database finger each
     tasks = [(names[int(pairs.a[group[0]])], [names[int(b)] for b in pairs.b[group]]) for group in groups]
@@ -110,12 +110,12 @@ def scales_table(  # noqa: PLR0917
     return Table(pairs, trials, ())
 
 
-def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], share: float, seed: int) -> NDArray[np.bool_]:
-    """(N,) a share of the pairs of fingers, the same whatever else is compared."""
+def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: float, seed: int) -> NDArray[np.bool_]:
+    """(N,) a fraction of the pairs of fingers, the same whatever else is compared."""
 
     def chosen(a: str, b: str) -> bool:
         digest = hashlib.sha256(f"{seed}:{a}:{b}".encode()).digest()
-        return int.from_bytes(digest[:8], "big") < share * 2.0**64
+        return int.from_bytes(digest[:8], "big") < fraction * 2.0**64
 
     return np.array([chosen(a, b) for a, b in zip(finger_a.tolist(), finger_b.tolist(), strict=True)], dtype=np.bool_)
 

@@ -88,7 +88,7 @@ def sensitivity_rows(  # noqa: PLR0917
                 }  # fmt: skip
                 for target, threshold in thresholds.items():
                     accepted = np.zeros(inside.sum()) if threshold is None else similarity[inside] >= threshold
-                    value, limits = _share(accepted.astype(np.float64), fingers[inside], weights)
+                    value, limits = _fraction(accepted.astype(np.float64), fingers[inside], weights)
                     supported = allowed(target, int(np.sum(~scores.label))) >= 1
                     row[f"gar@{target:g}"] = value if supported else None
                     row[f"gar@{target:g}_low"], row[f"gar@{target:g}_high"] = limits if supported else (None, None)
@@ -107,11 +107,11 @@ def _values(pairs: Pairs, factor: Factor, truth: Truth) -> Values:
 
 def _draws(fingers: int, replicates: int, seed: int) -> Values:
     """(replicates, fingers) how often each finger is drawn."""
-    share = np.full(fingers, 1.0 / fingers)
-    return np.random.default_rng(seed).multinomial(fingers, share, size=replicates).astype(np.float64)
+    fraction = np.full(fingers, 1.0 / fingers)
+    return np.random.default_rng(seed).multinomial(fingers, fraction, size=replicates).astype(np.float64)
 
 
-def _share(accepted: Values, fingers: Any, weights: Values) -> tuple[float, tuple[float, float]]:
+def _fraction(accepted: Values, fingers: Any, weights: Values) -> tuple[float, tuple[float, float]]:
     """A rate and its limits where fingers are drawn; of no error, or nothing else, the rule of three."""
     count = weights.shape[1]
     hits = np.bincount(fingers, weights=accepted, minlength=count)

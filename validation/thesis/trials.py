@@ -17,7 +17,7 @@ from splitknit.evaluation.scores import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
 KEPT_SHARE = 0.2
-"""A case that has less than this share of the largest one's comparisons is left out of a table, and named."""
+"""A case that has less than this fraction of the largest one's comparisons is left out of a table, and named."""
 
 Values = NDArray[np.float64]
 

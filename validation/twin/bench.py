@@ -97,11 +97,11 @@ def print_shadow_ends() -> None:
         for tip_radius in (0.05, 0.15, 0.3):
             own = {"camera": rig.camera, "leds": rig.leds[:1], "bench": BenchSettings(0.0, led_radius)}
             nail = NailScene(**own, nail_mm=13.0, tip_radius_mm=tip_radius)
-            share = nail.light([0])[..., 1] / CardScene(**own, reflectance=nail.ground).light([0])[..., 1]
+            fraction = nail.light([0])[..., 1] / CardScene(**own, reflectance=nail.ground).light([0])[..., 1]
             tip = nail.shadow_tips_px()[0]  # on the row through the middle, to the left
             reach = np.linspace(-1.0, 1.0, 401)
             places = np.stack([tip[0] - reach * rig.camera.px_per_mm, np.full(401, tip[1])], axis=1).astype(np.float32)
-            along = cv2.remap(share, places[None, :, 0], places[None, :, 1], cv2.INTER_LINEAR)[0]
+            along = cv2.remap(fraction, places[None, :, 0], places[None, :, 1], cv2.INTER_LINEAR)[0]
             ends = [reach[int(np.argmax(along > level))] for level in (0.1, 0.5, 0.9)]
             print(
                 f"LED radius {led_radius:g} mm, tip radius {tip_radius:g} mm: the shadow falls to 10, 50, 90 % at "

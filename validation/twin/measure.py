@@ -208,9 +208,9 @@ def _low_difference(twin: Array, parts: Array, chosen: Array) -> dict[str, float
     difference = model / model.mean() - mean / mean.mean()
     relative = difference / (mean / mean.mean())
     noise = low.var(axis=0, ddof=1) / len(parts) / mean**2
-    share = float((relative**2).mean() - noise.mean())
+    fraction = float((relative**2).mean() - noise.mean())
     return {
-        "rms": float(np.sign(share) * np.sqrt(abs(share))),
+        "rms": float(np.sign(fraction) * np.sqrt(abs(fraction))),
         "noise": float(np.sqrt(noise.mean())),
         "level_twin_over_reference": float(model.mean() / mean.mean()),
         "cells": int(chosen.sum()),

@@ -44,8 +44,8 @@ def ridges(kind: str, depth_um: float) -> tuple[Array, Array]:
 def _at(table: Array, x: Array) -> Array:
     place = (x / PERIOD_MM) % 1.0 * SAMPLES
     low = place.astype(np.intp)
-    share = place - low
-    return table[low % SAMPLES] * (1.0 - share) + table[(low + 1) % SAMPLES] * share
+    fraction = place - low
+    return table[low % SAMPLES] * (1.0 - fraction) + table[(low + 1) % SAMPLES] * fraction
 
 
 def _normals(slope: Array) -> Array:
@@ -54,11 +54,11 @@ def _normals(slope: Array) -> Array:
 
 
 def _into(normals: Array, rng: np.random.Generator) -> Array:
-    share, turn = rng.random(normals.shape[1]), 2.0 * np.pi * rng.random(normals.shape[1])
+    fraction, turn = rng.random(normals.shape[1]), 2.0 * np.pi * rng.random(normals.shape[1])
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
     along = np.array([[0.0], [1.0], [0.0]])
-    side = np.sqrt(share)
-    return -np.sqrt(1.0 - share) * normals + side * (np.cos(turn) * across + np.sin(turn) * along)
+    side = np.sqrt(fraction)
+    return -np.sqrt(1.0 - fraction) * normals + side * (np.cos(turn) * across + np.sin(turn) * along)
 
 
 def _entering(normals: Array) -> Array:
@@ -78,8 +78,8 @@ def _first_exit(points: Array, directions: Array, step: Array, height: Array) ->
     k = (gap[left] > 1e-7).argmax(axis=1)
     start = np.minimum(p[2, left] - _at(height, p[0, left]), -1e-9)
     before = np.where(k > 0, gap[left, np.maximum(k - 1, 0)], start)
-    share = (k + before / (before - gap[left, k])) / CHECKS.size
-    return close[left], np.maximum(reach[left] * share, 0.0)
+    fraction = (k + before / (before - gap[left, k])) / CHECKS.size
+    return close[left], np.maximum(reach[left] * fraction, 0.0)
 
 
 def walked(x_mm: float, optics: ChannelOptics, relief: tuple[Array, Array], rng: np.random.Generator) -> Array:

@@ -33,11 +33,11 @@ def _normals(points: Array) -> Array:
 
 
 def _into(normals: Array, rng: np.random.Generator) -> Array:
-    share, turn = rng.random(normals.shape[1]), 2.0 * np.pi * rng.random(normals.shape[1])
+    fraction, turn = rng.random(normals.shape[1]), 2.0 * np.pi * rng.random(normals.shape[1])
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
     along = np.array([[0.0], [1.0], [0.0]])
-    side = np.sqrt(share)
-    return -np.sqrt(1.0 - share) * normals + side * (np.cos(turn) * across + np.sin(turn) * along)
+    side = np.sqrt(fraction)
+    return -np.sqrt(1.0 - fraction) * normals + side * (np.cos(turn) * across + np.sin(turn) * along)
 
 
 def _received(points: Array, normals: Array, light: tuple[float, float, float]) -> Array:

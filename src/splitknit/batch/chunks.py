@@ -36,7 +36,7 @@ SUFFIX = ".parquet"
 _KEY = b"splitknit"
 _MAX_BYTES = 2_000_000_000
 """Of a file and of its columns: surfaces of forty captures."""
-_MOST_ROWS = 10_000_000
+_MAX_ROWS = 10_000_000
 _TEXTS = {"capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b"}
 _FLAGS = {"acquired", "genuine", "compared"}
 _PAYLOADS = {"template", "print", "images", "minutiae", "minutiae3d", "surface_code"}
@@ -94,7 +94,7 @@ def read_chunk(path: Path, columns: Sequence[str] | None = None, needed: Sequenc
         facts = file.metadata
         # the sizes of single columns are not asked for: pyarrow ends the process where their statistics are damaged
         size = sum(facts.row_group(k).total_byte_size for k in range(facts.num_row_groups))
-        require(facts.num_rows <= _MOST_ROWS and size <= _MAX_BYTES, f"'{path}' is too large; {_REMEDY}.")
+        require(facts.num_rows <= _MAX_ROWS and size <= _MAX_BYTES, f"'{path}' is too large; {_REMEDY}.")
         table = file.read(columns=wanted)
         table.validate(full=True)
         names = table.column_names

@@ -125,8 +125,8 @@ def _numbers(table: Any, column: str, compared: list[bool]) -> list[str]:
 Progress = Callable[[str, float], None]
 
 
-def _no_progress(stage: str, share: float) -> None:
-    """Say nothing."""
+def _no_progress(stage: str, fraction: float) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ def run_batch(
     jobs : processes; nothing but time depends on their number
     cluster : Cluster or its address; its workers do it instead, and must see both folders under the same names
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
-    progress : called with words and the share that is done
+    progress : called with words and the fraction that is done
 
     Raises
     ------

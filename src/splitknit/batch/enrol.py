@@ -135,7 +135,7 @@ def _waiting(gallery: Gallery | None, places: Sequence[Found], *, replace: bool)
             require(
                 replace,
                 f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}; "
-                "say --replace, or name another gallery.",
+                "give --replace, or name another gallery.",
             )
             waiting.append(place)
     return waiting

@@ -31,7 +31,7 @@ Values = Mapping[str, float]
 
 
 class Matcher(ABC):
-    """One way to compare two captures."""
+    """One method of comparing two captures."""
 
     name: ClassVar[str]
     columns: ClassVar[tuple[str, ...]]

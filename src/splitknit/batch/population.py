@@ -125,9 +125,9 @@ class Block:
 
 
 def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pairs:
-    """Every finger of a session with every finger of every later one; of different fingers a share only.
+    """Every finger of a session with every finger of every later one; of different fingers a fraction only.
 
-    The share is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
+    The fraction is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
     sessions.
 
     Raises

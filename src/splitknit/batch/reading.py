@@ -62,7 +62,7 @@ def forget() -> None:
 
 
 def _version(file: Path) -> int:
-    """Tell a file that was made anew from what is kept of the old one."""
+    """Distinguish a file that was made anew from what is kept of the old one."""
     try:
         return file.stat().st_mtime_ns
     except OSError as error:

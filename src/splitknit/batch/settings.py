@@ -19,7 +19,7 @@ MATCHERS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code"
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One way to reconstruct: a preset and what is changed in it."""
+    """One method of reconstruction: a preset and what is changed in it."""
 
     name: str
     """Of the folder in the store: letters, digits, ``.``, ``-`` and ``_``."""
@@ -50,7 +50,7 @@ class Case:
 
 
 def preset_cases(names: tuple[str, ...] = ("metric", "snk", "pr", "ea")) -> tuple[Case, ...]:
-    """Cases of the presets `names`, unchanged; the thesis's and ours where none are named."""
+    """Cases of the presets `names`, unchanged; the thesis's and `metric` where none are named."""
     return tuple(Case(name, name) for name in names)
 
 
@@ -59,7 +59,7 @@ class BatchSettings(Checked):
     """What is reconstructed and compared."""
 
     cases: tuple[Case, ...] = field(default_factory=preset_cases)
-    """Ways to reconstruct, at least one, each by its own name; as shipped `metric`, `snk`, `pr` and `ea`."""
+    """Methods of reconstruction, at least one, each by its own name; as shipped `metric`, `snk`, `pr` and `ea`."""
     matchers: tuple[str, ...] = ("ridge",)
     """Of :data:`MATCHERS`; none: reconstruct only."""
     impostors: Annotated[float, Limits(0, 1)] = 1.0

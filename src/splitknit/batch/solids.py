@@ -1,6 +1,6 @@
 """Features in space of a chunk's captures, beside the features: minutiae in space, and surface codes.
 
-They are made with the reconstruction where a matcher asks for them, and else from the surfaces in the store; both give
+They are made with the reconstruction where a matcher needs them, and else from the surfaces in the store; both give
 the same bytes.
 """
 

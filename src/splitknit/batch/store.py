@@ -32,7 +32,7 @@ class Store:
     folder: Path
 
     def document(self) -> dict[str, Any]:
-        """What the store says about itself.
+        """The store's own record.
 
         Raises
         ------
@@ -244,7 +244,7 @@ def _check_same(folder: Path, earlier: Mapping[str, Any], wanted: Mapping[str, A
 
 
 def _pairs(folder: Path, earlier: Any, wanted: Any) -> Any:
-    """Which comparisons: a later run may ask for more of them, drawn alike."""
+    """Which comparisons: a later run may request more of them, drawn the same way."""
     if not earlier or not wanted:
         return wanted or earlier
     require(

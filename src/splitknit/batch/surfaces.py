@@ -23,9 +23,9 @@ _HEAD = struct.Struct("<4sII4IId9dII")
 """Magic; rows, columns; top, left, rows and columns of the box; whether normals are stored; pitch in mm; matrix that
 takes the upright frame to the input; rows and columns of the upright frame."""
 _MAGIC = b"SKS1"
-_MOST_PIXELS = 40_000_000
+_MAX_PIXELS = 40_000_000
 """Of a capture's images, five times those of the rig's camera: a surface takes 21 bytes for each once unpacked."""
-_MOST_MM = 1000.0
+_MAX_MM = 1000.0
 """Of a height."""
 _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again."
 
@@ -35,7 +35,7 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     mask = surface.mask
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     require(rows.size > 0, "the mask of a surface is empty.")
-    require(mask.size <= _MOST_PIXELS, f"a surface of {mask.size} pixels is too large to be kept; reduce the images.")
+    require(mask.size <= _MAX_PIXELS, f"a surface of {mask.size} pixels is too large to be kept; reduce the images.")
     box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     height, shape = height_mm[mask], surface.shape_mm[mask]
     follow = np.array_equal(_normals(height_mm, mask, surface.pitch_mm), surface.normals)
@@ -69,7 +69,7 @@ def unpack_surface(payload: bytes) -> Surface:
     with refusing(_DAMAGED):
         magic, rows, columns, top, left, high, wide, stored, pitch, *rest = _HEAD.unpack_from(payload)
         require(magic == _MAGIC and 0 < top + high <= rows and 0 < left + wide <= columns, _DAMAGED)
-        require(rows * columns <= _MOST_PIXELS and rest[9] * rest[10] <= 2 * _MOST_PIXELS, _DAMAGED)
+        require(rows * columns <= _MAX_PIXELS and rest[9] * rest[10] <= 2 * _MAX_PIXELS, _DAMAGED)
         require(stored in (0, 1) and 1e-6 < pitch < 1e3 and bool(np.isfinite(rest[:9]).all()), _DAMAGED)
         at = _HEAD.size
         size = (high * wide + 7) // 8
@@ -84,7 +84,7 @@ def unpack_surface(payload: bytes) -> Surface:
     height, shape, *parts = (_floats(np.cumsum(word, dtype=np.int32)) for word in (*words[:2], *words[3:]))
     with np.errstate(invalid="ignore", over="ignore"):
         ridge = _floats(_bits(height - shape) + words[2])
-    sound = all(bool((np.abs(values) <= _MOST_MM).all()) for values in (height, shape, ridge, *parts))
+    sound = all(bool((np.abs(values) <= _MAX_MM).all()) for values in (height, shape, ridge, *parts))
     require(sound, _DAMAGED)
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
     if stored:

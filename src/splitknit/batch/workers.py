@@ -63,7 +63,7 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
 def _interrupts_for_us_alone() -> Iterator[None]:
     """Start processes that Ctrl-C does not reach: each would show a traceback, and we end them when their job is done.
 
-    Blocked signals stay blocked in a new process; ours, if one comes meanwhile, is delivered at the end.
+    Blocked signals stay blocked in a new process; one that reaches this process meanwhile is delivered at the end.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield

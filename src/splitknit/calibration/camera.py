@@ -126,8 +126,8 @@ def fit_lens(
         elif step == ("aspect",):
             fixed[_called(step)] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
         else:
-            told = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
-            fixed[_called(step)] = f"0: the photographs give {told}"
+            estimate = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
+            fixed[_called(step)] = f"0: the photographs give {estimate}"
     best.deviations.update(_focal_deviations(views, kept, best))
     return LensFit(
         best.matrix,
@@ -176,7 +176,7 @@ def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> 
 
 
 def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views) -> float:
-    """Standard deviation of fx / fy, which OpenCV does not give: how much worse the fit is without it says it.
+    """Standard deviation of fx / fy, which OpenCV does not give: found from how much worse the fit is without it.
 
     The sum of squares falls by the variance of one coordinate times (value / deviation)^2.
     """

@@ -351,7 +351,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
     if size != asked and (count > 1 or len(files) == 1):
         raise BadInput(
             f"{files[0]} shows a checkerboard of {size[0]} x {size[1]} inner corners, not of {board.columns} x "
-            f"{board.rows}; say --board {size[0]}x{size[1]}, or photograph the whole board."
+            f"{board.rows}; give --board {size[0]}x{size[1]}, or photograph the whole board."
         )
 
 
@@ -387,7 +387,7 @@ def facts_of(job: CameraJob, found: _FoundCamera, nominal_leds: bool) -> dict[st
 
 
 def _rig_provenance(facts: Mapping[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
-    """Return what the rig file says about its camera's origin."""
+    """Return the rig file's record of its camera's origin."""
     kept = ("calibrated_at", "measured", "nominal", "warnings")
     residuals = {"fit": facts["fit"], "plane": facts["plane"]}
     origin = provenance({"board": facts["board"]}, hashes)

@@ -66,11 +66,11 @@ Array = NDArray[np.float64]
 
 
 _MAX_CLIPPED_PERCENT = 0.5
-"""An image is refused if more than this share of its pixels is at full scale."""
+"""An image is refused if more than this fraction of its pixels is at full scale."""
 _FULL_SCALE = 0.985
 """A value from here on is at full scale."""
 _MIN_LIGHT = 0.02
-"""An image whose median is below this share of full scale is black."""
+"""An image whose median is below this fraction of full scale is black."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +86,7 @@ class CardImages:
     ambient_percent: dict[str, float | None]
     """Of each band: light with all LEDs off, relative to the mean image; None where there is no such image."""
     exposures_given: bool
-    """Whether the capture says how long it exposed, so that brightness can be compared with another day's."""
+    """Whether the capture states how long it exposed, so that brightness can be compared with another day's."""
     brightest: Array
     """(L,) 99th percentile of each image's values, as a part of full scale."""
 
@@ -104,7 +104,7 @@ def card_images(capture: Capture, rig: Rig, black_level: float | None = None) ->
     ----------
     capture : of the card, each LED of the rig alone in one image
     rig : whose LEDs the capture names
-    black_level : stored value of no light, for images of which the capture does not say it
+    black_level : stored value of no light, for images where the capture does not state it
 
     Returns
     -------

@@ -54,8 +54,8 @@ class CardPlane:
         """(3,) unit vector out of the card."""
         a, b = np.deg2rad(self.tilt_deg)
         angle = float(np.hypot(a, b))
-        share = float(np.sinc(angle / np.pi))
-        return np.array([share * b, -share * a, np.cos(angle)])
+        fraction = float(np.sinc(angle / np.pi))
+        return np.array([fraction * b, -fraction * a, np.cos(angle)])
 
     def points(self, camera: Camera, pixels: Any) -> Array:
         """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card.
@@ -71,8 +71,8 @@ class CardPlane:
         places = plane_points(camera, pixels)
         x, y, z = self.normal
         if camera.model == "perspective":
-            share = z * (camera.height_mm - self.height_mm) / (z * camera.height_mm - places @ (x, y))
-            return np.column_stack([places * share[:, None], camera.height_mm * (1 - share)])
+            fraction = z * (camera.height_mm - self.height_mm) / (z * camera.height_mm - places @ (x, y))
+            return np.column_stack([places * fraction[:, None], camera.height_mm * (1 - fraction)])
         return np.column_stack([places, self.height_mm - places @ (x, y) / z])
 
 
@@ -131,9 +131,9 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     return np.asarray(_facing_light(led, points) * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
-_LEAST_EXPONENT = 0.02
+_MIN_EXPONENT = 0.02
 """Of a beam, where there is one: below it, an aim means nothing."""
-_MOST_TILT = 0.7
+_MAX_TILT = 0.7
 """Of an aim against the direction to the origin: 35 deg."""
 
 
@@ -203,7 +203,7 @@ class CardModel:
 
     def vector(self, answer: Answer, order: Order) -> Array:
         """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first time is not flat."""
-        exponent = np.maximum(answer.exponent, _LEAST_EXPONENT if answer.tilt.any() else 1.0)
+        exponent = np.maximum(answer.exponent, _MIN_EXPONENT if answer.tilt.any() else 1.0)
         parts = [np.log(answer.brightness), answer.lens[: order.lens]]
         if order.beam == "band":
             parts.append(np.array([exponent[self.band == b].mean() for b in range(self.band.max() + 1)]))
@@ -233,7 +233,7 @@ class CardModel:
         _, lens, beams, _ = self._places(order)
         low, high = np.full(self.size(order), -np.inf), np.full(self.size(order), np.inf)
         low[list(lens)], high[list(lens)] = -0.95, 0.95
-        low[list(beams)], high[list(beams)] = _LEAST_EXPONENT, 200.0
+        low[list(beams)], high[list(beams)] = _MIN_EXPONENT, 200.0
         return low, high
 
     def project(self, vector: Array, order: Order) -> Array:
@@ -241,7 +241,7 @@ class CardModel:
         moved = np.clip(vector, *self.bounds(order))
         if order.aims:
             _, _, beams, tilts = self._places(order)
-            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / _MOST_TILT
+            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / _MAX_TILT
             own = self.band if order.beam == "band" else np.arange(self.count)
             np.maximum.at(moved, np.asarray(beams, dtype=np.intp)[own], needed)
         return np.asarray(moved)
@@ -275,7 +275,7 @@ class CardModel:
         return np.array(places, dtype=np.intp), np.stack(rows)
 
     def exponents(self, values: Array, order: Order) -> Array:
-        """(L,) what a vector of parameters (or of their errors) says about each LED's exponent; NaN where nothing."""
+        """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent; NaN where nothing."""
         own = values[list(self._places(order)[2])]
         return np.full(self.count, np.nan) if order.beam == "none" else own[self.band] if order.beam == "band" else own
 

@@ -180,13 +180,13 @@ _ROBUST_PERCENT = 0.5
 _ENOUGH_PERCENT = 0.05
 """The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
 _ENOUGH_FRACTION = 0.05
-"""... or by no more than this share of it."""
+"""... or by no more than this fraction of it."""
 _MIN_FIELD = 0.3
-"""A cell that is darker than this share of the model's brightness does not show the card."""
+"""A cell that is darker than this fraction of the model's brightness does not show the card."""
 _MAX_EMPTY = 0.005
-"""Share of the cells that may be so."""
+"""Fraction of the cells that may be so."""
 MAX_DUST = 0.05
-"""Largest share of dust; beyond it the card is not uniform."""
+"""Largest fraction of dust; beyond it the card is not uniform."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,10 +351,10 @@ def _check_lit(leds: Sequence[Led], start: Answer) -> None:
 def _check_field(ratio: Array) -> None:
     """Refuse a card that ends inside the picture: cells that are far darker than the rest under most LEDs."""
     empty = np.median(ratio, axis=0) < _MIN_FIELD
-    share = float(empty.mean())
+    fraction = float(empty.mean())
     require(
-        share <= _MAX_EMPTY,
-        f"the card does not fill the field: {100 * share:.0f} % of the picture is far darker than the rest; take a "
+        fraction <= _MAX_EMPTY,
+        f"the card does not fill the field: {100 * fraction:.0f} % of the picture is far darker than the rest; take a "
         f"larger card, or move it until it reaches over all borders.",
     )
     strange = float((np.abs(np.median(ratio, axis=0) - 1) > 0.05).mean())

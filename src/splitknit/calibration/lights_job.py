@@ -72,17 +72,17 @@ def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> dict[str,
     Refused
         If the LEDs that were found are not good enough; its facts hold what was found.
     """
-    way = _checked_way(job)
-    if way == "sphere":
+    source = _checked_source(job)
+    if source == "sphere":
         return _of_sphere(job)
     inputs = _rig_inputs(job)
     circle = _circle_of(job, inputs)
-    if way == "geometry":
+    if source == "geometry":
         return _nominal(job, inputs, circle)
-    return _of_table(job, inputs, circle, progress) if way == "table" else _of_images(job, inputs, circle, progress)
+    return _of_table(job, inputs, circle, progress) if source == "table" else _of_images(job, inputs, circle, progress)
 
 
-def _checked_way(job: LightsJob) -> str:
+def _checked_source(job: LightsJob) -> str:
     """Return ``table``, ``images``, ``sphere`` or ``geometry``. Raises BadInput if none or several of them are asked
     for.
     """
@@ -93,16 +93,18 @@ def _checked_way(job: LightsJob) -> str:
         "sphere": job.sphere is not None,
         "geometry": bool(job.geometry),
     }
-    ways = [way for way, wanted in asked.items() if wanted]
+    sources = [name for name, wanted in asked.items() if wanted]
     require(
-        len(ways) == 1,
+        len(sources) == 1,
         f"calibrate lights needs one of --table CSV, --images FOLDER, --sphere KIND with --images, and --geometry, but "
-        f"{'none was' if not ways else ' and '.join('--' + way for way in ways) + ' were'} given.",
+        f"{'none was' if not sources else ' and '.join('--' + name for name in sources) + ' were'} given.",
     )
-    require(ways[0] != "sphere" or job.images is not None, "--sphere needs --images FOLDER, photographs of the ball.")
+    require(
+        sources[0] != "sphere" or job.images is not None, "--sphere needs --images FOLDER, photographs of the ball."
+    )
     check_rig_file(job.out)
-    require(ways[0] != "geometry" or job.out is not None, "--geometry writes a rig file; name it with --out FILE.")
-    return ways[0]
+    require(sources[0] != "geometry" or job.out is not None, "--geometry writes a rig file; name it with --out FILE.")
+    return sources[0]
 
 
 def _rig_inputs(job: LightsJob) -> _RigInputs:
@@ -110,7 +112,7 @@ def _rig_inputs(job: LightsJob) -> _RigInputs:
     if job.rig is not None:
         for name in ("px_per_cm", "image_size"):
             given = getattr(job, name) is None
-            require(given, f"--{name.replace('_', '-')} and --rig say the same thing; give one of them.")
+            require(given, f"--{name.replace('_', '-')} and --rig set the same thing; give one of them.")
         base = read_rig(job.rig)
         return _RigInputs(base.camera, base)
     needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]
@@ -300,12 +302,12 @@ def _of_sphere(job: LightsJob) -> dict[str, Any]:
         directions = chrome_directions(stack, ball)
     else:
         directions, strengths = grey_directions(stack, ball)
-    low = [str(one.path) for one, way in zip(photographs, directions, strict=True) if way[2] <= 0.05]
+    low = [str(one.path) for one, unit in zip(photographs, directions, strict=True) if unit[2] <= 0.05]
     require(not low, f"{' and '.join(low)}: the light stands beside or behind the ball; correct the mask or the image.")
     height = None if job.led_height_cm is None else 10.0 * job.led_height_cm
     facts, leds = [], []
-    for k, (one, way) in enumerate(zip(photographs, directions, strict=True)):
-        unit = (float(way[0]), float(way[1]), float(way[2]))
+    for k, (one, direction) in enumerate(zip(photographs, directions, strict=True)):
+        unit = (float(direction[0]), float(direction[1]), float(direction[2]))
         place = None if height is None else (height * unit[0] / unit[2], height * unit[1] / unit[2], height)
         strength = 1.0 if strengths is None else float(strengths[k] / strengths.mean())
         # a near light's strength falls with the square of its distance

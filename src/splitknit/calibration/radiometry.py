@@ -48,7 +48,7 @@ class RadiometrySettings(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadiometricCalibration:
-    """What a white card says about a rig."""
+    """A rig's radiometry as a white card shows it."""
 
     rig: Rig
     """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under `PROVENANCE`."""
@@ -73,7 +73,7 @@ def calibrate_radiometry(
     capture : of the card; an ambient image a band takes room light and black level off
     rig : camera and LEDs' places, calibrated
     card : where the card lies; on the finger plane by default
-    black_level : stored value of no light, for images of which the capture does not say it
+    black_level : stored value of no light, for images where the capture does not state it
     settings : RadiometrySettings, optional
 
     Returns
@@ -174,15 +174,15 @@ def _warnings(
     rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
 ) -> tuple[str, ...]:
     words = []
-    for band, share in images.ambient_percent.items():
-        if share is None:
+    for band, fraction in images.ambient_percent.items():
+        if fraction is None:
             words.append(
                 f"there is no ambient image of the band {band}: room light"
                 f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
             )
-        elif share > _AMBIENT_PERCENT:
+        elif fraction > _AMBIENT_PERCENT:
             words.append(
-                f"light from elsewhere is {share:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
+                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
                 f"close the lid, for it changes from image to image."
             )
     for k, largest in enumerate(flat.largest_percent):
@@ -210,8 +210,8 @@ class CardCheck:
     ratio: Array
     """(L,) brightness now over brightness at the calibration, of each LED."""
     common: Mapping[str, float | None]
-    """Of each band: the median of its LEDs' ratios, what exposure, gain, lens and card do to all alike; None where the
-    exposures of one of the two are not known."""
+    """Of each band: the median of its LEDs' ratios, what exposure, gain, lens and card do to all equally; None where
+    the exposures of one of the two are not known."""
     own: Array
     """(L,) the ratio without the band's common part."""
     pattern_percent: Array
@@ -230,7 +230,7 @@ def check_card(
     ----------
     capture : of the white card, as for :func:`splitknit.calibration.radiometry.calibrate_radiometry`
     rig : calibrated by it
-    black_level : stored value of no light, for images of which the capture does not say it
+    black_level : stored value of no light, for images where the capture does not state it
     settings : RadiometrySettings, optional
 
     Returns
@@ -309,9 +309,9 @@ def _sentences(  # noqa: PLR0917
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
                 f"or card changed."
             )
-    for band, share in ambient.items():
-        if share is not None and share > _AMBIENT_PERCENT:
-            words.append(f"light from elsewhere is {share:.1f} % of the {band} LEDs'.")
+    for band, fraction in ambient.items():
+        if fraction is not None and fraction > _AMBIENT_PERCENT:
+            words.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
     return words
 
 

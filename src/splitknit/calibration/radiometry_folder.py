@@ -41,7 +41,7 @@ from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Capture, FloatArray, PixelArray, Progress, Rig, no_progress
 
-_MOST_TILT_DEG = 5.0
+_MAX_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0
 """Ends of the colours in the picture of residuals."""
 
@@ -125,7 +125,7 @@ def base_tilt_deg(rig: Rig) -> tuple[float, float]:
         deviation = float(found["tilt_deg_deviation"])
     except (KeyError, TypeError, ValueError):
         return 0.0, 0.0
-    certain = math.isfinite(x) and math.isfinite(y) and 2.0 * deviation < math.hypot(x, y) <= _MOST_TILT_DEG
+    certain = math.isfinite(x) and math.isfinite(y) and 2.0 * deviation < math.hypot(x, y) <= _MAX_TILT_DEG
     return (x, y) if certain else (0.0, 0.0)
 
 
@@ -183,13 +183,13 @@ def _tile(residual: Any, dust: Any, shape: tuple[int, int], side: int) -> Colour
 # What a camera does by itself: its response and noise, measured on the images that ``radiometry.json`` names.
 
 _PATCHES_ACROSS = 40
-_MOST_TEXTURE = 0.04
+_MAX_TEXTURE = 0.04
 """Deviation within a patch, as a part of full scale, up to which it counts as even."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CameraFacts:
-    """What dark frames and exposures say; None where there are none."""
+    """Results of dark frames and exposures; None where there are none."""
 
     dark: Dark | None
     response: Response | None
@@ -199,7 +199,7 @@ class _CameraFacts:
 
 
 def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> _CameraFacts:
-    """Measure dark frames and exposures, and compare the response with what the capture says of its images.
+    """Measure dark frames and exposures, and compare the response with what the capture states of its images.
 
     Raises BadInput naming the file, if an image is missing or of another kind than the card's, light fell on a dark
     frame, or the response is not the one that the capture names.
@@ -225,7 +225,7 @@ def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: floa
         )
         require(
             response.encoding == capture.encoding,
-            f"the exposures in {plan.document} are {_WORDS[response.encoding]}, but capture.json says "
+            f"the exposures in {plan.document} are {_WORDS[response.encoding]}, but capture.json states "
             f'"encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all captures '
             f"of this camera.",
         )
@@ -267,7 +267,7 @@ def _patches(frame: PixelArray) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 def _even_patches(values: NDArray[np.float64], spread: NDArray[np.float64]) -> NDArray[np.float64]:
     """Patches (J, n) that are even in all images, or all if these are few."""
-    even = spread.max(axis=0) <= _MOST_TEXTURE
+    even = spread.max(axis=0) <= _MAX_TEXTURE
     return values[:, even] if int(even.sum()) >= 100 else values
 
 
@@ -336,7 +336,7 @@ def _black_level_of(camera: _CameraFacts, capture: Capture) -> float | None:
 
 
 def _black_level_warning(black_level: float | None, capture: Capture) -> list[str]:
-    """Say that the capture's black level is not the dark frames'."""
+    """Report that the capture's black level is not the dark frames'."""
     if black_level is None:
         return []
     full = float(np.iinfo(capture.bands["white"].pixels.dtype).max)
@@ -345,7 +345,7 @@ def _black_level_warning(black_level: float | None, capture: Capture) -> list[st
     if worst <= 0.005 * full:
         return []
     return [
-        f"capture.json says a black level of {stated[0]:g}, but the dark frames show {black_level:.1f}; correct it "
+        f"capture.json states a black level of {stated[0]:g}, but the dark frames show {black_level:.1f}; correct it "
         f"in this and all captures of this camera."
     ]
 

@@ -103,7 +103,7 @@ def fit_response(
     require(
         residual <= 0.01 * _INCONSISTENT_PERCENT,
         f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the light changed, or "
-        f"exposure or gain were not what the file says; take the series again with everything fixed.",
+        f"exposure or gain were not what the file states; take the series again with everything fixed.",
     )
     limit = 0.01 * limit_percent
     if line.departure > limit and decoded.departure > limit:
@@ -161,7 +161,7 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     span = float(np.nanmax(stored) - np.nanmin(stored))
     require(
         span >= _MIN_RANGE,
-        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to tell "
+        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to distinguish "
         f"a curve from a line; expose longer, or take a scene with bright and dark parts.",
     )
     return stored, times
@@ -175,9 +175,9 @@ def _check_growth(stored: Array, times: Array, name: str) -> None:
     places = np.arange(stored.shape[1])
     grown = stored[order][last, places] / np.maximum(stored[order][first, places], 1e-6)
     asked = times[order][last] / times[order][first]
-    share = float(np.median(np.log(np.maximum(grown, 1e-6)) / np.log(np.maximum(asked, 1.0 + 1e-9))))
+    fraction = float(np.median(np.log(np.maximum(grown, 1e-6)) / np.log(np.maximum(asked, 1.0 + 1e-9))))
     require(
-        share > 0.15,
+        fraction > 0.15,
         f"{name} does not grow brighter with the exposure: the camera's automatic exposure or gain is on; lock it.",
     )
 
@@ -237,7 +237,7 @@ _MAX_BLACK_PERCENT = 25.0
 
 @dataclass(frozen=True, slots=True)
 class Dark:
-    """What dark frames say, values as parts of full scale."""
+    """Results of dark frames, values as parts of full scale."""
 
     black_level: tuple[float, ...]
     """Of each channel."""

@@ -55,7 +55,7 @@ class _Shape:
     """How much of the light is missing in the full shadow."""
 
     def darkness(self, places: Points) -> Points:
-        """Share of the light that is missing at places (N, 2), column and row."""
+        """Fraction of the light that is missing at places (N, 2), column and row."""
         total = np.zeros(len(places))
         for offset in _LIGHT:
             tip = self.tip + self.penumbra * offset
@@ -89,7 +89,8 @@ def _fit_shape(
 ) -> _Shape:
     """Fit the shape to the darkness (H, W) about its outer part, by least squares.
 
-    `darkness`: (H, W) share of the light that is missing, about zero outside the shadow; `usable`: (H, W), false on the
+    `darkness`: (H, W) fraction of the light that is missing, about zero outside the shadow; `usable`: (H, W), false
+    on the
     nail; `start`: near the truth; `scale`: of the picture; `common`: radius of the tip's shadow and of the penumbra,
     where they are known.
     """
@@ -352,7 +353,7 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
     """Find the image of a cone's tip.
 
-    The straight lines on a cone from its tip to its base are each lit alike along their whole length, and all their
+    The straight lines on a cone from its tip to its base are each lit equally along their whole length, and all their
     images pass through that of the tip, whatever camera looks on. So brightness changes across them only: its gradient
     g at the pixel p obeys g . (p - tip) = 0. Least squares over all pixels of the cone and all images, weighted anew by
     how well each obeys. Brightness is taken against the mean over the LEDs, which stand evenly around. `stack`: (L, H,

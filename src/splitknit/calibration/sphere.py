@@ -153,7 +153,7 @@ def grey_directions(stack: Any, ball: Ball, clip_level: float = 0.98) -> tuple[P
         for _ in range(20):
             require(
                 int(lit.sum()) >= 30,
-                f"image {number}: too little of the ball is lit and not clipped to tell the light's direction.",
+                f"image {number}: too little of the ball is lit and not clipped to determine the light's direction.",
             )
             before, light = light, np.linalg.lstsq(n[lit], values[lit], rcond=None)[0]
             expected = n @ light

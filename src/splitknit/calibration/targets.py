@@ -274,8 +274,8 @@ def _find_dots(pixels: Any) -> Points:
     if not dots:
         return np.zeros((0, 2))
     found = np.array(dots)
-    alike = np.abs(np.log(found[:, 2] / _common(found[:, 2]))) < np.log(1.6)
-    return found[alike, :2]
+    similar = np.abs(np.log(found[:, 2] / _common(found[:, 2]))) < np.log(1.6)
+    return found[similar, :2]
 
 
 def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:

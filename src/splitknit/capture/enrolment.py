@@ -181,7 +181,7 @@ def open_enrolment(
 
 
 def check_subject_id(text: str) -> str:
-    """Return `text` if it can be a subject's id: letters, digits, - and _ only, so that it says and breaks nothing.
+    """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths and files.
 
     Raises
     ------

@@ -34,7 +34,7 @@ _TOLERANCE = 0.06
 _STEPS = 12
 """Previews of the brightest LED at most."""
 _MIN_LEVEL = 0.3
-"""The finger is too dark if it does not even reach this share of the target with all that the camera can."""
+"""The finger is too dark if it does not even reach this fraction of the target with all that the camera can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +67,9 @@ class Exposure:
     brightest: int
     """LED under which the finger is brightest."""
     level: float
-    """Share of full scale that the finger reaches under it."""
+    """Fraction of full scale that the finger reaches under it."""
     expected: Mapping[int, float]
-    """LED to the finger's median level (share of full scale) that the previews promise."""
+    """LED to the finger's median level (fraction of full scale) that the previews promise."""
 
 
 def split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -> tuple[float, float]:
@@ -80,7 +80,7 @@ def split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -
 
 
 def _level_of(frame: Frame, region: BoolArray | None, percentile: float) -> float:
-    """Percentile of the finger's pixels in the brightest channel, as a share of full scale above the black level."""
+    """Percentile of the finger's pixels in the brightest channel, as a fraction of full scale above the black level."""
     full = float(np.iinfo(frame.pixels.dtype).max)
     pixels = frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
     stored = float(np.max(np.percentile(pixels, percentile, axis=0)))
@@ -186,14 +186,14 @@ def find_exposure(
 
 
 def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
-    """Mean over the channels of the finger's median (or percentile), as a share of full scale above the black level."""
+    """Mean over the channels of the finger's median (or percentile), a fraction of full scale above the black level."""
     full = float(np.iinfo(frame.pixels.dtype).max)
     stored = float(np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
     return (stored - frame.black_level) / (full - frame.black_level)
 
 
-def clipped_share(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
-    """Share of the region's pixels in which two channels (or the one) are at full scale."""
+def clipped_fraction(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
+    """Fraction of the region's pixels in which two channels (or the one) are at full scale."""
     full = float(np.iinfo(pixels.dtype).max)
     inside = pixels[region] >= 0.995 * full
     return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0
@@ -296,7 +296,7 @@ def _response_to_noise(sigma: float) -> float:
 
 @dataclass(slots=True)
 class FocusWatch:
-    """Follows live measurements and says when they have stopped rising."""
+    """Follows live measurements and reports when they have stopped rising."""
 
     settings: FocusSettings = field(default_factory=FocusSettings)
     best: float = 0.0

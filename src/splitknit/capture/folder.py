@@ -70,7 +70,7 @@ def check_out(out: Path, options: CaptureOptions) -> None:
         check_target(out, MARKER, "an earlier capture")
     else:
         empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
-        require(empty, f"'{out}' exists and is not empty; name another folder, or say --overwrite.")
+        require(empty, f"'{out}' exists and is not empty; name another folder, or give --overwrite.")
 
 
 def capture_to_folder(

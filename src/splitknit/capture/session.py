@@ -113,7 +113,7 @@ def run_session(
     settings: SessionSettings | None = None,
     *,
     watch_focus: WatchFocus | None = None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda stage, fraction: None,
 ) -> Session:
     """Photograph one finger under all LEDs.
 
@@ -122,7 +122,7 @@ def run_session(
     camera, lights : devices that fit the rig
     rig : the rig file's
     settings : of exposure, focus and checks
-    watch_focus : shown live measurements until it says stop; None measures once
+    watch_focus : shown live measurements until it returns stop; None measures once
     progress : called with stage and fraction
 
     Returns
@@ -149,7 +149,7 @@ def run_session(
             settings=settings.exposure,
             px_per_mm=px_per_mm,
             find_finger=settings.find_finger,
-            progress=lambda share: progress("finding the exposure", 0.3 * share),
+            progress=lambda fraction: progress("finding the exposure", 0.3 * fraction),
         )
         progress("focus", 0.3)
         focus = _focus(camera, lights, metering, settings, px_per_mm=px_per_mm, watch_focus=watch_focus)
@@ -159,7 +159,7 @@ def run_session(
             names,
             Examiner(metering.region, px_per_mm, checks, MEDIAN if settings.find_finger else BRIGHT),
             watch_motion=settings.find_finger,
-            progress=lambda name, share: progress(name, 0.4 + 0.6 * share),
+            progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
         for band, leds in bands.items():
             shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
@@ -237,7 +237,7 @@ def _meter(
     settings: ExposureSettings,
     px_per_mm: float,
     find_finger: bool = True,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> _Metering:
     """Preview the finger under every LED and find the exposure of every band.
 

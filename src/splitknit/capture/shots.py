@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.capture.exposure import MEDIAN, Exposure, clipped_share, grey_light
+from splitknit.capture.exposure import MEDIAN, Exposure, clipped_fraction, grey_light
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
 from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
@@ -55,7 +55,7 @@ class Look:
     level: float
     """Median of the finger (or another percentile), 1 = full scale."""
     saturated: float
-    """Share of the finger at full scale."""
+    """Fraction of the finger at full scale."""
 
 
 class Examiner:
@@ -89,7 +89,7 @@ class Examiner:
         relative = np.asarray(grey / local, dtype=np.float32)
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
         sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-        return Look(grey, details, level, clipped_share(full, np.asarray(sparse)))
+        return Look(grey, details, level, clipped_fraction(full, np.asarray(sparse)))
 
     @property
     def moved_mm(self) -> float:
@@ -120,14 +120,14 @@ class Examiner:
         px = self.working_px_per_mm(stack.shape[2], full_columns)
         motion = shot_motion(stack, inside, px, MotionSettings(working_px_per_mm=_WORKING_PX_PER_MM))
         length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
-        believed = motion.reliability >= MIN_RELIABILITY
-        return np.asarray(np.where(believed, length, 0.0), dtype=np.float64)
+        reliable = motion.reliability >= MIN_RELIABILITY
+        return np.asarray(np.where(reliable, length, 0.0), dtype=np.float64)
 
     def _mask(self, shape: tuple[int, int]) -> tuple[BoolArray, FloatArray]:
         """The finger on a copy of `shape`, and the window that fades out beside it."""
         if shape not in self._masks:
-            share = cv2.resize(self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
-            inside = np.asarray(share > 0.5)
+            fraction = cv2.resize(self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+            inside = np.asarray(fraction > 0.5)
             px = _WORKING_PX_PER_MM
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
             self._masks[shape] = (inside if inside.any() else np.ones(shape, dtype=np.bool_)), window
@@ -149,9 +149,9 @@ class Shot:
     """Like ``white 3`` or ``white ambient``."""
     led: int | None
     level: float
-    """Median of the finger, share of full scale."""
+    """Median of the finger, fraction of full scale."""
     saturated: float
-    """Share of the finger at full scale."""
+    """Fraction of the finger at full scale."""
     moved_mm: float | None
     """Against the shot before; None for the first, for ambient frames, and where the two show different things."""
     at_s: float

@@ -13,13 +13,13 @@ from splitknit.cli.verb import Outcome, Progress, add_settings, new_verb
 def add_lights(kinds: Any) -> None:
     """Add the verb."""
     verb = new_verb(kinds, "lights", "where the LEDs are: from a nail's shadows, a ball, or the rig's drawing", _run)
-    way = verb.add_argument_group("from what (one of them)")
-    way.add_argument("--table", type=Path, metavar="CSV", help="nail and shadow tips, typed")
-    way.add_argument(
+    source = verb.add_argument_group("from what (one of them)")
+    source.add_argument("--table", type=Path, metavar="CSV", help="nail and shadow tips, typed")
+    source.add_argument(
         "--images", type=Path, metavar="FOLDER", help="photographs: of the nail, or with --sphere of a ball"
     )
-    way.add_argument("--sphere", choices=("chrome", "grey"), help="the photographs show a ball of this kind")
-    way.add_argument("--geometry", action="store_true", help="nothing is measured: LEDs where the drawing has them")
+    source.add_argument("--sphere", choices=("chrome", "grey"), help="the photographs show a ball of this kind")
+    source.add_argument("--geometry", action="store_true", help="nothing is measured: LEDs where the drawing has them")
     rig = verb.add_argument_group("the rig")
     rig.add_argument("--rig", type=Path, metavar="FILE", help="rig file with the calibrated camera")
     rig.add_argument("--px-per-cm", type=_positive, metavar="N", help="scale on the finger plane, without --rig")
@@ -54,13 +54,13 @@ def add_lights(kinds: Any) -> None:
         "--tips-out", type=Path, metavar="CSV", help="table of what was found, to correct and give to --table"
     )
     verb.add_argument(
-        "--out", type=Path, metavar="FILE", help="rig file to write (default: none, only say what was found)"
+        "--out", type=Path, metavar="FILE", help="rig file to write (default: none, only report what was found)"
     )
     add_settings(verb)
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Calibrate, write the rig, say what was found."""
+    """Calibrate, write the rig, report what was found."""
     from splitknit.calibration.lights_found import LightSettings  # noqa: PLC0415 - only this verb pays
     from splitknit.calibration.lights_job import LightsJob, lights_to_rig  # noqa: PLC0415
     from splitknit.cli.options import read_changes  # noqa: PLC0415

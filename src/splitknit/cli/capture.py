@@ -89,7 +89,7 @@ def _check(options: argparse.Namespace) -> None:
 
     require(
         (options.out is None) != (options.enrolment is None),
-        "say where captures go: --out DIR for one finger, or --enrolment DIR for many, not both.",
+        "name where captures go: --out DIR for one finger, or --enrolment DIR for many, not both.",
     )
     if options.subject is not None:
         check_subject_id(options.subject)

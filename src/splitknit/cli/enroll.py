@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         else:
             require(options.workers is None, "--workers is for --population.")
             if options.person is None or options.finger is None:
-                require(False, "say whose finger it is: --person NAME --finger right_index (or --population FOLDER).")
+                require(False, "name whose finger it is: --person NAME --finger right_index (or --population FOLDER).")
             facts = enroll_files(
                 options.gallery, options.sources, options.person, options.finger, options.session,
                 settings=settings, key=key, progress=progress.update,

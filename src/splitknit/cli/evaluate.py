@@ -1,4 +1,4 @@
-"""The command line of ``splitknit evaluate``: how well scores tell fingers apart."""
+"""The command line of ``splitknit evaluate``: how well scores separate genuine from impostor pairs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def add_evaluate(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Evaluate, write, and say what came out."""
+    """Evaluate, write, and report what came out."""
     from splitknit.evaluation.intervals import BootstrapSettings  # noqa: PLC0415
     from splitknit.evaluation.study import EvaluationSettings  # noqa: PLC0415
     from splitknit.report.evaluation import evaluate_to_folder, interval  # noqa: PLC0415

@@ -1,7 +1,7 @@
 """The command line: ``splitknit VERB``.
 
-Exit code 0: done; 2: the input cannot be used (one sentence on stderr says why and what to do); 1: an internal error;
-130: interrupted. Results go to files, facts to stdout, everything else to stderr.
+Exit code 0: done; 2: the input cannot be used (one sentence on stderr gives the reason and the remedy); 1: an internal
+error; 130: interrupted. Results go to files, facts to stdout, everything else to stderr.
 
 The module imports next to nothing and the rest within :func:`main`, which can then end an interrupt at any time.
 """
@@ -153,7 +153,7 @@ def _guarded(options: argparse.Namespace) -> int:
 
     try:
         facts, lines = run_verb(options)
-        if facts or lines:  # `view` says what there is to say when it starts
+        if facts or lines:  # `view` reports when it starts
             _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
     except BadInput as error:
         if options.json and isinstance(error, Refused):

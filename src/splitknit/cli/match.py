@@ -14,7 +14,7 @@ _IN_SPACE = ("minutiae3d", "tetrahedra")
 
 def add_match(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "match", "say how similar two fingers are", _run)
+    verb = new_verb(verbs, "match", "report how similar two fingers are", _run)
     what = "capture folder, result folder, template (.skt) or 500-ppi print"
     verb.add_argument("a", type=Path, metavar="A", help=what)
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")

@@ -13,7 +13,7 @@ from splitknit.io.fields import parse_json
 from splitknit.settings import flatten
 
 _MAX_BYTES = 64_000
-"""Ours have 2 kB; the parser's time grows with the square of a name's length."""
+"""Settings documents here have 2 kB; the parser's time grows with the square of a name's length."""
 
 
 def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:
-    """Split ``stage.field=value``; the value is JSON or a TOML value, and plain words are text.
+    """Split ``stage.field=value``; the value is JSON or a TOML value, and unquoted words are text.
 
     Examples
     --------

@@ -78,7 +78,7 @@ def add_optimise(kinds: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> Outcome:
-    """Sweep, write, and say what came out."""
+    """Sweep, write, and report what came out."""
     from splitknit.io.atomic import atomic_file  # noqa: PLC0415
     from splitknit.io.provenance import plain_json  # noqa: PLC0415
     from splitknit.report.rig_study import describe, verdict, write_all  # noqa: PLC0415

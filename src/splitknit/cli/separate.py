@@ -18,7 +18,7 @@ def add_separate(verbs: Any) -> None:
         "--method",
         choices=("checkerboard", "symmetry", "sinusoid", "occluder", "single"),
         default=None,
-        help="how the light was patterned (default: what separation.json says, else checkerboard); symmetry: "
+        help="how the light was patterned (default: what separation.json states, else checkerboard); symmetry: "
         "checkerboards without noise, an odd number of equal steps a period each way",
     )
     verb.add_argument("--alpha", type=float, default=None, help="fraction of the pattern that is lit (default: 0.5)")

@@ -92,7 +92,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         changes = {**changes, "motion.amplitude_mm": options.motion}
     require(
         options.severity is None or options.condition not in (None, "none"),
-        "--severity says how bad a --condition is; name one.",
+        "--severity sets how bad a --condition is; name one.",
     )
     if options.condition is not None:
         require(not options.bench, "--bench and --condition do not go together: the bench has no finger.")

@@ -133,7 +133,7 @@ class Progress:
         return self
 
     def update(self, stage: str, fraction: float) -> None:
-        """Say that `stage` is at work and `fraction` (0 to 1) of everything is done."""
+        """Report that `stage` is at work and `fraction` (0 to 1) of everything is done."""
         if self._bar is not None:
             self._bar.set_description_str(stage, refresh=False)
             self._bar.n = min(100.0, round(100.0 * fraction, 1))

@@ -26,11 +26,11 @@ def add_view(verbs: Any) -> None:
     verb.add_argument("--capture", type=Path, default=None, metavar="FOLDER", help="photographs the results are from")
     add_key(verb)
     verb.add_argument("--port", type=_port, default=0, metavar="N", help="port to listen on (default: any free one)")
-    verb.add_argument("--no-browser", action="store_true", help="do not open the page, only say its address")
+    verb.add_argument("--no-browser", action="store_true", help="do not open the page, only print its address")
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Serve until Ctrl-C; what there is to say is said before."""
+    """Serve until Ctrl-C; messages are printed before."""
     from splitknit.viewer.server import (  # noqa: PLC0415
         open_paths,
         opened_page,

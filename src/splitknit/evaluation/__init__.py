@@ -1,1 +1,1 @@
-"""How well scores tell fingers apart: rates, confidence intervals, identification, protocols."""
+"""How well scores separate genuine from impostor pairs: rates, confidence intervals, identification, protocols."""

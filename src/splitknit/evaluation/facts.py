@@ -1,4 +1,4 @@
-"""What the report says of each system, as plain facts: error rates, and 1:N identification (the CMC)."""
+"""What the report shows of each system, as plain facts: error rates, and 1:N identification (the CMC)."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def cmc(scores: Scores) -> Cmc | None:
 def rank_one_interval(
     result: Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
-    """Percentile interval of the share found at rank one; the probes' fingers are drawn, the gallery stays."""
+    """Percentile interval of the fraction found at rank one; the probes' fingers are drawn, the gallery stays."""
     _, finger = np.unique(result.probe_finger, return_inverse=True)
     fingers = int(finger.max()) + 1
     found = np.bincount(finger, weights=result.rank == 1, minlength=fingers)
@@ -105,12 +105,12 @@ class Result:
 
     scores: Scores
     primary: str
-    """The way of drawing whose intervals stand in the first place."""
+    """The scheme of drawing whose intervals stand in the first place."""
     by_method: Mapping[str, Intervals]
 
     @property
     def intervals(self) -> Intervals:
-        """Those of the primary way."""
+        """Those of the primary scheme."""
         return self.by_method[self.primary]
 
 
@@ -192,7 +192,7 @@ def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any]
 
 
 def notes_of(result: Result, *, variant: bool) -> list[str]:
-    """What a reader of a system's figures has to know; of a variant, only what its system's notes do not say."""
+    """What a reader of a system's figures has to know; of a variant, only what its system's notes do not contain."""
     scores, name = result.scores, result.scores.name
     genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
     notes = []

@@ -68,7 +68,7 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     Parameters
     ----------
     systems : two or more Scores
-        Of the same pairs (in any order, if their ids tell them apart), with subjects or at least fingers.
+        Of the same pairs (in any order, if their ids distinguish them), with subjects or at least fingers.
     settings : FusionSettings, optional
     name : str, optional
         Of the result.
@@ -305,25 +305,25 @@ def fit_logistic(scores: Table, genuine: NDArray[np.bool_], penalty: float = 1e-
     require(bool(label.any()) and not bool(label.all()), "a fusion learns from genuine and impostor scores of both.")
     x = _design(scores[usable], offset, scale)
     y = np.where(label, 1.0, -1.0)
-    share = np.where(label, 0.5 / label.sum(), 0.5 / (~label).sum())
+    fraction = np.where(label, 0.5 / label.sum(), 0.5 / (~label).sum())
     hold = np.append(np.full(x.shape[1] - 1, penalty), 0.0)
-    answer = _newton(x, y, share, hold)
+    answer = _newton(x, y, fraction, hold)
     systems = scores.shape[1]
     return LogisticModel(offset, scale, answer[:systems], answer[systems : 2 * systems], float(answer[-1]))
 
 
-def _newton(x: Table, y: Table, share: Table, hold: Table) -> Table:
+def _newton(x: Table, y: Table, fraction: Table, hold: Table) -> Table:
     """Weights that make the penalised logistic loss least; steps are halved until it falls."""
     answer = np.zeros(x.shape[1])
 
     def loss(w: Table) -> float:
-        return float(share @ np.logaddexp(0.0, -y * (x @ w)) + 0.5 * hold @ w**2)
+        return float(fraction @ np.logaddexp(0.0, -y * (x @ w)) + 0.5 * hold @ w**2)
 
     least = loss(answer)
     for _ in range(200):
         rate = 0.5 * (1.0 - np.tanh(0.5 * y * (x @ answer)))  # of the wrong class
-        slope = -x.T @ (share * y * rate) + hold * answer
-        bend = (x * (share * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12)
+        slope = -x.T @ (fraction * y * rate) + hold * answer
+        bend = (x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12)
         step = np.linalg.solve(bend, slope)
         factor = 1.0
         while factor > 1e-8 and loss(answer - factor * step) > least - 1e-4 * factor * float(slope @ step):

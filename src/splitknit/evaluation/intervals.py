@@ -174,7 +174,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """All figures of one system by one way of drawing."""
+    """All figures of one system by one scheme of drawing."""
 
     method: str
     """``plain``, ``finger`` or ``subject``."""
@@ -202,7 +202,7 @@ def bootstrap(
     method : ``plain``, ``finger`` or ``subject``
         What is drawn with replacement; see :mod:`splitknit.evaluation.intervals`.
     settings : BootstrapSettings
-    progress : called with the share done
+    progress : called with the fraction done
 
     Returns
     -------
@@ -315,7 +315,7 @@ def _curve(scores: Scores, settings: BootstrapSettings) -> tuple[float, ...]:
 
 
 def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Percentiles over replicates; those in which a class was not drawn at all tell nothing."""
+    """Percentiles over replicates; those in which a class was not drawn at all are left out."""
     tail = (1 - confidence) / 2
     limits = np.full((2, rows.shape[1]), np.nan)
     for k, column in enumerate(rows.T):
@@ -402,9 +402,9 @@ def _equal_error(gar: Row, far: Row, crowded: NDArray[np.bool_]) -> float:
 
 def _d_prime(cells: _Cells, genuine: Row, impostor: Row) -> float:
     means, spreads = [], []
-    for share, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
-        means.append(_dot(share, mean))
-        spreads.append(_dot(share, variance + (mean - means[-1]) ** 2))
+    for fraction, (mean, variance) in zip((genuine, impostor), cells.moments, strict=True):
+        means.append(_dot(fraction, mean))
+        spreads.append(_dot(fraction, variance + (mean - means[-1]) ** 2))
     spread = float(np.sqrt(sum(spreads) / 2))
     return (means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
 
@@ -474,7 +474,7 @@ class _Units:
 
 
 def _plain_units(cells: _Cells) -> _Units:
-    """Comparisons are drawn; those of one cell are alike and need not be separated."""
+    """Comparisons are drawn; those of one cell are equivalent and need not be separated."""
     sizes = (
         np.bincount(cells.genuine, minlength=cells.count + 1),
         np.bincount(cells.impostor, minlength=cells.count + 1),

@@ -1,13 +1,13 @@
 """Error rates of a matcher from its genuine and impostor scores: ROC, EER, GAR at FAR, d', AUC.
 
-A higher score means more alike and a pair is accepted if score >= t. A rate is a step function of t that changes
+A higher score means more similar and a pair is accepted if score >= t. A rate is a step function of t that changes
 only at scores, so that every figure here is exact and nothing is interpolated unless asked. NaN stands for a
-comparison that gave no score, a *failure to acquire*, and there are two ways of counting it:
+comparison that gave no score, a *failure to acquire*, and there are two conventions for counting it:
 
 - ``all``: it is a rejection, as a user at the door sees it. FAR and FRR = 1 - GAR, over all attempts.
 - ``made``: it is left out, which judges the matcher alone. FMR and FNMR of ISO/IEC 19795-1, over comparisons made.
 
-With the share f of failures on a side, FAR = FMR (1 - f) and FRR = f + FNMR (1 - f).
+With the fraction f of failures on a side, FAR = FMR (1 - f) and FRR = f + FNMR (1 - f).
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _sort_scores(scores: Any, name: str = "scores") -> _Side:
 
 
 SLACK = 1e-12
-"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 says."""
+"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,9 +204,11 @@ def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", inte
     t1 = t2 if far2 == frr2 or not lower else float(max(lower))
     far1, frr1 = point(t1)
     if interpolate and far1 != frr1:
-        share = (far1 - frr1) / ((far1 - frr1) + (frr2 - far2)) if t1 != t2 else Fraction(0)
-        far, frr = far1 + share * (far2 - far1), frr1 + share * (frr2 - frr1)
-        return EqualError(float(far + frr) / 2, float(far), float(frr), _finite(t1 if share < Fraction(1, 2) else t2))
+        fraction = (far1 - frr1) / ((far1 - frr1) + (frr2 - far2)) if t1 != t2 else Fraction(0)
+        far, frr = far1 + fraction * (far2 - far1), frr1 + fraction * (frr2 - frr1)
+        return EqualError(
+            float(far + frr) / 2, float(far), float(frr), _finite(t1 if fraction < Fraction(1, 2) else t2)
+        )
     t, far, frr = (t1, far1, frr1) if far1 + frr1 <= far2 + frr2 else (t2, far2, frr2)
     return EqualError(float((far + frr) / 2), float(far), float(frr), _finite(t))
 
@@ -228,7 +230,7 @@ def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting
     Returns
     -------
     OperatingPoint
-        GAR and FAR as shares (0 to 1), and the threshold.
+        GAR and FAR as fractions (0 to 1), and the threshold.
 
     Raises
     ------
@@ -271,8 +273,8 @@ def auc(genuine: Any, impostor: Any) -> float:
     few, many, turned = (g, i, False) if g.scores.size <= i.scores.size else (i, g, True)
     twice = np.searchsorted(many.scores, few.scores, side="left").sum(dtype=np.int64)
     twice += np.searchsorted(many.scores, few.scores, side="right").sum(dtype=np.int64)
-    share = int(twice) / (2 * g.scores.size * i.scores.size)
-    return 1.0 - share if turned else share
+    fraction = int(twice) / (2 * g.scores.size * i.scores.size)
+    return 1.0 - fraction if turned else fraction
 
 
 def d_prime(genuine: Any, impostor: Any) -> float | None:

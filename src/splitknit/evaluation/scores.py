@@ -48,7 +48,7 @@ def ids_of(a: Sequence[Any], b: Sequence[Any]) -> Ids:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """N comparisons; a higher score means more alike."""
+    """N comparisons; a higher score means more similar."""
 
     label: NDArray[np.bool_]
     """(N,) true where genuine: both sides are one finger."""

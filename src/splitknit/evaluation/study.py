@@ -31,7 +31,7 @@ FORMAT = "splitknit-evaluation"
 FILES = ("report.html", "report.json")
 SCORES_FILE = "scores.csv"
 """Where the scores of a gallery are written, beside the report."""
-MOST_SYSTEMS = 12
+MAX_SYSTEMS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,13 +99,13 @@ def evaluate_scores(
     notes += [] if gallery is None else gallery.notes
     fusion: dict[str, Any] | None = None
     if settings.fuse is not None:
-        joined, fusion, told = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
-        systems, notes = [*systems, joined], notes + told
+        joined, fusion, added = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
+        systems, notes = [*systems, joined], notes + added
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
     require(
-        count <= MOST_SYSTEMS,
-        f"one report shows {MOST_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
+        count <= MAX_SYSTEMS,
+        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
     )
     notes += said
     read_s = time.perf_counter() - started
@@ -185,7 +185,7 @@ def _figures(
 
 
 def _methods(scores: Scores) -> list[str]:
-    """Ways of drawing that the ids allow, the plain one first."""
+    """Schemes of drawing that the ids allow, the plain one first."""
     allowed = ["plain"]
     for method, ids in (("finger", scores.finger), ("subject", scores.subject)):
         if ids is not None and len(set(ids.codes.ravel().tolist())) >= 3:
@@ -249,11 +249,11 @@ def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Sc
 
 
 def _notes(fused: Fused, method: str, folds: int, weights: dict[str, float]) -> list[str]:
-    shares = ", ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
+    fractions = ", ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
     notes = [
         f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {folds} folds; "
         "every comparison was scored by a model that saw nothing of the folds of its two sides. Mean weights of the "
-        f"normalised scores: {shares}."
+        f"normalised scores: {fractions}."
     ]
     if fused.by == "finger":
         notes.append(

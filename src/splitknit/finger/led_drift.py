@@ -4,8 +4,9 @@ Under L lights a matt pixel obeys I_k = g_k l_k . b with its albedo times normal
 one if the calibration holds. L - 3 numbers a pixel are left over, and the gains are the same for all pixels, so that
 they show. Not all of them: a common factor is the albedo, and on a flat surface under a ring of LEDs a pattern that
 runs as the cosine or sine of the LEDs' azimuth looks exactly like a tilt of the surface. Curvature separates it from a
-tilt, but only by the square of the slopes, where cast shadows, gloss and light that wanders in skin say more than the
-gains do. How much of its information a pattern of gains keeps when every pixel may choose its own b is an eigenvalue
+tilt, but only by the square of the slopes, where cast shadows, gloss and light that is scattered in skin matter more
+than the gains do. How much of its information a pattern of gains keeps when every pixel may choose its own b is an
+eigenvalue
 between 0 and 1 (on a finger 0, 0.01, 0.02, and four above 0.7); patterns that keep too little are left out, and the
 answer is only about the others.
 """
@@ -29,7 +30,7 @@ _LIMIT_PERCENT = 3.0
 _MAX_PIXELS = 5_000
 """Pixels that are looked at, on a regular grid."""
 _DARK = 0.15
-"""An image shadows a pixel if it is darker than this share of the pixel's median image."""
+"""An image shadows a pixel if it is darker than this fraction of the pixel's median image."""
 _ROBUST_SIGMAS = 2.0
 """Residuals beyond this many deviations count less and less (Cauchy's weights): gloss, soft shadows."""
 _MIN_INFORMATION = 0.2
@@ -38,7 +39,7 @@ _BLOCK_PX = 24
 """Standard errors take squares of this side as independent of each other, not pixels: what is not matt about a
 surface is similar from pixel to pixel."""
 _MIN_EXPLAINED = 0.6
-"""A single LED is named if it explains this share of the departure."""
+"""A single LED is named if it explains this fraction of the departure."""
 _ROUNDS = 15
 """Of the iteration."""
 
@@ -142,19 +143,19 @@ def _robust_deviation(residual: Array) -> float:
 
 
 def _gain_patterns(state: _SurfaceState) -> tuple[Array, Array]:
-    """Eigenpatterns of relative gains in the rows of (L, L), and the share of information that each keeps, ascending.
+    """Eigenpatterns of relative gains in the rows of (L, L), and the fraction of information each keeps, ascending.
 
-    Patterns p obey M p = share M_0 p and p^T M_0 p = 1.
+    Patterns p obey M p = fraction M_0 p and p^T M_0 p = 1.
     """
     root = 1.0 / np.sqrt(np.maximum(state.known, 1e-12 * float(state.known.max())))
-    shares, vectors = np.linalg.eigh(root[:, None] * state.information * root[None, :])
-    return (vectors * root[:, None]).T, np.clip(shares, 0.0, 1.0)
+    fractions, vectors = np.linalg.eigh(root[:, None] * state.information * root[None, :])
+    return (vectors * root[:, None]).T, np.clip(fractions, 0.0, 1.0)
 
 
-def _gain_solver(patterns: Array, shares: Array) -> Array:
+def _gain_solver(patterns: Array, fractions: Array) -> Array:
     """(L, L) from the score to relative gains, what is undetermined left as it is."""
-    kept = shares >= _MIN_INFORMATION
-    return np.asarray(patterns[kept].T @ (patterns[kept] / shares[kept, None]))
+    kept = fractions >= _MIN_INFORMATION
+    return np.asarray(patterns[kept].T @ (patterns[kept] / fractions[kept, None]))
 
 
 Array = NDArray[np.float64]
@@ -175,7 +176,7 @@ class LedDrift:
     observable: Array
     """(R, L) orthonormal patterns that are determined, R of them; patterns across them are unknown."""
     information: Array
-    """(L,) share of its information that each eigenpattern keeps, ascending; the first is the common factor's zero."""
+    """(L,) fraction of its information each eigenpattern keeps, ascending; the first is the common factor's zero."""
     suspect: int | None
     """The LED whose departure alone explains the pattern best, if that departure is beyond the limit and more than
     three errors; else None."""
@@ -183,7 +184,7 @@ class LedDrift:
     """Gain of the best single LED, the others as calibrated."""
     suspect_error: float
     explained: float
-    """Share of the pattern's departure (squared, in errors) that the single LED explains."""
+    """Fraction of the pattern's departure (squared, in errors) that the single LED explains."""
     residual_percent: float
     """Robust deviation of the images from a matt surface after the fit."""
 
@@ -216,7 +217,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
     form, g by Gauss and Newton's steps on what is left (variable projection). With A_p = (g_k l_kp), W_p = diag(w_kp)
     and m_p = A_p b_p the matrix of information of the relative gains is
     M = sum_p diag(m_p) (W_p - W_p A_p (A_p^T W_p A_p)^-1 A_p^T W_p) diag(m_p), against M_0 = sum_p diag(m_p^2 w_p) for
-    a known surface; the eigenvalues of M_0^-1/2 M M_0^-1/2 are the shares of information.
+    a known surface; the eigenvalues of M_0^-1/2 M M_0^-1/2 are the fractions of information.
 
     References
     ----------
@@ -231,8 +232,8 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
         state = _project_surface(samples, gain, weight)
         weight = _robust_weights(samples, state)
         state = _project_surface(samples, gain, weight)
-        patterns, shares = _gain_patterns(state)
-        step = _gain_solver(patterns, shares) @ state.score.sum(axis=0)
+        patterns, fractions = _gain_patterns(state)
+        step = _gain_solver(patterns, fractions) @ state.score.sum(axis=0)
         gain = gain * (1 + np.clip(step, -0.3, 0.3))
         gain /= gain.mean()
         if float(np.abs(step).max()) < 1e-4:
@@ -241,7 +242,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
 
 
 def drift_words(drift: LedDrift, names: Sequence[str]) -> list[str]:
-    """Say in sentences what departs; none where nothing does.
+    """Report in sentences what departs; none where nothing does.
 
     Parameters
     ----------
@@ -268,9 +269,9 @@ def drift_words(drift: LedDrift, names: Sequence[str]) -> list[str]:
 
 def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
     state = _project_surface(samples, gain, weight)
-    patterns, shares = _gain_patterns(state)
-    solver = _gain_solver(patterns, shares)
-    hidden = np.linalg.qr(patterns[shares < _MIN_INFORMATION].T)[0]  # (L, L - R)
+    patterns, fractions = _gain_patterns(state)
+    solver = _gain_solver(patterns, fractions)
+    hidden = np.linalg.qr(patterns[fractions < _MIN_INFORMATION].T)[0]  # (L, L - R)
     shown = np.linalg.svd(np.eye(len(gain)) - hidden @ hidden.T)[0][:, : len(gain) - hidden.shape[1]].T
     scores = np.zeros((int(samples.block.max()) + 1, len(gain)))
     np.add.at(scores, samples.block, state.score)
@@ -283,7 +284,7 @@ def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
         gain=np.exp(shown.T @ seen),
         error=np.sqrt(np.maximum(np.diag(shown.T @ covariance @ shown), 0.0)),
         observable=shown,
-        information=shares,
+        information=fractions,
         suspect=suspect if drifted and explained >= _MIN_EXPLAINED else None,
         suspect_gain=float(np.exp(value)),
         suspect_error=error,
@@ -293,7 +294,7 @@ def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
 
 
 def _single(shown: Array, departure: Array, covariance: Array) -> tuple[int, float, float, float]:
-    """LED that alone explains `departure` (R,) best: its number, its relative departure, the error, the share."""
+    """LED that alone explains `departure` (R,) best: its number, its relative departure, the error, the fraction."""
     if len(shown) == 0:
         return 0, 0.0, float("inf"), 0.0
     inverse = np.linalg.inv(covariance)
@@ -303,7 +304,7 @@ def _single(shown: Array, departure: Array, covariance: Array) -> tuple[int, flo
         own = shown[:, k]
         weight = float(own @ inverse @ own)
         value = float(own @ inverse @ departure) / weight
-        share = value * value * weight / max(total, 1e-30)
-        if share > best[3]:
-            best = (k, value, float(1 / np.sqrt(weight)), share)
+        fraction = value * value * weight / max(total, 1e-30)
+        if fraction > best[3]:
+            best = (k, value, float(1 / np.sqrt(weight)), fraction)
     return best

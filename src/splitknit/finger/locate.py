@@ -34,7 +34,7 @@ from splitknit.settings import Checked
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
-LEAST_WIDTH_MM = 2.0
+MIN_WIDTH_MM = 2.0
 """A mask that is nowhere as wide as this, about four ridges, is no surface to reconstruct."""
 BEYOND_CREASE_MM = 2.5
 """Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
@@ -46,7 +46,7 @@ class FingerSettings(Checked):
 
     _group = ""
     camera: Literal["calibrated", "orthographic"] = "calibrated"
-    """``calibrated``: rays run as the rig file's camera model says; ``orthographic``: parallel, whatever it says."""
+    """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel, whatever the model is."""
     lights: LightsSettings = field(default_factory=LightsSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
     cut_at_crease: bool = True
@@ -77,7 +77,7 @@ class Finger:
 
 
 def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
-    """The capture under the camera model and the lights that the settings ask for, and notes on it.
+    """The capture under the camera model and the lights that the settings require, and notes on it.
 
     Raises
     ------
@@ -151,8 +151,8 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> None:
     padded = np.pad(mask.astype(np.uint8), 1)
     width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
     require(
-        width_mm >= LEAST_WIDTH_MM,
-        f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {LEAST_WIDTH_MM:g} mm are "
+        width_mm >= MIN_WIDTH_MM,
+        f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {MIN_WIDTH_MM:g} mm are "
         "needed; mark the whole finger, or check the rig's px_per_mm."
         if given
         else f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images; capture it again with "

@@ -42,7 +42,7 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
     I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
     the dichromatic model do, also settles the colour of the unlit background: where there is next to no light the three
-    channels of I_MSF are alike and noise does not turn into colour. Source: the thesis, eqs. 3.58-3.63, with (3.61)
+    channels of I_MSF are equal and noise does not turn into colour. Source: the thesis, eqs. 3.58-3.63, with (3.61)
     corrected (``I - I_min + I_min_avg``).
     """
     least = image.min(axis=2)
@@ -52,7 +52,7 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
-    """The two quantities that tell skin from a dark neutral background: brightness, and the coloured part of the light.
+    """The two quantities that separate skin from a dark neutral background: brightness and the coloured light.
 
     The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
     """
@@ -67,7 +67,7 @@ def _skin_evidence(
     image: FloatArray,
     seed: BoolArray,
     margin: float,
-    share: float,
+    fraction: float,
     noise_factor: float,
     *,
     local: bool = False,
@@ -75,12 +75,13 @@ def _skin_evidence(
 ) -> tuple[FloatArray, bool]:
     """Evidence map: above one where a pixel rises from the background by enough to be skin.
 
-    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is `share`
+    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is
+    `fraction`
     of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
     shadow on the finger stays finger. `image`: (H, W) or (H, W, 3) linear; `seed`: (H, W) surely finger; `margin`:
-    pixels around `seed` that belong to neither side; `share`, `noise_factor`: see above; `local`: let the background
+    pixels around `seed` that belong to neither side; `fraction`, `noise_factor`: see above; `local`: let the background
     follow a shadow's edge beside the finger; only for a `seed` that is already complete; `samples`: pixels to which the
-    background is fitted. Returns `evidence`: (H, W) float32; `usable`: whether any signal tells `seed` from the
+    background is fitted. Returns `evidence`: (H, W) float32; `usable`: whether any signal distinguishes `seed` from the
     background.
     """
     outside = ~dilate(seed, margin)
@@ -91,15 +92,15 @@ def _skin_evidence(
     if outside.sum() < 50:
         return seed.astype(np.float32) * np.float32(2.0), True
     for signal in _signals(image):
-        backdrop, noise = _fit_backdrop(signal, outside, samples)
-        rise = signal - backdrop
+        background, noise = _fit_background(signal, outside, samples)
+        rise = signal - background
         if local:
             rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
         level = float(np.median(rise[inside]))
         if level < 3.0 * noise_factor * noise or level <= 0.0:
             continue
         usable = True
-        threshold = np.maximum(share * _local_level(rise, inside, level, 2.0 * margin), noise_factor * noise)
+        threshold = np.maximum(fraction * _local_level(rise, inside, level, 2.0 * margin), noise_factor * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
@@ -134,7 +135,7 @@ def _rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
     return max(steps)
 
 
-def _fit_backdrop(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
+def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
     """Robust quadratic surface through `signal` outside the finger, and the noise about it.
 
     What does not belong to the background (a shadowed part of the finger that the seed missed, dust) is brighter, so
@@ -254,7 +255,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     try:
         mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
-        check_borders(_bright_side(coarse))  # so close that there is more finger than backdrop along the border
+        check_borders(_bright_side(coarse))  # so close that there is more finger than background along the border
         raise
     result = _fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
     check_borders(result)
@@ -310,8 +311,8 @@ def check_borders(mask: BoolArray) -> tuple[str, ...]:
 
 
 NO_FINGER = (
-    "no finger was found in the white images: nothing stands out from the backdrop in colour or brightness; "
-    "check the exposure, the LEDs and the dark backdrop, or give a mask."
+    "no finger was found in the white images: nothing stands out from the background in colour or brightness; "
+    "check the exposure, the LEDs and the dark background, or give a mask."
 )
 
 
@@ -358,9 +359,9 @@ def _seed(image: FloatArray, sigma: float) -> BoolArray:
 def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
     """Whichever side holds less of the image's border; the brighter one where both hold about as much."""
     border = np.concatenate([second[0], second[-1], second[:, 0], second[:, -1]])
-    share = float(border.mean())
-    if abs(share - 0.5) > 0.1:
-        return second if share < 0.5 else ~second
+    fraction = float(border.mean())
+    if abs(fraction - 0.5) > 0.1:
+        return second if fraction < 0.5 else ~second
     if not second.any() or second.all():
         return second
     return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
@@ -392,7 +393,7 @@ def _fine_outline(
     cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
     require(bool(cleaned.any()), NO_FINGER)
-    # above one exactly on `cleaned`; between the grid points the evidence itself says where one is crossed
+    # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
     field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
     full = cv2.resize(field, (size[1], size[0]), interpolation=cv2.INTER_LINEAR) > 1.0

@@ -31,7 +31,7 @@ _SURROUND_MM = 0.7
 WARN_MM = 0.05
 """Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
 MIN_RELIABILITY = 0.8
-"""Motion of a shot with less reliability than this is not believed."""
+"""Motion of a shot with less reliability than this is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def shot_motion(
     Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
     with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each
     shot (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion.
-    At least five shots are needed to tell the two apart, and a drift that happens to follow the lights around the ring
+    At least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring
     is underestimated.
 
     Parameters
@@ -111,7 +111,7 @@ def shot_motion(
 
 
 def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
-    """Warnings in words for shots in which the finger moved by more than `WARN_MM`."""
+    """Warnings for shots in which the finger moved by more than `WARN_MM`."""
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:
@@ -129,8 +129,8 @@ def _details(
     """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
     scale = reduction(mask.shape, px_per_mm, min(settings.working_px_per_mm, 0.8 / band_mm), 600)
     px = px_per_mm * scale
-    share = reduce_mask(mask, scale)
-    inside = share > 0.5 if bool((share > 0.5).any()) else share > 0.0
+    fraction = reduce_mask(mask, scale)
+    inside = fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0
     region = dilate(inside, _SURROUND_MM * px)
     reach = _BAND_RATIO * band_mm
     box = bounding_box(dilate(region, 2.0 * reach * px))

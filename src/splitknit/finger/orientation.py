@@ -23,7 +23,7 @@ _FULL_WIDTH = 0.85
 _TIP_EXCLUSION = 0.5
 """Rows nearer to the tip than this fraction of the widest row are left out of the fit."""
 _LIMIT_DEG = 75.0
-"""Largest turn from the expected direction that is believed (captures promise 60 deg)."""
+"""Largest turn from the expected direction that is accepted (captures guarantee 60 deg)."""
 _MARGIN_FRACTION = 0.02
 """Margin around the finger in the upright frame, as a fraction of its longer side."""
 
@@ -45,7 +45,7 @@ class Upright:
     reliable: bool
     """Whether an axis was found; if not, the tip is taken to point where it was expected."""
     note: str = ""
-    """What is to be known about the result, in words; empty if nothing."""
+    """Remarks on the result; empty if there are none."""
 
     @property
     def upright_from_input(self) -> NDArray[np.float64]:

@@ -61,14 +61,14 @@ class Crease:
     candidates: tuple[_Valley, ...] = field(default=())
     """All transverse valleys that were seen, from the tip down."""
     verdict: str = ""
-    """What was decided and why, in words."""
+    """What was decided and why, as text."""
 
 
 def find_crease(mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float) -> Crease:
     """Find the first flexion crease below the tip.
 
     The thesis equalises and blurs the mean grey image, binarises it and looks for the row with most dark pixels. Here
-    the equalisation is a logarithm (so tone and brightness drop out), the binarisation asks of
+    the equalisation is a logarithm (so tone and brightness drop out), the binarisation requires of
     every place whether it is darker than the skin on *both* sides along the finger (so the edge of a shadow, which is
     a step, and a smooth gradient never count), and rows may lean. A crease must be seen along most of the width.
 
@@ -122,14 +122,14 @@ def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArra
 
 def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
     """Reduced copies of image and mask in the upright frame."""
-    small, share = reduce_image(grey, scale), reduce_mask(mask, scale)
+    small, fraction = reduce_image(grey, scale), reduce_mask(mask, scale)
     size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
     half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
     ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
     shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
     grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
     transform = shrink @ upright.input_from_upright @ grow
-    return warp(small, transform, size), np.asarray(warp(share, transform, size) > 0.9, dtype=np.bool_)
+    return warp(small, transform, size), np.asarray(warp(fraction, transform, size) > 0.9, dtype=np.bool_)
 
 
 def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, str]:

@@ -1,4 +1,4 @@
-"""How good a capture is, in numbers and in words.
+"""How good a capture is, in numbers and sentences.
 
 Ridge contrast is measured on a copy of about 24 px/mm, specks on one of 12 px/mm, everything else on whatever stack is
 given (a reduced one will do; saturation is best counted at full resolution).
@@ -70,7 +70,7 @@ class SpeckSettings(Checked):
     """Fraction of the finger that bright specks may cover."""
 
 
-def _speck_shares(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
+def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
     """Measure how much of the finger dark and bright specks cover.
 
     `stack`: (L, H, W) float32 linear grey; `mask`: (H, W) bool, the finger; `px_per_mm`: float, of the stack. Returns
@@ -135,7 +135,7 @@ def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray
 
 
 _SATURATION = 0.98
-"""Values from here on are saturated, unless the caller says otherwise."""
+"""Values from here on are saturated, unless the caller gives another level."""
 _MAX_SATURATED = 0.02
 """Fraction of the finger that may be saturated in any image."""
 _MIN_RIDGE_CONTRAST = 0.006
@@ -211,7 +211,7 @@ def capture_quality(
     ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
     saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
-    dark_specks, bright_specks = _speck_shares(stack, mask, px_per_mm)
+    dark_specks, bright_specks = _speck_fractions(stack, mask, px_per_mm)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")
@@ -247,10 +247,11 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
     if quality["brightness"] < _MIN_BRIGHTNESS:
         words.append(f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure.")
     worst = int(np.argmax(quality["saturated_per_image"]))
-    share = quality["saturated_per_image"][worst]
-    if share > _MAX_SATURATED:
+    fraction = quality["saturated_per_image"][worst]
+    if fraction > _MAX_SATURATED:
         words.append(
-            f"{100 * share:.0f} % of the finger is saturated in image {worst}: shorten the exposure or dry the finger."
+            f"{100 * fraction:.0f} % of the finger is saturated in image {worst}: shorten the exposure or dry the "
+            "finger."
         )
     if quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
         words.append(

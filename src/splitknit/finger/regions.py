@@ -27,8 +27,8 @@ def reduce_mask(mask: BoolArray, scale: float) -> FloatArray:
     if scale >= 1.0:
         return mask.astype(np.float32)
     size = (max(1, round(mask.shape[1] * scale)), max(1, round(mask.shape[0] * scale)))
-    share = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(share, dtype=np.float32) / np.float32(255.0)
+    fraction = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(fraction, dtype=np.float32) / np.float32(255.0)
 
 
 def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
@@ -102,13 +102,13 @@ def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
     return np.asarray(mask | hole[labels], dtype=np.bool_)
 
 
-def remove_spurs(mask: BoolArray, share: float) -> BoolArray:
-    """Cut away what is thinner than `share` of the region's own width, keep the largest rest.
+def remove_spurs(mask: BoolArray, fraction: float) -> BoolArray:
+    """Cut away what is thinner than `fraction` of the region's own width, keep the largest rest.
 
-    An opening with a disc as wide as `share` times the widest place; beyond the image's border the region is taken to
-    go on, so that the finger's entry is not rounded. What the opening shaves off the outline itself is put back.
+    An opening with a disc as wide as `fraction` times the widest place; beyond the image's border the region is taken
+    to go on, so that the finger's entry is not rounded. What the opening shaves off the outline itself is put back.
     """
-    radius = share * float(depth_inside(mask).max())
+    radius = fraction * float(depth_inside(mask).max())
     if radius < 1.0:
         return largest_component(mask)
     core = largest_component(erode(mask, radius))

@@ -3,8 +3,8 @@
 Every shot is lit from elsewhere, so two shots of a still finger differ, and a method that compares them takes light for
 motion. But what all shots of a matt surface may show together is known: at every pixel their brightnesses are a
 combination of the three components of the light vectors, whatever the surface is. What is left after the best such
-combination has been taken off is motion (or glare, which colours tell apart before). All shots are moved at once until
-least is left: the surface itself is never needed, it is eliminated pixel by pixel.
+combination has been taken off is motion (or specular reflection, which colours separate before). All shots are moved
+at once until the rest is minimal: the surface itself is never needed, it is eliminated pixel by pixel.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class RegistrationSettings(Checked):
     elastic_mm: float = 0.0
     """Spacing of the control points of elastic shifts, at least 2; 0: the finger shifts and turns only."""
     stiffness: Annotated[float, Limits(0)] = 1.0
-    """Weight against elastic shifts, over that of what the images say of a control point on average."""
+    """Weight against elastic shifts, over that of the images' information on a control point on average."""
     iterations: Annotated[int, Limits(1)] = 20
     """Maximum refinements in each band."""
 

@@ -161,12 +161,12 @@ def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
     return np.asarray(nodes - height[mask].mean(), dtype=np.float64)
 
 
-# Details of one size in all shots, at the pixels that matter, and what they say about shifts.
+# Details of one size in all shots, at the pixels that matter, and the shifts they imply.
 
 
 SAMPLES = 16_000
 """Of the pixels of a level, at least so many are looked at, evenly spread; where it has fewer, all."""
-ALIKE = 1.1
+SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
 STEPS = np.float32(32.0)
 """Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
@@ -205,7 +205,7 @@ class Level:
             across, down = (_in_lines(places) for places in near)
             taken = cv2.remap(image, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
             found[k] = taken.reshape(-1, 3)[:count].T
-            # details vary with the shift without steps: what lies between is told by the slopes
+            # details vary with the shift without steps: what lies between follows from the slopes
             found[k, 0] += (found[k, 1] * (columns - near[0]) + found[k, 2] * (rows - near[1])) / size
         return found
 
@@ -224,7 +224,7 @@ def details_of(
     working_px_per_mm : most px/mm of the copies
     """
     finest = min(px_per_mm, working_px_per_mm, 1.0 / band_mm[0])
-    finest = px_per_mm if finest * ALIKE > px_per_mm else finest
+    finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
     small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32) for image in stack]

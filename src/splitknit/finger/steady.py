@@ -127,17 +127,17 @@ def register_band(  # noqa: PLR0917
 def _expected(  # noqa: PLR0917
     seen: Seen, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
 ) -> FloatArray:
-    """(L, N) details under `lights` of the surface that the `known` details of the first band tell."""
+    """(L, N) details under `lights` of the surface that the `known` details of the first band give."""
     taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
     shifts = seen.flow.at(*level.places())[seen.shots].astype(np.float32)
     details = taken.seen(shifts)[:, 0]
-    theirs, ours = (lights_on(part, level, shape, px_per_mm) for part in (seen.lights, lights))
-    theirs = np.moveaxis(theirs.astype(np.float64), 2, 0)  # (N or 1, K, 3)
-    normal = theirs.transpose(0, 2, 1) @ theirs
+    before, now = (lights_on(part, level, shape, px_per_mm) for part in (seen.lights, lights))
+    before = np.moveaxis(before.astype(np.float64), 2, 0)  # (N or 1, K, 3)
+    normal = before.transpose(0, 2, 1) @ before
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    told = (theirs * details.T[:, :, None]).sum(axis=1)
-    surface = np.linalg.solve(np.broadcast_to(normal, (len(told), 3, 3)), told[..., None])[..., 0].T
-    return np.asarray((ours * surface).sum(axis=1), dtype=np.float32)
+    observed = (before * details.T[:, :, None]).sum(axis=1)
+    surface = np.linalg.solve(np.broadcast_to(normal, (len(observed), 3, 3)), observed[..., None])[..., 0].T
+    return np.asarray((now * surface).sum(axis=1), dtype=np.float32)
 
 
 def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, iterations: int) -> Flow:
@@ -187,7 +187,7 @@ def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> N
 
 
 HELPS = 0.95
-"""Undoing motion must bring what no surface explains below this share of what it was."""
+"""Undoing motion must bring what no surface explains below this fraction of what it was."""
 
 
 def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
@@ -199,7 +199,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         The one that was given, the same object, where the finger lay still; else one whose images are resampled, once,
         onto the pixels of the reference shot (the middle one of the white band), which is left as it is.
     finger : Finger
-        Its facts tell the motion.
+        Its facts report the motion.
 
     Raises
     ------
@@ -235,7 +235,7 @@ class Registered:
     most_mm: float
     """Largest shift of a shot against the reference, mean over the finger."""
     before: float
-    """Share of the details that no surface explains: rms over the white shots, as they are."""
+    """Fraction of the details that no surface explains: rms over the white shots, as they are."""
     after: float
     """The same with the motion undone."""
     facts: dict[str, Any]
@@ -245,13 +245,13 @@ def seen_motion_mm(finger: Finger) -> float:
     """Largest motion that the measurement between the shots believes in."""
     found = [0.0]
     for figures in finger.quality.values():
-        believed = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
-        found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[believed]]
+        reliable = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
+        found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[reliable]]
     return max(found)
 
 
 def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Registered:
-    """Registration of the white band, of the others to it, and what a report says of them."""
+    """Registration of the white band, of the others to it, and the report's facts on them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
@@ -270,9 +270,9 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
     found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
     first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
     flows = {"white": replace(found.flow, origin_mm=first)}
-    told = _told(flows["white"], mask, px)
-    told |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
-    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": told}
+    reported = _motion_facts(flows["white"], mask, px)
+    reported |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
+    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": reported}
     for name, band in capture.bands.items():
         if name == "white" or band.colours:
             continue
@@ -280,9 +280,9 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
         vectors = _lights_over(capture, band, window, BLOCK_MM)
         other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
-        told = _told(flows[name], mask, px)
-        told |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
-        facts[f"motion_{name}"] = told
+        reported = _motion_facts(flows[name], mask, px)
+        reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
+        facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
     return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
@@ -325,7 +325,7 @@ def _shots(band: Band) -> NDArray[np.intp]:
     return np.repeat(np.arange(len(band.pixels)), [len(set(names)) for names in band.colours])
 
 
-def _told(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
+def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
     """Mean shift (x right, y up) and turn of every shot, for a report."""
     rows, columns = np.nonzero(mask)
     stride = max(1, len(rows) // 4000)

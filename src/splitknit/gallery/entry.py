@@ -11,7 +11,7 @@ from typing import Any
 from splitknit.errors import BadInput, require
 
 _STEP = 256
-"""Names are padded to multiples of this, so that their length does not tell them."""
+"""Names are padded to multiples of this, so that their length does not reveal them."""
 _LONGEST_NAME = 100
 
 
@@ -85,7 +85,7 @@ class NewCapture:
 
 
 def check_person(text: str) -> str:
-    """Return `text` in one way of writing (NFC) if it can be a person's name.
+    """Return `text` in one normal form (NFC) if it can be a person's name.
 
     Raises
     ------

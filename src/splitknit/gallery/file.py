@@ -44,8 +44,8 @@ _SCHEMAS = {
     1: (_ABOUT, _FINGER_1, ROWS["images"], ROWS["template"]),
     2: (_ABOUT, ROWS["finger"], ROWS["images"], STATE, ROWS["template"]),
 }
-_MOST_RECORD, _MOST_COUNTER = 10_000, 1_000_000
-"""Bytes of what a gallery says of itself, and of a counter file (about 20,000 galleries)."""
+_MAX_RECORD, _MAX_COUNTER = 10_000, 1_000_000
+"""Bytes of a gallery's own record, and of a counter file (about 20,000 galleries)."""
 _MAGIC = b"SQLite format 3\0"
 _BUSY, _READONLY, _FULL, _CANTOPEN = (5, 6), 8, 13, 14
 
@@ -92,7 +92,7 @@ def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
 
 
 def _look_at(path: Path) -> None:
-    """Refuse what does not begin as SQLite files do, before SQLite says so in its words."""
+    """Refuse what does not begin as SQLite files do, before SQLite raises its own error."""
     try:
         require(path.exists(), f"there is no gallery '{path}'; 'splitknit enroll' makes one.")
         require(path.is_file(), f"'{path}' is a folder; name the file of a gallery.")
@@ -128,7 +128,7 @@ def _prepare(database: sqlite3.Connection, path: Path) -> None:
 
 @contextlib.contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Turn what SQLite says into one sentence."""
+    """Turn SQLite's errors into one sentence."""
     try:
         yield
     except UnicodeDecodeError as error:  # a name in its schema, or in SQLite's own message
@@ -154,13 +154,13 @@ def damaged(path: Path, what: str) -> str:
 
 
 def read_about(database: sqlite3.Connection, path: Path) -> tuple[int, dict[str, Any]]:
-    """Version of the layout, and what the gallery says of itself."""
+    """Version of the layout, and the gallery's own record."""
     (version,) = database.execute("PRAGMA user_version").fetchone()
     try:
         document: dict[str, Any] = json.loads(read_record(database, "about", "document"))
         require(isinstance(document, dict), "no object")
     except (ValueError, RecursionError) as error:
-        raise BadInput(damaged(path, "what it says of itself cannot be read")) from error
+        raise BadInput(damaged(path, "its own record cannot be read")) from error
     return int(version), document
 
 
@@ -169,7 +169,7 @@ def read_record(database: sqlite3.Connection, table: str, column: str) -> bytes:
     try:
         rows = database.execute(f"SELECT rowid FROM {table} LIMIT 2").fetchall()
         with database.blobopen(table, column, rows[0][0], readonly=True) as record:
-            if len(rows) == 1 and len(record) <= _MOST_RECORD:
+            if len(rows) == 1 and len(record) <= _MAX_RECORD:
                 return record.read()
     except (IndexError, sqlite3.OperationalError):  # none, or neither text nor bytes
         pass
@@ -205,7 +205,7 @@ def wipe_journal(database: sqlite3.Connection, path: Path) -> None:
         database.execute(f"PRAGMA busy_timeout = {int(wait_ms)}")
     journal = Path(f"{path.resolve()}-journal")
     try:
-        # a link in its place would lead to a file that is not ours
+        # a link in its place would lead to a file that is not a gallery's
         descriptor = os.open(journal, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(descriptor, "r+b", buffering=0) as stream:
             left = os.fstat(descriptor).st_size
@@ -232,7 +232,7 @@ def read_counter(file: Path) -> dict[str, int]:
     BadInput
         If it cannot be read, or is no counter file.
     """
-    content = read_bytes(file, _MOST_COUNTER)
+    content = read_bytes(file, _MAX_COUNTER)
     try:
         seen: Any = json.loads(content) if content else {}
         require(isinstance(seen, dict) and all(type(one) is int for one in seen.values()), "other values")

@@ -151,7 +151,7 @@ class Gallery:
                     require(
                         replace,
                         f"{one.entry.words} is in '{self.path}' already, made from something else; name another "
-                        "session, or say --replace.",
+                        "session, or give --replace.",
                     )
                     replaced = rows.delete(earlier.id)
                 else:

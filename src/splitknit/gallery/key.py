@@ -31,7 +31,7 @@ from splitknit.gallery.file import VERSION, damaged
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
 COUNTER = ".counter"
 """End of the name of the counter file that may lie beside a key file."""
-_MOST_KEY_BYTES = 4096
+_MAX_KEY_BYTES = 4096
 _WRITER_S = 3.0
 """How long a pipe may be without a program that writes into it."""
 
@@ -61,7 +61,7 @@ def _read_key(file: Path) -> bytes:
             require(sound, f"the key file {shown_path(file)} is neither a file nor a pipe.")
             if stat.S_ISFIFO(mode):
                 return _read_pipe(stream, file)
-            return stream.read(_MOST_KEY_BYTES + 1)
+            return stream.read(_MAX_KEY_BYTES + 1)
     except BadInput:
         raise
     except (OSError, ValueError) as error:
@@ -70,12 +70,12 @@ def _read_key(file: Path) -> bytes:
 
 
 def _read_pipe(stream: io.FileIO, file: Path) -> bytes:
-    """Read until all writers closed; a writer takes as long as it likes, as it may ask for a password."""
+    """Read until all writers closed; a writer takes as long as it likes, as it may prompt for a password."""
     content, waited, written = b"", False, False
     events = select.poll()
     events.register(stream, select.POLLIN)
-    while len(content) <= _MOST_KEY_BYTES:
-        piece = stream.read(_MOST_KEY_BYTES + 1)
+    while len(content) <= _MAX_KEY_BYTES:
+        piece = stream.read(_MAX_KEY_BYTES + 1)
         if piece:
             content += piece
         elif piece is None:  # a writer is there and has written nothing yet
@@ -103,10 +103,10 @@ SALT_BYTES = 16
 TAG_BYTES = 16
 DIGEST_BYTES = 32
 _NONCE_BYTES, _SEAL_BYTES = 12, 16
-_LEAST_PASSPHRASE = 8
-_MOST_CONTENT = 4096
-_MOST_MEMORY, _MOST_WORK = 2**30, 2**32
-"""Bytes that scrypt may take, and may go through in all its rounds (about 10 s), whatever a gallery asks for."""
+_MIN_PASSPHRASE = 8
+_MAX_CONTENT = 4096
+_MAX_MEMORY, _MAX_WORK = 2**30, 2**32
+"""Bytes that scrypt may take, and may go through in all its rounds (about 10 s), whatever a gallery requests."""
 _CHECK = b"splitknit gallery"
 
 
@@ -133,9 +133,9 @@ class ScryptSettings:
             require(sound, f"scrypt's {name} must be an integer from {low} to {high}, but it is {str(value)[:20]!a}.")
         memory = 128 * self.r * 2**self.log2_n
         require(
-            memory <= _MOST_MEMORY and memory * self.p <= _MOST_WORK,
+            memory <= _MAX_MEMORY and memory * self.p <= _MAX_WORK,
             f"scrypt with log2_n = {self.log2_n}, r = {self.r} and p = {self.p} takes {memory / 2**20:.0f} MB {self.p} "
-            f"times; at most {_MOST_MEMORY / 2**20:.0f} MB, and {_MOST_WORK / 2**20:.0f} MB in all, are allowed.",
+            f"times; at most {_MAX_MEMORY / 2**20:.0f} MB, and {_MAX_WORK / 2**20:.0f} MB in all, are allowed.",
         )
 
 
@@ -171,7 +171,7 @@ def key_from_bytes(content: bytes, where: str) -> Key:
     >>> key_from_bytes(b"correct horse battery staple", "the key file")
     Key(raw=False)
     """
-    require(len(content) <= _MOST_CONTENT, f"{where} holds {len(content)} bytes, which is no key (4096 at most).")
+    require(len(content) <= _MAX_CONTENT, f"{where} holds {len(content)} bytes, which is no key (4096 at most).")
     try:
         text = content.decode("utf-8").rstrip("\r\n")
         readable = all(character.isprintable() for character in text)
@@ -185,8 +185,8 @@ def key_from_bytes(content: bytes, where: str) -> Key:
         return Key(content, raw=True)
     phrase = unicodedata.normalize("NFC", text)
     require(
-        len(phrase) >= _LEAST_PASSPHRASE,
-        f"{where} holds a passphrase of {len(phrase)} characters; {_LEAST_PASSPHRASE} at least are expected, or 64 "
+        len(phrase) >= _MIN_PASSPHRASE,
+        f"{where} holds a passphrase of {len(phrase)} characters; {_MIN_PASSPHRASE} at least are expected, or 64 "
         "hexadecimal digits.",
     )
     return Key(phrase.encode("utf-8"), raw=False)
@@ -304,7 +304,7 @@ def _stretched(phrase: bytes, salt: bytes, settings: ScryptSettings) -> bytes:
 
 
 def lock(key: Key | None, scrypt: ScryptSettings | None) -> dict[str, Any]:
-    """What a gallery says of how it is wrapped, under a new salt."""
+    """A gallery's record of how it is wrapped, under a new salt."""
     if key is None:
         return {"box": "plain"}
     chosen = scrypt or ScryptSettings()
@@ -326,10 +326,10 @@ def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VE
     Raises
     ------
     BadInput
-        If the key is missing, wrong, of the other kind, or not wanted, what the gallery says is damaged, or its
+        If the key is missing, wrong, of the other kind, or not wanted, the gallery's record is damaged, or its
         passphrase would take too much memory or time to try.
     """
-    wrong = damaged(path, "what it says of itself cannot be read")
+    wrong = damaged(path, "its own record cannot be read")
     known = all(isinstance(about.get(name), kind) for name, kind in _ABOUT.items())
     require(known and about["box"] in ("plain", "aes-256-gcm"), wrong)
     if about["box"] == "plain":

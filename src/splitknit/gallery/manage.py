@@ -85,7 +85,7 @@ def remove_from_gallery(
     BadInput
         If nothing is named, or what is named is not there.
     """
-    require((person is None) != (not rows), "say whose fingers are to be removed: --person NAME, or --row N.")
+    require((person is None) != (not rows), "name whose fingers are to be removed: --person NAME, or --row N.")
     require(not rows or (finger is None and session is None), "--row goes without --finger and --session.")
     with Gallery.open(gallery, key) as opened:
         chosen = list(rows)
@@ -153,7 +153,7 @@ def rekey_gallery(gallery: Path, *, key: Key | None, new: Key | None, plain: boo
     require(
         (new is None) == plain,
         f"give the new key with --new-key-file or in {NEW_KEY_VARIABLE} (the old one with --key-file or in "
-        f"{KEY_VARIABLE}), or say --plain to take the encryption away.",
+        f"{KEY_VARIABLE}), or give --plain to take the encryption away.",
     )
     with Gallery.open(gallery, key) as opened:
         return {"gallery": str(gallery), "captures": opened.rekey(new), "encrypted": opened.encrypted}

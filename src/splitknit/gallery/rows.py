@@ -235,8 +235,8 @@ class Rows:
             return box.open(cell, row.context(content))
         except (Damaged, TypeError) as error:
             raise BadInput(
-                f"row {row.id} of the gallery '{self.path}' is damaged (its {content}); 'splitknit gallery check' says "
-                f"what is sound, 'splitknit gallery remove --row {row.id}' takes it out."
+                f"row {row.id} of the gallery '{self.path}' is damaged (its {content}); 'splitknit gallery check' "
+                f"lists what is sound, 'splitknit gallery remove --row {row.id}' takes it out."
             ) from error
 
     def entry(self, row: Row) -> Entry:
@@ -287,7 +287,7 @@ class Rows:
         self.state = replace(self.state, count=self.state.count + times, root=root)
 
     def rewrite(self, about: dict[str, Any] | None = None, key: Key | None = None) -> int:
-        """Write all rows into new tables, wrapped as `about` says if that is given; return how many.
+        """Write all rows into new tables, wrapped as in `about` if that is given; return how many.
 
         SQLite zeroes what it frees, but a page that it divided may hold a second copy of a row. Tables that were
         written once, in order, hold none. The file is not made shorter: what a file system takes from the end of a
@@ -415,5 +415,5 @@ def _leaf(box: Box, number: int, tag: Any, version: Any, code_version: Any) -> i
 
 
 def _state_context(about: dict[str, Any]) -> bytes:
-    """The state holds for what the gallery says of itself, too."""
+    """The state holds for the gallery's own record, too."""
     return b"splitknit gallery 2\0state\0" + hashlib.sha256(document_of(about).encode("utf-8")).digest()

@@ -42,7 +42,7 @@ def around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
 
 
 def blanked(image: FloatArray, inside: BoolArray, px_per_mm: float) -> FloatArray:
-    """The image whose pixels outside `inside` look like the backdrop beside them."""
+    """The image whose pixels outside `inside` look like the background beside them."""
     if inside.all():
         return image
     done = image.copy()
@@ -76,7 +76,7 @@ def mirror_outline(mirror: Mirror, camera: Camera, binning: int = 1) -> Array:
 
 
 def without_mirrors(image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int) -> FloatArray:
-    """The image (h, w) or (h, w, C) with the mirrors' nominal outlines filled with the backdrop beside them."""
+    """The image (h, w) or (h, w, C) with the mirrors' nominal outlines filled with the background beside them."""
     shape = (image.shape[0], image.shape[1])
     outlines = [filled(mirror_outline(mirror, camera, binning), shape) for mirror in mirrors.values()]
     return blanked(image, ~np.logical_or.reduce(outlines), camera.px_per_mm / binning)

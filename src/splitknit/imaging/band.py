@@ -141,8 +141,8 @@ def linear_channels(
     def work(k: int) -> None:
         light = _lit_light(band, k, encoding, where, binning, ambient)
         if band.colours and band.colours[k][0]:
-            told = _told_apart(light, band.colours[k], band.crosstalk, float(levels[k]))
-            stack[:, first[k] : first[k] + len(told)] = told
+            separated = _colours_apart(light, band.colours[k], band.crosstalk, float(levels[k]))
+            stack[:, first[k] : first[k] + len(separated)] = separated
             return
         for c, channel in enumerate(channels):
             stack[c, first[k]] = pick_channel(light, channel)
@@ -215,7 +215,7 @@ def _lit_light(  # noqa: PLR0917
     return light
 
 
-def _told_apart(
+def _colours_apart(
     light: FloatArray, colours: Sequence[str], crosstalk: NDArray[np.float64] | None, clips_at: float
 ) -> FloatArray:
     """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green, blue.

@@ -31,7 +31,7 @@ class LightsSettings(Checked):
 
 
 def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[str, ...]]:
-    """The capture under the lights that the settings ask for, and what is to be said about it.
+    """The capture under the lights that the settings require, and notes on it.
 
     Raises
     ------
@@ -93,7 +93,7 @@ COMPOSED = (
     "put together from images under white LEDs: broad bands instead of lines, and shots that were taken one after the "
     "other share an exposure."
 )
-"""What every result says that does not come from coloured LEDs."""
+"""Note of every result that does not come from coloured LEDs."""
 _BLACK = 0.02
 """Stored level of no light, so that noise below it is kept."""
 

@@ -114,5 +114,5 @@ def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray
     middle = np.float32(values[mask].mean()) if bool(mask.any()) else np.float32(0.0)
     inside = mask.astype(np.float32)
     total = blurred(np.where(mask, values - middle, np.float32(0.0)).astype(np.float32))
-    share = np.maximum(blurred(inside), np.float32(1e-6))
-    return np.asarray(np.where(mask, total / share + middle, np.float32(0.0)), dtype=np.float32)
+    fraction = np.maximum(blurred(inside), np.float32(1e-6))
+    return np.asarray(np.where(mask, total / fraction + middle, np.float32(0.0)), dtype=np.float32)

@@ -102,13 +102,13 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         axis_unit = -led.axis.astype(np.float32)
         cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
         strength *= np.maximum(cosine, np.float32(0.0)) ** np.float32(led.lobe_exponent)
-    result *= strength if led.shade is None else strength * _share(led.shade, x, y)
+    result *= strength if led.shade is None else strength * _fraction(led.shade, x, y)
     return result
 
 
-def _share(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
+def _fraction(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
     """Fraction of the light that reaches the places (x, y), of any shape."""
-    rows, columns = shade.share.shape
+    rows, columns = shade.fraction.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
         places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
@@ -118,7 +118,7 @@ def _share(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
     for start in range(0, flat.size, _LONGEST):  # OpenCV reads at most so many places in one line
         part = slice(start, start + _LONGEST)
         where = column.reshape(-1)[part, None], flat[part, None]
-        read[part] = cv2.remap(shade.share, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
+        read[part] = cv2.remap(shade.fraction, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
     return read.reshape(row.shape)
 
 
@@ -152,7 +152,7 @@ def light_field(
 
 
 def _image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
-    """(H, W) as the surface, the caller, the axes or the camera say, in this order."""
+    """(H, W) as the surface, the caller, the axes or the camera set it, in this order."""
     if np.ndim(surface_mm) == 2:
         rows, columns = np.shape(surface_mm)
         return int(rows), int(columns)

@@ -128,7 +128,7 @@ class Grid:
     """One level: edge weights, and the operators on heights that are zero outside the surface."""
 
     def __init__(self, right: FloatArray, down: FloatArray, unit: bool) -> None:
-        """Take the edge weights (H, W); `unit` tells that they are zero or one, and one inside the mask."""
+        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask."""
         self.right, self.down, self.unit = right, down, unit
         degree = right + down
         degree[:, 1:] += right[:, :-1]
@@ -139,7 +139,7 @@ class Grid:
         self._target, self._term = np.empty_like(right), np.empty_like(right)
         self.coarser: Grid | None = None
         self.direct: _DirectSolver | None = None
-        self.share = self.inside  # replaced where there is a coarser grid
+        self.fraction = self.inside  # replaced where there is a coarser grid
 
     def neighbours(self, height: Floats, out: Floats | None = None) -> Floats:
         """Weighted sum of the four neighbours (not masked on a unit grid)."""
@@ -204,13 +204,13 @@ class Grid:
         """Interpolate heights of the coarser grid to this one."""
         rows, columns = self.inside.shape
         fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(fine * self.share, dtype=np.float32)
+        return np.asarray(fine * self.fraction, dtype=np.float32)
 
     def restrict(self, residual: FloatArray) -> FloatArray:
         """Adjoint of :meth:`prolong`."""
         assert self.coarser is not None
         spread = cv2.sepFilter2D(
-            residual * self.share, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
+            residual * self.fraction, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
         )
         return np.ascontiguousarray(spread[::2, ::2]) * self.coarser.inside
 
@@ -256,7 +256,7 @@ class _DirectSolver:
 
 
 def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
-    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` says."""
+    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
     finest = Grid(right, down, unit)
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
@@ -266,10 +266,10 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
             unit=False,
         )
         small = np.count_nonzero(grid.inside) <= _DIRECT
-        if small and max(_welded_share(grid), _welded_share(coarse)) > _WELDED:
+        if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
             break
         cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        grid.share = np.where(cover > 0, grid.inside / np.maximum(cover, np.float32(1e-6)), 0).astype(np.float32)
+        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, np.float32(1e-6)), 0).astype(np.float32)
         grid.coarser = coarse
         grid = coarse
     if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
@@ -277,7 +277,7 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
     return finest
 
 
-def _welded_share(grid: Grid) -> float:
+def _welded_fraction(grid: Grid) -> float:
     """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
     rows, columns = (side // 2 * 2 for side in grid.inside.shape)
     inside = grid.inside[:rows, :columns]
@@ -340,7 +340,7 @@ def poisson(
     Returns
     -------
     (H, W) float32
-        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the mask: gradients say
+        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the mask: gradients fix
         nothing about the height of one part over another.
 
     Raises

@@ -46,7 +46,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     Raises
     ------
     BadInput
-        If `out` is a file, holds files that are not ours, exists while `overwrite` is false, or cannot be written.
+        If `out` is a file, holds files not written here, exists while `overwrite` is false, or cannot be written.
     """
     target = _resolved(out)
     if target in _AT_WORK:
@@ -249,10 +249,10 @@ def _check_replaceable(target: Path, overwrite: bool) -> None:
     if not names:
         return
     require(overwrite, f"'{target}' exists and is not empty; remove it or name another folder.")
-    ours = _read_manifest(target)
+    own = _read_manifest(target)
     for name in names:
         require(
-            name in ours or Path(name).name in _STRAY,
+            name in own or Path(name).name in _STRAY,
             f"'{target}' holds '{name}', which splitknit did not write there; name another folder.",
         )
 

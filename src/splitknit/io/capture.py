@@ -218,15 +218,15 @@ def _band(key: str, plan: BandPlan, pixels: PixelArray, ambient: PixelArray | No
 
 
 def _seen_by(rig: Rig, band: Band) -> Band:
-    """The band with what the rig says about its lens and the colours of its LEDs. Raises BadInput if several colours
-    share an exposure of grey images.
+    """The band with what the rig states about its lens and the colours of its LEDs. Raises BadInput if several colours
+    fraction an exposure of grey images.
     """
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
         require(
             band.pixels.shape[3] == 3 or len(set(names)) == 1,
             f"{band.files[k] if band.files else f'image {k}'} is grey, but LEDs of {len(set(names))} colours lit it; "
-            "their light can be told apart in colour images only.",
+            "their light can be separated in colour images only.",
         )
     crosstalk = rig.camera.crosstalk if colours else None
     return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)

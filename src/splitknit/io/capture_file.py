@@ -1,4 +1,4 @@
-"""The document ``capture.json``: what it says, before any image is opened."""
+"""The document ``capture.json``: its content, before any image is opened."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "nir")
 ENCODINGS = ("linear", "srgb")
 MATERIALS = ("skin", "opaque")
-_MOST_IMAGES = 1000
+_MAX_IMAGES = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class CapturePlan:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """An image: its file, and how it was exposed where the document says so."""
+    """An image: its file, and how it was exposed where the document states it."""
 
     file: Path
     name: str
@@ -125,8 +125,8 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
         f"{fields.name}: {fields.path('images')} names {len(images)} images, but at least three are needed.",
     )
     require(
-        len(images) <= _MOST_IMAGES,
-        f"{fields.name}: {fields.path('images')} names {len(images)} images, but at most {_MOST_IMAGES} are read.",
+        len(images) <= _MAX_IMAGES,
+        f"{fields.name}: {fields.path('images')} names {len(images)} images, but at most {_MAX_IMAGES} are read.",
     )
     leds = tuple(_group(fields, item, k) for k, item in enumerate(fields.items("leds")))
     require(

@@ -60,7 +60,7 @@ def check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], whe
     for k, names in enumerate(rig.colours_of(leds)):
         require(
             all(names) or not any(names),
-            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be told apart; use one kind.",
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
         )
     lights = rig.lights_of(leds)
     try:
@@ -82,12 +82,12 @@ def check_content(band: Band) -> None:
     """
     peaks = np.array([_check_image(band, k) for k in range(len(band.pixels))])
     scaled = peaks / band.exposure
-    share = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
+    fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
     for k in range(len(peaks)):
         require(
-            bool(share[k] >= _RELATIVE_DARK),
+            bool(fraction[k] >= _RELATIVE_DARK),
             f"{_name(band, k)} is almost black beside the other images (its bright pixels reach "
-            f"{100 * share[k]:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
+            f"{100 * fraction[k]:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
         )
 
 
@@ -108,10 +108,10 @@ def _check_image(band: Band, k: int) -> float:
     clipped = sample >= _FULL_SCALE * scale
     clipped_pixels = clipped.sum(axis=1) >= min(2, sample.shape[1])
     lit = (light > _LIT_FRACTION * scale).any(axis=1)
-    share = float(clipped_pixels.sum()) / max(1.0, float(lit.sum()))
+    fraction = float(clipped_pixels.sum()) / max(1.0, float(lit.sum()))
     require(
-        share <= _SATURATED_FRACTION or float(clipped_pixels.mean()) <= _SATURATED_AREA,
-        f"{_name(band, k)} is overexposed: {100 * share:.0f} % of its lit pixels are at the full scale; capture it "
+        fraction <= _SATURATED_FRACTION or float(clipped_pixels.mean()) <= _SATURATED_AREA,
+        f"{_name(band, k)} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture it "
         f"again with a shorter exposure or a lower gain.",
     )
     if band.ambient is not None:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 from splitknit.errors import BadInput, read_bytes, require
 
 MAX_JSON_BYTES = 16_000_000
-"""A document of 16 MB takes up to 0.5 GB once parsed; the largest of ours, minutiae in space, have 10 MB."""
+"""A document of 16 MB takes up to 0.5 GB once parsed; the largest written here, minutiae in space, have 10 MB."""
 
 
 def read_json(path: Path, damaged: str | None = None) -> tuple[Any, bytes]:

@@ -45,7 +45,7 @@ def _read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArra
     """Read what :func:`_write_float_tiff` wrote: (H, W) or (H, W, 3) float32, and the description.
 
     `path`: the file; `what`: it should be, for messages: "a height map". Raises BadInput if the file is missing,
-    damaged or not one of ours.
+    damaged or not written by this package.
     """
     data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     wrong = f"{name} is not {what} of splitknit"
@@ -93,11 +93,11 @@ def write_height_tiff(
     _write_float_tiff(path, height, description, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
 
 
-def _read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
+def read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
     """Read a height map that :func:`write_height_tiff` wrote.
 
     Returns `height_mm`: (H, W) float32, NaN outside the mask; `pitch_mm`: size of one pixel; `metadata`: all of the
-    description. Raises BadInput if the file is missing, damaged or not one of ours.
+    description. Raises BadInput if the file is missing, damaged or not written by this package.
     """
     height, metadata = _read_float_tiff(path, "a height map")
     pitch_mm: Any = metadata.get("pitch_mm")
@@ -132,8 +132,8 @@ def write_light_tiff(
     _write_float_tiff(path, image, {**(metadata or {}), "unit": unit})
 
 
-def _read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
+def read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
     """Read what :func:`write_light_tiff` wrote: (H, W) or (H, W, 3) float32, and all of the description. Raises
-    BadInput if the file is missing, damaged or not one of ours.
+    BadInput if the file is missing, damaged or not written by this package.
     """
     return _read_float_tiff(path, "a light image")

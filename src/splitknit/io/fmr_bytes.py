@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io.minutiae_record import FINGER_CODES, MOST_MINUTIAE, FingerView, MinutiaeRecord, code_of, name_of
+from splitknit.io.minutiae_record import FINGER_CODES, MAX_MINUTIAE, FingerView, MinutiaeRecord, code_of, name_of
 
 _MAX_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""
@@ -22,7 +22,7 @@ _MINUTIA = np.dtype([("x", ">u2"), ("y", ">u2"), ("direction", "u1"), ("quality"
 
 @dataclass(slots=True)
 class Cursor:
-    """A place in a record; what would lie behind the end is refused in words."""
+    """A place in a record; what would lie behind the end is refused with a message."""
 
     data: bytes
     name: str
@@ -58,12 +58,12 @@ def read_record_bytes(path: Any) -> bytes:
 
 
 def check_length(data: bytes, said: int, name: str) -> None:
-    """Require that a record has the length that its header says."""
+    """Require that a record has the length that its header states."""
     if len(data) < said:
-        raise BadInput(f"{name} is truncated: its header says {said} bytes, but it has {len(data)}; copy it again.")
+        raise BadInput(f"{name} is truncated: its header states {said} bytes, but it has {len(data)}; copy it again.")
     require(
         len(data) == said,
-        f"{name} has {len(data)} bytes, but its header says {said}; cut off what does not belong to the record.",
+        f"{name} has {len(data)} bytes, but its header states {said}; cut off what does not belong to the record.",
     )
 
 
@@ -98,20 +98,20 @@ def decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[s
     }
 
 
-def encode_minutiae(view: FingerView, steps: int, most_quality: int) -> bytes:
-    """Bytes of a view's minutiae, six for each; qualities above `most_quality` (none known) become 0.
+def encode_minutiae(view: FingerView, steps: int, max_quality: int) -> bytes:
+    """Bytes of a view's minutiae, six for each; qualities above `max_quality` (none known) become 0.
 
     Directions are rounded to the nearest of `steps` in a turn.
     """
     require(
-        view.count <= MOST_MINUTIAE,
-        f"a view holds at most {MOST_MINUTIAE} minutiae, but there are {view.count}; take FingerView.best().",
+        view.count <= MAX_MINUTIAE,
+        f"a view holds at most {MAX_MINUTIAE} minutiae, but there are {view.count}; take FingerView.best().",
     )
     table = np.zeros(view.count, dtype=_MINUTIA)
     table["x"] = np.asarray(view.x_px) | (np.asarray(view.type).astype(np.int64) << 14)
     table["y"] = view.y_px
     table["direction"] = np.round(np.asarray(view.direction_rad) * (steps / (2 * np.pi))).astype(np.int64) % steps
-    table["quality"] = np.where(np.asarray(view.quality) <= most_quality, view.quality, 0)
+    table["quality"] = np.where(np.asarray(view.quality) <= max_quality, view.quality, 0)
     return table.tobytes()
 
 
@@ -132,7 +132,7 @@ def make_record(name: str, **fields: Any) -> MinutiaeRecord:
 
 
 def check_writable(record: MinutiaeRecord, standard: str, device_bits: int, certification_bits: int) -> None:
-    """Require what every standard asks of a record before it is written."""
+    """Require what every standard demands of a record before it is written."""
     require(
         not any(view.extended for view in record.views) or record.standard == standard,
         f"the extended data are those of {record.standard or 'an unknown standard'} and mean something else in "
@@ -162,9 +162,9 @@ def checked_product(record: MinutiaeRecord) -> tuple[int, int]:
 def common_image(record: MinutiaeRecord, standard: str) -> tuple[tuple[int, int], tuple[int, int]]:
     """Size and resolution that all views share, as standards with one of them in their header need."""
     first = record.views[0]
-    alike = all(view.size == first.size and view.resolution_ppcm == first.resolution_ppcm for view in record.views)
+    equal = all(view.size == first.size and view.resolution_ppcm == first.resolution_ppcm for view in record.views)
     require(
-        alike,
+        equal,
         f"{standard} has one image size and one resolution a record, but the views differ; write a record for each.",
     )
     return first.size, first.resolution_ppcm
@@ -195,7 +195,7 @@ def encode_views(views: tuple[FingerView, ...], codes: ViewCodes) -> bytes:
     Raises
     ------
     BadInput
-        If the standard has no way to say what a view holds.
+        If the standard cannot represent what a view holds.
     """
     return b"".join(_encode_view(view, codes) for view in views)
 
@@ -208,7 +208,7 @@ def decode_views(
     Raises
     ------
     BadInput
-        If they are truncated or say what the standard does not allow.
+        If they are truncated or hold what the standard does not allow.
     """
     views = []
     for number in range(1, count + 1):
@@ -237,8 +237,8 @@ def decode_views(
 def _encode_view(view: FingerView, codes: ViewCodes) -> bytes:
     require(
         view.finger_quality <= 100,
-        f"the finger's quality is {view.finger_quality} (not computed), which {codes.standard} cannot say; give 0 to "
-        "100.",
+        f"the finger's quality is {view.finger_quality} (not computed), which {codes.standard} cannot represent; "
+        "give 0 to 100.",
     )
     impression = codes.nearest.get(view.impression, view.impression)
     packed = view.view << 4 | code_of(impression, codes.impressions, "impression type")
@@ -279,7 +279,7 @@ _OTHERS = (
 )
 _ENVELOPE_BYTES = 4096
 _TOLD_APART_BYTES = 14
-"""Fewer do not tell the standards apart."""
+"""Fewer do not distinguish the standards."""
 
 
 def standard_of(data: bytes) -> str | None:

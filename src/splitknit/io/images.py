@@ -25,7 +25,7 @@ from splitknit.settings import Checked, Limits
 
 @dataclass(frozen=True, slots=True)
 class ImageSettings(Checked):
-    """What a file may ask of the machine before it is decoded."""
+    """What a file may demand of the machine before it is decoded."""
 
     max_pixels: Annotated[int, Limits(0, above=True)] = 200_000_000
     """A header that claims more is refused: nothing of the rig's kind is that large, and a small file can claim it."""
@@ -42,7 +42,7 @@ class ImageSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class _ImageInfo:
-    """What a file's header says about its image once decoded."""
+    """A file's header on its image once decoded."""
 
     rows: int
     columns: int
@@ -152,7 +152,7 @@ class StackReader:
         ----------
         files : the images, all of one size, colour and depth
         size : rows, columns that every image must have
-        expected_by : who says so, for the message
+        expected_by : who expects it, for the message
         """
         first = read_bytes(files[0], self._settings.max_bytes)
         info = _image_info(first, str(files[0]), self._settings)
@@ -185,7 +185,7 @@ class StackReader:
         _check_size(info, (like.rows, like.columns), name, expected_by)
         require(
             info == like,
-            f"{name} is {info.words}, but {first} is {like.words}; all images of a band must be alike.",
+            f"{name} is {info.words}, but {first} is {like.words}; all images of a band must agree.",
         )
         decode_image(data, name, out, self._settings)
         return hashlib.sha256(data).hexdigest()
@@ -256,7 +256,7 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 _FRAMES = frozenset({0xC0, 0xC1, 0xC2})
-_MOST_SCANS = 100
+_MAX_SCANS = 100
 """Each scan costs a pass through the whole image, whatever its length; a progressive image has about ten."""
 _BLOCK_PIXELS = 64
 _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
@@ -302,9 +302,7 @@ def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
         position += 2 + length
         if marker == 0xDA:
             scans += 1
-            require(
-                scans <= _MOST_SCANS, f"{name} is damaged: it has more than {_MOST_SCANS} JPEG scans; copy it again."
-            )
+            require(scans <= _MAX_SCANS, f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again.")
             found = _MARKER_IN_SCAN.search(data, position)
             if found is None:
                 raise BadInput(truncated)

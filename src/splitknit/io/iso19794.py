@@ -44,11 +44,11 @@ from splitknit.io.fmr_bytes import (
     read_record_bytes,
     require_standard,
 )
-from splitknit.io.minutiae_record import BIFURCATION, ISO_2005_IMPRESSIONS, MOST_MINUTIAE, FingerView, MinutiaeRecord
+from splitknit.io.minutiae_record import BIFURCATION, ISO_2005_IMPRESSIONS, MAX_MINUTIAE, FingerView, MinutiaeRecord
 
 _HEADER = struct.Struct(">8sIHHHHHBB")
-_LEAST_RESOLUTION = 99
-"""Pixels per cm; the standard asks for no less (250 ppi)."""
+_MIN_RESOLUTION = 99
+"""Pixels per cm; the standard requires no less (250 ppi)."""
 _CODES = ViewCodes(
     ISO_2005, ISO_STEPS, ISO_2005_IMPRESSIONS, {"contactless": "live_plain", "contactless_rolled": "live_rolled"}
 )
@@ -64,13 +64,13 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
     Raises
     ------
     BadInput
-        If the standard has no way to say what the record holds.
+        If the standard cannot represent what the record holds.
     """
     check_writable(record, ISO_2005, 12, 4)
     (rows, columns), resolution = common_image(record, ISO_2005)
     require(
-        min(resolution) >= _LEAST_RESOLUTION,
-        f"{ISO_2005} needs at least {_LEAST_RESOLUTION} pixels per cm, but the image has {min(resolution)}.",
+        min(resolution) >= _MIN_RESOLUTION,
+        f"{ISO_2005} needs at least {_MIN_RESOLUTION} pixels per cm, but the image has {min(resolution)}.",
     )
     body = encode_views(record.views, _CODES)
     device = record.certification << 12 | record.device
@@ -89,7 +89,7 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     Raises
     ------
     BadInput
-        If it is truncated, of another standard, or says what the standard does not allow.
+        If it is truncated, of another standard, or holds what the standard does not allow.
     """
     require_standard(data, ISO_2005, MAGIC_20, name)
     cursor = Cursor(data, name)
@@ -97,8 +97,8 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     check_length(data, length, name)
     require(reserved == 0, f"{name}: the reserved byte 23 is {reserved}, but it must be 0.")
     require(
-        min(x_ppcm, y_ppcm) >= _LEAST_RESOLUTION,
-        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} asks for {_LEAST_RESOLUTION} at "
+        min(x_ppcm, y_ppcm) >= _MIN_RESOLUTION,
+        f"{name}: the resolution is {x_ppcm} x {y_ppcm} pixels per cm, but {ISO_2005} requires {_MIN_RESOLUTION} at "
         "least; its producer does not keep to the standard.",
     )
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
@@ -112,7 +112,7 @@ def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None
         stream.write(data)
 
 
-def _read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
+def read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a record's file; see :func:`decode_iso19794`."""
     return decode_iso19794(read_record_bytes(path), os.fspath(path))
 
@@ -120,11 +120,9 @@ def _read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
 # Minutiae for chip cards (ISO/IEC 19794-2:2005): bare lists without any header, in millimetres instead of pixels.
 #
 # Normal size, 5 bytes a minutia: 2 bits type and 14 of x, 2 bits 0 and 14 of y (0.01 mm, big-endian), direction in
-# 256
-# steps. Compact size, 3 bytes: x, y (0.1 mm), 2 bits type and 6 of direction in 64 steps. Quality, finger and image
-# are
-# not kept: the card and what surrounds the list know them. A list has no mark by which it could be told from other
-# bytes.
+# 256 steps. Compact size, 3 bytes: x, y (0.1 mm), 2 bits type and 6 of direction in 64 steps. Quality, finger and
+# image are not kept: the card and what surrounds the list know them. A list has no mark that distinguishes it from
+# other bytes.
 #
 # Source: ISO/IEC 19794-2:2005, clause 8 (finger minutiae card formats).
 
@@ -135,13 +133,11 @@ _NORMAL_MM, _COMPACT_MM = 0.01, 0.1
 _NORMAL_STEPS, _COMPACT_STEPS = 256, 64
 
 
-def _encode_card(view: FingerView, compact: bool = True) -> bytes:
+def encode_card(view: FingerView, compact: bool = True) -> bytes:
     """Bytes of a view's minutiae for a card: 3 bytes each where `compact`, 5 otherwise. Raises BadInput if there are
     more than 255, or one lies further right or down than the format reaches (25.5 mm, 163.83 mm).
     """
-    require(
-        view.count <= MOST_MINUTIAE, f"a card takes at most {MOST_MINUTIAE} minutiae, not {view.count}; see best()."
-    )
+    require(view.count <= MAX_MINUTIAE, f"a card takes at most {MAX_MINUTIAE} minutiae, not {view.count}; see best().")
     unit, steps, largest = (_COMPACT_MM, _COMPACT_STEPS, 255) if compact else (_NORMAL_MM, _NORMAL_STEPS, 16383)
     x_ppcm, y_ppcm = view.resolution_ppcm
     x, y = (
@@ -164,7 +160,7 @@ def _encode_card(view: FingerView, compact: bool = True) -> bytes:
     return table.tobytes()
 
 
-def _decode_card(
+def decode_card(
     data: bytes, size: tuple[int, int], ppcm: tuple[int, int], compact: bool = True, name: str = "the list"
 ) -> FingerView:
     """Read minutiae of a card onto the pixels of an image.
@@ -177,8 +173,8 @@ def _decode_card(
     row = _COMPACT if compact else _NORMAL
     count, rest = divmod(len(data), row.itemsize)
     require(
-        rest == 0 and count <= MOST_MINUTIAE,
-        f"{name} has {len(data)} bytes, which is no list of at most {MOST_MINUTIAE} minutiae of {row.itemsize}.",
+        rest == 0 and count <= MAX_MINUTIAE,
+        f"{name} has {len(data)} bytes, which is no list of at most {MAX_MINUTIAE} minutiae of {row.itemsize}.",
     )
     table = np.frombuffer(data, dtype=row)
     if compact:

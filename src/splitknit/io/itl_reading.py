@@ -35,16 +35,16 @@ from splitknit.io.wsq_image import decode_wsq, encode_wsq
 
 VERSION = "0502"
 COMPRESSIONS = {"none": "NONE", "wsq": "WSQ20", "png": "PNG"}
-"""Names, and what field 14.011 says for them."""
-MOST_PRINTS = 98
+"""Names, and their codes in field 14.011."""
+MAX_PRINTS = 98
 """Information designation characters go from 0 to 99; 0 is that of Type-2."""
-LEAST_PPI, MOST_PPI = 490.0, 5080.0
+MIN_PPI, MAX_PPI = 490.0, 5080.0
 """A print below the class of 500 ppi is no exemplar."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TransactionPrint:
-    """One print and what a Type-14 record says of it."""
+    """One print and its Type-14 record."""
 
     image: NDArray[np.uint8]
     """(H, W), ridges dark, as ink on paper."""
@@ -64,8 +64,8 @@ class _TransactionPrint:
             f"a print must be (H, W) uint8, 10 to 99999 pixels each way, not {array.shape} {array.dtype}.",
         )
         require(
-            LEAST_PPI <= self.ppi <= MOST_PPI,
-            f"a print of a transaction has {LEAST_PPI:g} to {MOST_PPI:g} ppi, not {self.ppi:g}; resample it.",
+            MIN_PPI <= self.ppi <= MAX_PPI,
+            f"a print of a transaction has {MIN_PPI:g} to {MAX_PPI:g} ppi, not {self.ppi:g}; resample it.",
         )
         code_of(self.finger, FINGER_CODES, "finger")
         code_of(self.impression, ITL_IMPRESSIONS, "impression type")
@@ -77,7 +77,7 @@ class _TransactionPrint:
 
 @dataclass(frozen=True, slots=True)
 class _TransactionFacts:
-    """What the whole transaction says."""
+    """Facts of the whole transaction."""
 
     date: datetime.date
     """Of the capture and of the transaction (fields 1.005, 14.005)."""
@@ -117,14 +117,14 @@ def encode_transaction(prints: Sequence[_TransactionPrint], facts: _TransactionF
     Parameters
     ----------
     prints : 1 to 98; the k-th gets the information designation character k
-    facts : what all of it says
+    facts : of the whole transaction
 
     Raises
     ------
     BadInput
         If there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
     """
-    require(1 <= len(prints) <= MOST_PRINTS, f"a transaction takes 1 to {MOST_PRINTS} prints, not {len(prints)}.")
+    require(1 <= len(prints) <= MAX_PRINTS, f"a transaction takes 1 to {MAX_PRINTS} prints, not {len(prints)}.")
     nistitl = _itl_package()
     date = facts.date.strftime("%Y%m%d")
     message = nistitl.Message()
@@ -158,7 +158,7 @@ def write_transaction(
 
 
 def _itl_package() -> Any:
-    """Import `nistitl`, or say how to get it."""
+    """Import `nistitl`, or report how to get it."""
     try:
         import nistitl  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - an extra
     except ImportError as error:
@@ -197,10 +197,10 @@ def _stored_pixels(item: _TransactionPrint) -> bytes:
 
 _MAX_BYTES = 200_000_000
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
-_MOST_RECORDS = 1000
-_MOST_PIXELS = 64_000_000
+_MAX_RECORDS = 1000
+_MAX_PIXELS = 64_000_000
 _SEPARATOR, _WITHIN = b"\x1c", (b"\x1d", b"\x1e", b"\x1f")
-_MOST_PARTS = 100_000
+_MAX_PARTS = 100_000
 """Fields and their parts, before the images: the package makes Python objects of each."""
 _INCH_MM, _CM_MM = 25.4, 10.0
 
@@ -233,7 +233,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
     return Transaction(prints, _facts(records[0], name))
 
 
-def _read_transaction(path: str | os.PathLike[str]) -> Transaction:
+def read_transaction(path: str | os.PathLike[str]) -> Transaction:
     """Read a transaction's file; see :func:`decode_transaction`."""
     return decode_transaction(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
@@ -260,12 +260,15 @@ def _check_frame(data: bytes, name: str) -> None:
             "it again.",
         )
         whole = length > len(found.group(0)) and data[place + length - 1 : place + length] == _SEPARATOR
-        require(whole, f"{name} is damaged: its Type-{kind} record does not end where its length says; copy it again.")
+        require(
+            whole,
+            f"{name} is damaged: its Type-{kind} record does not end where its length field has it; copy it again.",
+        )
         texts = data[place : place + length].split(b".999:")[0]
         parts += sum(texts.count(separator) for separator in _WITHIN)
-        require(parts <= _MOST_PARTS, f"{name} has more than {_MOST_PARTS} fields; split it.")
+        require(parts <= _MAX_PARTS, f"{name} has more than {_MAX_PARTS} fields; split it.")
         place, count = place + length, count + 1
-        require(count <= _MOST_RECORDS, f"{name} has more than {_MOST_RECORDS} records; split it.")
+        require(count <= _MAX_RECORDS, f"{name} has more than {_MAX_RECORDS} records; split it.")
     require(count > 0, f"{name} is empty; an ANSI/NIST-ITL transaction is expected.")
 
 
@@ -280,7 +283,7 @@ def _facts(record: Any, name: str) -> _TransactionFacts:
 
 def _print(record: Any, name: str) -> _TransactionPrint:
     rows, columns = _number(record, "VLL", name), _number(record, "HLL", name)
-    require(rows * columns <= _MOST_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
+    require(rows * columns <= _MAX_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
     compression = _text(record, "CGA", name)
     names = {code: word for word, code in COMPRESSIONS.items()}
     require(
@@ -311,8 +314,8 @@ def _resolution(record: Any, name: str) -> float:
 
 
 def _pixels(data: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
-    """Decode the image, of the (rows, columns) that the record says."""
-    expected = f"but its record says {size[0]} x {size[1]}"
+    """Decode the image, of the (rows, columns) that the record states."""
+    expected = f"but its record states {size[0]} x {size[1]}"
     if compression == "none":
         require(len(data) == size[0] * size[1], f"{name} holds {len(data)} pixels, {expected}.")
         return np.frombuffer(data, dtype=np.uint8).reshape(size).copy()
@@ -336,7 +339,7 @@ def _text(record: Any, key: str, name: str) -> str:
     if isinstance(value, int):
         return str(value)
     if not isinstance(value, str) or not value:
-        raise BadInput(f"{name} lacks the field {key}; it is not as ANSI/NIST-ITL asks.")
+        raise BadInput(f"{name} lacks the field {key}; it does not conform to ANSI/NIST-ITL.")
     return value
 
 
@@ -344,7 +347,7 @@ def _number(record: Any, key: str, name: str) -> int:
     text = _text(record, key, name)
     require(
         text.isascii() and text.isdecimal() and len(text) <= 5,
-        f"{name} says {text[:20]!a} for {key}, where a whole number of at most 5 digits is expected.",
+        f"{name} has {text[:20]!a} for {key}, where a whole number of at most 5 digits is expected.",
     )
     return int(text)
 

@@ -80,7 +80,7 @@ def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
 
 # Binary STL of an indexed mesh, in pieces, so that millions of triangles need little memory.
 #
-# STL knows no unit; the header says that it is the millimetre, which printing programs assume.
+# STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
 
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
@@ -101,7 +101,7 @@ def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "
     ----------
     vertices_mm : (N, 3), mm
     faces : (M, 3) indices of vertices, counter-clockwise seen from outside
-    title : what the header says behind ``splitknit, unit mm``
+    title : what the header has behind ``splitknit, unit mm``
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Itera
         yield records.tobytes()
 
 
-def _write_mesh_stl(
+def write_mesh_stl(
     path: str | os.PathLike[str], vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = ""
 ) -> None:
     """Write what :func:`stl_chunks` yields; equal meshes give equal bytes."""
@@ -158,7 +158,7 @@ _MAX_BYTES = 700_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _GlbMesh:
-    """What a ``.glb`` file of ours holds."""
+    """What a ``.glb`` file written here holds."""
 
     vertices_mm: FloatArray
     """(N, 3)."""
@@ -264,10 +264,10 @@ def _write_glb(  # noqa: PLR0917 - a mesh is these arrays
             stream.write(chunk)
 
 
-def _read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
+def read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
     """Read a file that :func:`_write_glb` wrote.
 
-    Raises BadInput if it is missing, damaged, or laid out in another way.
+    Raises BadInput if it is missing, damaged, or laid out differently.
     """
     data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
     damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."

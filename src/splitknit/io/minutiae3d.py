@@ -35,7 +35,7 @@ from splitknit.io.provenance import canonical_json
 
 FORMAT, VERSION = "splitknit-minutiae3d", 1
 _LARGEST_MM = 1000.0
-_MOST = 100_000
+_MAX = 100_000
 _NUMBERS = ("x_mm", "y_mm", "z_mm", "theta_rad", "phi_rad")
 _WHOLE = {"type": BIFURCATION, "quality": 100}
 """The largest of each."""
@@ -72,7 +72,7 @@ class Minutiae3D:
             shapes[0] == (len(self.x_mm),) and len(set(shapes)) == 1,
             f"minutiae in space must be lists of one length, but they have the shapes {shapes}.",
         )
-        require(len(self.x_mm) <= _MOST, f"a finger has no {len(self.x_mm)} minutiae (at most {_MOST} are taken).")
+        require(len(self.x_mm) <= _MAX, f"a finger has no {len(self.x_mm)} minutiae (at most {_MAX} are taken).")
         require(self.finger in FINGER_CODES, f"'{self.finger}' is no finger; choose one of {', '.join(FINGER_CODES)}.")
         limits = {"theta_rad": (0.0, 2 * np.pi), "phi_rad": (-np.pi / 2, np.pi / 2)}
         for name in _NUMBERS:
@@ -134,7 +134,7 @@ def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None
         stream.write(data)
 
 
-def _read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:
+def read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:
     """Read minutiae that :func:`write_minutiae3d` wrote, or anybody else. Raises BadInput if the file is missing, no
     JSON, of another format or version, or a field is missing or not as it must be.
     """

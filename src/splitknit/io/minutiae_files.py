@@ -70,7 +70,7 @@ _VIEW = struct.Struct(">BBBBHHHHHHB")
 _EXTENDED = struct.Struct(">H")
 
 
-def _encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> bytes:
+def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> bytes:
     """Bytes of a record; directions are rounded to 2 deg. `record`: what to write; `amendment`: as amendment 1 of 2010,
     which differs in the version alone. Raises BadInput if the standard has no way to say what the record holds.
     """
@@ -209,14 +209,14 @@ def _decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
     )
 
 
-def _write_ansi378(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
+def write_ansi378(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
     """Write a record to a file, whole or not at all; see :func:`_encode_ansi378`."""
     data = _encode_ansi378(record)
     with atomic_file(path) as stream:
         stream.write(data)
 
 
-def _read_ansi378(path: str | os.PathLike[str]) -> MinutiaeRecord:
+def read_ansi378(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a record's file; see :func:`_decode_ansi378`."""
     return _decode_ansi378(read_record_bytes(path), os.fspath(path))
 
@@ -235,7 +235,7 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRec
     Raises
     ------
     BadInput
-        If it is of no such standard (the message names what it is), truncated, or not as its standard asks.
+        If it is of no such standard (the message names what it is), truncated, or does not conform to its standard.
     """
     standard = standard_of(data)
     if standard in _READERS:

@@ -94,7 +94,7 @@ def code_of(name: str, codes: Mapping[str, int], what: str) -> int:
 
 OTHER, ENDING, BIFURCATION = 0, 1, 2
 """Types of minutiae, with the codes that all the standards share."""
-MOST_MINUTIAE = 255
+MAX_MINUTIAE = 255
 """A view of a record cannot count more; see :meth:`FingerView.best`."""
 LARGEST_COORDINATE = 16383
 """Coordinates have 14 bits."""
@@ -103,7 +103,7 @@ NOT_COMPUTED, FAILED = 254, 255
 VENDOR_UNKNOWN = 0x0103
 """IBIA's number for a producer that has not registered."""
 RESOLUTION_500_PPI = (197, 197)
-"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers ask."""
+"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require."""
 
 
 def pixels_per_cm(ppi: float) -> tuple[int, int]:
@@ -210,7 +210,7 @@ class FingerView:
         """How many there are."""
         return len(self.x_px)
 
-    def best(self, count: int = MOST_MINUTIAE) -> FingerView:
+    def best(self, count: int = MAX_MINUTIAE) -> FingerView:
         """Return the `count` minutiae of the highest quality, in the order they have here."""
         order = np.argsort(-np.asarray(self.quality).astype(np.int64), kind="stable")[:count]
         return self._taken(np.sort(order))

@@ -34,7 +34,7 @@ _DATE = (0, (0 << 9) | (1 << 5) | 1)  # 1980-01-01 00:00, the first date a ZIP a
 _DEFLATE = 8
 RESULT_BYTES = 600_000_000
 """Of arrays that are read at once: those that a use needs of a result of 25 million pixels, three times the rig's."""
-_MOST_ARRAYS = 1000
+_MAX_ARRAYS = 1000
 _LONGEST_HEADER = 4096
 _HEADER = re.compile(
     rb"\{'descr': '(?P<dtype>[<>|][biufcSU]\d{1,7})', 'fortran_order': (?P<order>True|False), "
@@ -90,7 +90,7 @@ def read_npz(
     damaged = f"{name} cannot be read as arrays: it is damaged, or no .npz file of numbers; write it again."
     with open_file(path, _LIMIT) as (stream, _), refusing(damaged), zipfile.ZipFile(stream) as archive:
         members = archive.infolist()
-        require(len({one.filename for one in members}) == len(members) <= _MOST_ARRAYS, damaged)
+        require(len({one.filename for one in members}) == len(members) <= _MAX_ARRAYS, damaged)
         chosen = {one.filename.removesuffix(".npy"): one for one in members if one.filename.endswith(".npy")}
         if names is not None:
             chosen = {key: one for key, one in chosen.items() if key in names}

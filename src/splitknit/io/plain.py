@@ -53,7 +53,7 @@ def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         rows.append(values)
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
     require(
-        count is None or count == len(rows), f"{name} says {count} lights in its first line, but {len(rows)} follow."
+        count is None or count == len(rows), f"{name} states {count} lights in its first line, but {len(rows)} follow."
     )
     return np.array(rows, dtype=np.float64)
 
@@ -92,8 +92,8 @@ def capture_from_plain_images(
     Raises
     ------
     BadInput
-        If files are missing, damaged or unlike, lights and images differ in number, the lights do not determine a
-        normal, an image is black or overexposed.
+        If files are missing, damaged or of different sizes, lights and images differ in number, the lights do not
+        determine a normal, an image is black or overexposed.
     """
     require(len(images) >= 3, f"at least three images are needed, but there are {len(images)}.")
     require(material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{material}'.")

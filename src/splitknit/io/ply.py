@@ -34,7 +34,7 @@ _LONGEST_HEADER = 1_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """What a PLY file of ours holds."""
+    """What a PLY file written here holds."""
 
     vertices_mm: FloatArray
     """(N, 3)."""
@@ -119,7 +119,7 @@ def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
         stream.write(buffer[: len(part)].data)
 
 
-def _read_ply(path: str | os.PathLike[str]) -> Mesh:
+def read_ply(path: str | os.PathLike[str]) -> Mesh:
     """Read a PLY file that :func:`write_ply` wrote. Raises BadInput if the file is missing, truncated, or laid out in
     another way.
     """

@@ -184,7 +184,7 @@ def _inflate(compressed: bytes, header: PngHeader, name: str) -> Iterator[bytes]
         for start in range(0, len(view), _PIECE_BYTES):
             piece = engine.decompress(view[start : start + _PIECE_BYTES], left + 1)
             left -= len(piece)
-            require(left >= 0, f"{name} is damaged: it holds more image data than its header says.")
+            require(left >= 0, f"{name} is damaged: it holds more image data than its header states.")
             yield piece
     except zlib.error as error:
         raise BadInput(f"{name} is damaged: its image data cannot be decompressed; copy it again.") from error

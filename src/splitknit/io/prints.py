@@ -46,7 +46,7 @@ class PrintFile:
     image: NDArray[np.uint8]
     """(H, W)."""
     resolution_ppi: float | None
-    """Pixels per inch, as near as the file's whole pixels per metre can say."""
+    """Pixels per inch, as near as the file's whole pixels per metre can represent."""
     text: dict[str, str]
 
 
@@ -129,7 +129,7 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
 
 
 def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
-    """Texts of a PNG that say where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
+    """Texts of a PNG that state where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
     return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
 
 
@@ -143,7 +143,7 @@ _CM_PER_INCH = 2.54
 _PRINT = ImageSettings(max_pixels=64_000_000, max_bytes=500_000_000)
 
 
-def _write_print_tiff(
+def write_print_tiff(
     path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
 ) -> None:
     """Write a print as an uncompressed TIFF that every reader of prints takes; equal input gives equal bytes.
@@ -173,9 +173,9 @@ def _write_print_tiff(
         file.write(stream.getbuffer())
 
 
-def _read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a grey TIFF with its resolution (None where the tags do not say) and, if it is one of ours, its texts.
-    Raises BadInput if the file is missing, damaged, not 8-bit grey, or its pixels are not square.
+def read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
+    """Read a grey TIFF with its resolution (None where the tags do not say) and, if it is written by this package,
+    its texts. Raises BadInput if the file is missing, damaged, not 8-bit grey, or its pixels are not square.
     """
     data, name = read_bytes(path, _PRINT.max_bytes), os.fspath(path)
     require(data.startswith(SIGNATURES), f"{name} is not a TIFF file; name another one.")

@@ -131,9 +131,9 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
         fields.refuse("leds", "a list of at least one LED")
     leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
     mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(_mirror_items(fields))]
-    told = fields.mapping("provenance")
+    origin = fields.mapping("provenance")
     try:
-        return Rig(camera, leds, told, tuple(mirrors))
+        return Rig(camera, leds, origin, tuple(mirrors))
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
 

@@ -1,7 +1,7 @@
 """Score files: one comparison a line, as CSV, of anybody's matcher; and lists of fingers to leave out.
 
 ``label`` (1 genuine, 0 impostor) and ``score`` are needed; a blank score is a failure to acquire. ``finger_a``,
-``finger_b`` and the like for ``subject`` and ``session`` say who was compared; ``system`` tells several matchers
+``finger_b`` and the like for ``subject`` and ``session`` name who was compared; ``system`` separates several matchers
 apart. Other columns are not read.
 """
 

@@ -48,14 +48,14 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
         raise BadInput(f"'{out}' cannot be written ({error.strerror}); name another folder.") from error
 
 
-def check_file(out: Path | None, words: str, ours: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
+def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
     """Refuse to replace a file that is not of this kind; called before the work, so that none is done in vain.
 
     Parameters
     ----------
     out : file to write; nothing is checked where it is None
     words : for the kind, such as "a template"
-    ours : whether a file of these bytes is of the kind; an empty file is of every kind
+    is_own : whether a file of these bytes is of the kind; an empty file is of every kind
     form : the field "format" of a JSON file of the kind, instead
 
     Raises
@@ -69,7 +69,7 @@ def check_file(out: Path | None, words: str, ours: Callable[[bytes], bool] | Non
     known = False
     with contextlib.suppress(BadInput):
         data = read_bytes(out, _MAX_BYTES)
-        known = not data or (_format_of(out) == form if ours is None else ours(data))
+        known = not data or (_format_of(out) == form if is_own is None else is_own(data))
     require(known, f"'{out}' exists and is not {words}; name another file.")
 
 

@@ -1,4 +1,4 @@
-"""Template files (``.skt``): what a gallery keeps of a finger, with a header that tells damage from age.
+"""Template files (``.skt``): what a gallery keeps of a finger, with a header that distinguishes damage from age.
 
 Header, little-endian: 8 bytes ``SKTMPL`` CR LF (a transfer as text destroys it and is noticed), version (uint16), two
 bytes of zero, size of the payload (uint32), SHA-256 of the payload (32 bytes). A file of zero bytes is a finger that
@@ -59,7 +59,7 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
     payload = data[HEADER_BYTES:]
     require(
         len(payload) == size,
-        f"{name} holds {len(payload)} bytes after its header, but the header says {size}; {remedy}.",
+        f"{name} holds {len(payload)} bytes after its header, but the header states {size}; {remedy}.",
     )
     require(hashlib.sha256(payload).digest() == digest, f"{name} is damaged (its hash does not fit); {remedy}.")
     require(size > 0, f"{name} has a header but no content; {remedy}, or leave a failure to acquire a file of 0 bytes.")

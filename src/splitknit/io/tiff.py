@@ -50,9 +50,9 @@ _RATIO = {_NONE: 1, _LZW: 2560, _DEFLATE: DEFLATE_RATIO, _OLD_DEFLATE: DEFLATE_R
 """The most bytes that a stored byte can become; of LZW a string of 3838 bytes for 12 bits."""
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB = 0, 1, 2
 _SEPARATE = 2
-_MOST_TAGS = 4096
+_MAX_TAGS = 4096
 _LONGEST_TEXT = 1_000_000
-_LEAST_TILE = 16
+_MIN_TILE = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +131,7 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     readable = compression in _RATIO and number(_PREDICTOR, 1) in (1, 2)
     require(
         readable and number(_BIT_ORDER, 1) == 1 and number(_PLANAR, 1) in (1, 2),
-        f"{name} is stored in a way that is not read (compression {compression}, predictor {number(_PREDICTOR, 1)}, "
+        f"{name} has an unsupported storage format (compression {compression}, predictor {number(_PREDICTOR, 1)}, "
         f"order of bits {number(_BIT_ORDER, 1)}); save it as PNG or as uncompressed TIFF.",
     )
     dtype = np.dtype(shown).newbyteorder(order)
@@ -139,7 +139,7 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     tiled = _TILE_OFFSETS in tags
     if tiled:
         segment = number(_TILE_ROWS), number(_TILE_COLUMNS)
-        require(min(segment) >= _LEAST_TILE and segment[0] < rows + 4096 and segment[1] < columns + 4096, damaged)
+        require(min(segment) >= _MIN_TILE and segment[0] < rows + 4096 and segment[1] < columns + 4096, damaged)
     else:
         segment = max(1, min(number(_STRIP_ROWS, rows), rows)), columns
     separate = samples > 1 and number(_PLANAR, 1) == _SEPARATE
@@ -237,7 +237,7 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
     entry, long = struct.Struct(f"{order}HHQ8s" if big else f"{order}HHI4s"), f"{order}Q" if big else f"{order}I"
     (place,) = struct.unpack_from(long, data, 8 if big else 4)
     (count,) = struct.unpack_from(long if big else f"{order}H", data, place)
-    require(0 < count <= _MOST_TAGS, damaged)
+    require(0 < count <= _MAX_TAGS, damaged)
     place += 8 if big else 2
     tags: dict[int, NDArray[Any]] = {}
     for k in range(count):

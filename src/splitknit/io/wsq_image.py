@@ -30,7 +30,7 @@ from splitknit.io.prints import PrintFile
 BIT_RATE = 0.75
 """Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass another one on; files
 come out smaller, about 1/15 of the pixels' bytes."""
-LEAST_SIDE_PX = 96
+MIN_SIDE_PX = 96
 """Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
 LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
@@ -64,7 +64,7 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
     Parameters
     ----------
     image : (H, W) uint8, ridges dark, at least 96 pixels each way
-    ppi : its resolution, 500 within 1 %: WSQ is defined for no other; its comment says 500
+    ppi : its resolution, 500 within 1 %: WSQ is defined for no other; its comment states 500
 
     Raises
     ------
@@ -76,8 +76,8 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
         array.ndim == 2 and array.dtype == np.uint8, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}."
     )
     require(
-        min(array.shape) >= LEAST_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
-        f"WSQ takes images of {LEAST_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
+        min(array.shape) >= MIN_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
+        f"WSQ takes images of {MIN_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
         f"{array.shape[1]}; pad or crop the print, or write PNG.",
     )
     require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
@@ -115,14 +115,14 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     return PrintFile(pixels.copy(), None if header.ppi is None else float(header.ppi), {})
 
 
-def _write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0) -> None:
+def write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0) -> None:
     """Write a print as WSQ; see :func:`encode_wsq`."""
     data = encode_wsq(image, ppi)
     with atomic_file(path) as stream:
         stream.write(data)
 
 
-def _read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
+def read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
     """Read a WSQ file; see :func:`decode_wsq`."""
     return decode_wsq(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
@@ -166,7 +166,7 @@ _TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
 """Filters, quantisers, Huffman codes, restart interval, comment."""
 _COMMENT = 0xA8
 _MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
-_MOST_PIXELS = 25_000_000
+_MAX_PIXELS = 25_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +176,7 @@ class _WsqHeader:
     rows: int
     columns: int
     ppi: int | None
-    """Of the comment (NIST_COM), if it says."""
+    """Of the comment (NIST_COM), if stated there."""
 
 
 def _wsq_header(data: bytes, name: str) -> _WsqHeader:
@@ -223,8 +223,8 @@ def _frame(body: bytes, name: str) -> tuple[int, int]:
     rows, columns = int.from_bytes(body[2:4], "big"), int.from_bytes(body[4:6], "big")
     require(rows > 0 and columns > 0, f"{name} is damaged: its WSQ frame header gives no size; copy it again.")
     require(
-        rows * columns <= _MOST_PIXELS,
-        f"{name} claims {rows} x {columns} pixels, more than {_MOST_PIXELS}; no print is that large.",
+        rows * columns <= _MAX_PIXELS,
+        f"{name} claims {rows} x {columns} pixels, more than {_MAX_PIXELS}; no print is that large.",
     )
     return rows, columns
 

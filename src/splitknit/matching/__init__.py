@@ -1,1 +1,1 @@
-"""How alike two fingers are: the thesis's matcher, and a better one on ridge templates."""
+"""How similar two fingers are: the thesis's matcher, and a better one on ridge templates."""

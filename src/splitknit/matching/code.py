@@ -129,7 +129,7 @@ def laid_on(probe: Template, other: Template, turn_rad: float, right_mm: float, 
 def sampled(
     field: RidgeField, turn_rad: NDArray[np.float64], right_mm: NDArray[np.float64], down_mm: NDArray[np.float64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Channels and weights on the grid of a code, for the finger turned and then shifted in several ways.
+    """Channels and weights on the grid of a code, for the finger turned and then shifted by several amounts.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def code_of(template: Template) -> NDArray[np.int8]:
     Returns
     -------
     (K,) int8 with K = :func:`code_size`; zeros for a failure to acquire, which a search never finds. The same template
-    gives the same code (of this `CODE_VERSION`); a code says roughly how a finger's ridges run, and should be
+    gives the same code (of this `CODE_VERSION`); a code reveals roughly how a finger's ridges run, and should be
     protected like the template.
 
     References

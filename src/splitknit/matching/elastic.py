@@ -58,13 +58,13 @@ class PatchGrid:
     """Pixels."""
     energy: FloatArray
     """(P,) sum of squares."""
-    share: FloatArray
+    fraction: FloatArray
     """(P,) that is valid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """What the patches say."""
+    """Shifts and correlations of the patches."""
 
     used: NDArray[np.int64]
     """(N,) numbers of the patches that lie on both."""
@@ -94,9 +94,9 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
     padded[: shape[0], : shape[1]] = value
     known = np.zeros_like(padded)
     known[: shape[0], : shape[1]] = valid
-    share = sliding_window_view(known, (side, side))[rows, columns].mean(axis=(1, 2))
-    kept = share >= _MIN_OVERLAP
-    rows, columns, places, share = rows[kept], columns[kept], places[kept], share[kept]
+    fraction = sliding_window_view(known, (side, side))[rows, columns].mean(axis=(1, 2))
+    kept = fraction >= _MIN_OVERLAP
+    rows, columns, places, fraction = rows[kept], columns[kept], places[kept], fraction[kept]
     patches = sliding_window_view(padded, (side, side))[rows, columns]
     window = side + 2 * reach
     return PatchGrid(
@@ -108,7 +108,7 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
         side=side,
         reach=reach,
         energy=np.asarray((patches * patches).sum(axis=(1, 2)), dtype=np.float32),
-        share=np.asarray(share, dtype=np.float32),
+        fraction=np.asarray(fraction, dtype=np.float32),
     )
 
 
@@ -124,8 +124,8 @@ def compare_patches(patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray,
     value = np.asarray(cv2.warpAffine(a_value, moved, (right, bottom), flags=flags))
     nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
-    share = _sums(valid, side) / np.float32(side * side)
-    seen = np.minimum(share[patches.rows + reach, patches.columns + reach], patches.share)
+    fraction = _sums(valid, side) / np.float32(side * side)
+    seen = np.minimum(fraction[patches.rows + reach, patches.columns + reach], patches.fraction)
     used = np.flatnonzero(seen >= _MIN_OVERLAP)
     if not len(used):
         return _nothing()

@@ -219,12 +219,12 @@ def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
     cut = slice(0, height * cell), slice(0, width * cell)
     place = np.asarray(angle)[cut] * np.float32(bins / np.pi) - np.float32(0.5)
     low = np.floor(place)
-    share, size_of = place - low, np.asarray(size)[cut]
+    fraction, size_of = place - low, np.asarray(size)[cut]
     number = np.arange(height * cell)[:, None] // cell * width + np.arange(width * cell)[None, :] // cell
     low_bin = np.mod(low.astype(np.int64), bins)
     counts = [
         np.bincount((number * bins + which).ravel(), weights=weight.ravel(), minlength=height * width * bins)
-        for which, weight in ((low_bin, (1 - share) * size_of), (np.mod(low_bin + 1, bins), share * size_of))
+        for which, weight in ((low_bin, (1 - fraction) * size_of), (np.mod(low_bin + 1, bins), fraction * size_of))
     ]
     grid = (counts[0] + counts[1]).reshape(height, width, bins)
     rows, columns = max(1, grid.shape[0] - 1), max(1, grid.shape[1] - 1)

@@ -115,6 +115,6 @@ def read_print(path: Path) -> tuple[NDArray[np.uint8], float]:
     ppi = _PPI if ppi is None else ppi
     require(
         abs(ppi / _PPI - 1.0) < 0.05,
-        f"{path} says that it has {ppi:.0f} pixels per inch; resample the print to {_PPI:.0f}.",
+        f"{path} states that it has {ppi:.0f} pixels per inch; resample the print to {_PPI:.0f}.",
     )
     return np.asarray(image), ppi

@@ -121,7 +121,7 @@ def voted_minutiae(
     chosen: LeaveOneOutSettings | None = None,
     votes: VoteSettings | None = None,
 ) -> Minutiae:
-    """Minutiae on which enough pictures of all sets agree; their quality is the share that does.
+    """Minutiae on which enough pictures of all sets agree; their quality is the fraction that does.
 
     Parameters
     ----------

@@ -86,14 +86,14 @@ def match_files(
         second = read_side(b, preset, chosen, progress)
         facts["b"] = _facts(second)
         progress("comparing", 0.9)
-        ways: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
+        compare: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
             "ridge": _by_ridges,
             "thesis": _by_thesis,
             "minutiae": _by_minutiae,
             "voted": partial(_by_votes, preset),
             **{name: partial(_in_space, name) for name in SPACE_METHODS},
         }
-        found = ways[method](first, second, chosen)
+        found = compare[method](first, second, chosen)
         for name, side in zip("ab", found.pop("sides", ()), strict=False):
             facts[name] |= side
         facts |= found
@@ -142,7 +142,7 @@ def similarity_at(fmr: float) -> float | None:
     require(
         bool(enough.any()),
         f"false match rates were measured on {table.impostors} comparisons, so that none below {table.fmr.min():.2g} "
-        f"can be stated; ask for a larger one than {fmr:g}.",
+        f"can be stated; give a larger one than {fmr:g}.",
     )
     step = int(np.ceil(table.similarity[np.argmax(enough)] / _FMR_ROUNDING)) + 1
     return step * _FMR_ROUNDING

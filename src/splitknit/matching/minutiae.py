@@ -1,6 +1,6 @@
 """Minutiae of a print by NIST's mindtct, their comparison by bozorth3, and NFIQ 2, all through `nbis-py`.
 
-This is the only module that imports it. It exists for x86-64 Linux alone; elsewhere :func:`extract` says so.
+This is the only module that imports it. It exists for x86-64 Linux alone; elsewhere :func:`extract` reports it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
     LARGEST_SIDE_PX,
-    MOST_MINUTIAE,
+    MAX_MINUTIAE,
     PPI,
     Minutiae,
     no_minutiae,
@@ -38,7 +38,7 @@ from splitknit.model import FloatArray
 
 
 _DIRECTIONS, _PERIODS = 64, 24
-_LEAST_PX, _MOST_PX = 4.5, 15.0
+_MIN_PX, _MAX_PX = 4.5, 15.0
 """Periods of ridges at 500 ppi: 0.23 to 0.76 mm."""
 _LEVEL = 8.0
 """Grey levels; contrast below that is not raised further."""
@@ -133,11 +133,11 @@ def _bank(side: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Filters on the half spectrum: by direction, by frequency, the frequencies, and between which each holds."""
     down, right = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]
     frequency = np.hypot(down, right)
-    band = (frequency > 1 / _MOST_PX) & (frequency < 1 / _LEAST_PX)
+    band = (frequency > 1 / _MAX_PX) & (frequency < 1 / _MIN_PX)
     angle = np.arctan2(down, right) - (np.pi / _DIRECTIONS * np.arange(_DIRECTIONS))[:, None, None]
     apart = np.angle(np.exp(2j * angle)) / 2
     along = np.exp(-0.5 * (apart / np.deg2rad(_SPREAD_DEG)) ** 2) * band
-    centres = np.linspace(1 / _MOST_PX, 1 / _LEAST_PX, _PERIODS)
+    centres = np.linspace(1 / _MAX_PX, 1 / _MIN_PX, _PERIODS)
     across = np.exp(-0.5 * ((frequency - centres[:, None, None]) / _SPREAD_PER_PX) ** 2)
     marks = 0.5 * (centres[1:] + centres[:-1])
     single = [np.asarray(table, dtype=np.float32) for table in (along, across, frequency, marks)]
@@ -177,9 +177,9 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     return np.asarray(pixels * np.float32(25.4 / PPI), dtype=np.float32)
 
 
-def _inside_by(minutiae: Minutiae, distance_mm: FloatArray, least_mm: float) -> Minutiae:
-    """The minutiae whose pixel has a `distance_mm` (H, W) of at least `least_mm`."""
-    return minutiae.taken(distance_mm[minutiae.y_px, minutiae.x_px] >= least_mm)
+def _inside_by(minutiae: Minutiae, distance_mm: FloatArray, min_mm: float) -> Minutiae:
+    """The minutiae whose pixel has a `distance_mm` (H, W) of at least `min_mm`."""
+    return minutiae.taken(distance_mm[minutiae.y_px, minutiae.x_px] >= min_mm)
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:
@@ -189,7 +189,7 @@ def _disc(radius: int) -> NDArray[np.uint8]:
 
 NFIQ2_FAILED = 255
 """What ISO/IEC 29794-1 gives for a quality that could not be computed."""
-LEAST_SIDE_PX = 64
+MIN_SIDE_PX = 64
 """A smaller image (3.3 mm at 500 ppi) holds no print; mindtct, given very small ones, ends the whole process."""
 _LOCK = threading.Lock()
 """mindtct and NFIQ 2 keep state of their own."""
@@ -233,7 +233,7 @@ def extract(
     C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
     """
     image = _at_500_ppi(print_image, ppi)
-    if min(image.shape) < LEAST_SIDE_PX:
+    if min(image.shape) < MIN_SIDE_PX:
         return no_minutiae((image.shape[0], image.shape[1]))
     if enhance:
         image = enhance_print(image)
@@ -285,7 +285,7 @@ def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
     ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
     """
     image = _at_500_ppi(print_image, ppi)
-    if min(image.shape) < LEAST_SIDE_PX:
+    if min(image.shape) < MIN_SIDE_PX:
         return NFIQ2_FAILED
     with _LOCK:
         try:
@@ -295,14 +295,14 @@ def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
 
 
 def _exchanged(minutiae: Minutiae) -> bytes:
-    """Minutiae as `nbis-py` reads them: its own dialect of ISO/IEC 19794-2, its only way in.
+    """Minutiae as `nbis-py` reads them: its own dialect of ISO/IEC 19794-2, its only input format.
 
     bozorth3 needs them sorted by column: it stops looking for neighbours at the first that is too far to the right, and
     `nbis-py` leaves the order as it comes. Their quality plays no part beyond the choice of the best.
     """
     order = np.lexsort((minutiae.y_px, minutiae.x_px))
-    if minutiae.count > MOST_MINUTIAE:
-        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:MOST_MINUTIAE]
+    if minutiae.count > MAX_MINUTIAE:
+        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:MAX_MINUTIAE]
         order = order[np.isin(order, best)]
     table = np.zeros(len(order), dtype=[("x", ">u2"), ("y", ">u2"), ("angle", "u1"), ("quality", "u1")])
     kind = np.where(minutiae.type[order] == BIFURCATION, 2, 1)
@@ -330,8 +330,8 @@ def _at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]
     )
     if (rows, columns) == image.shape or min(rows, columns) < 1:
         return np.ascontiguousarray(image)
-    way = cv2.INTER_AREA if ppi > PPI else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, (columns, rows), interpolation=way), dtype=np.uint8)
+    kind = cv2.INTER_AREA if ppi > PPI else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, (columns, rows), interpolation=kind), dtype=np.uint8)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

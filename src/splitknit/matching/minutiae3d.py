@@ -1,6 +1,6 @@
 """Comparison of minutiae in space after Kumar and Kwong: a reference pair aligns them, tolerances count them.
 
-Level by level: pairs of neighbouring minutiae that look alike wherever they lie (their distance, and both directions
+Level by level: pairs of neighbouring minutiae that look similar wherever they lie (their distance, and both directions
 against the line between them) propose motions; those whose minutiae are proposed most often are tried on all minutiae;
 the best are refined from all that agree. The score is that of the paper, the square of the number of agreeing minutiae
 over the product of both sides' numbers.
@@ -24,8 +24,8 @@ from splitknit.matching.space_alignment import (
     Index,
     best_agreement,
     close_points,
+    fraction_of_both,
     nearest,
-    share_of_both,
     two_sides,
 )
 from splitknit.settings import Checked, Limits
@@ -51,7 +51,7 @@ class Minutiae3DSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Minutiae3DMatch:
-    """How alike two sets of minutiae in space are."""
+    """How similar two sets of minutiae in space are."""
 
     similarity: float
     """0 to 1: the square of `agreeing` over the product of both numbers of minutiae."""
@@ -120,13 +120,13 @@ def minutiae3d_match(
     if sides is None:
         return Minutiae3DMatch(0.0, 0, compared=False)
     left, right = sides
-    found = best_agreement(left, right, _alike_pairs(left, right), left.settings.agreement)
+    found = best_agreement(left, right, _similar_pairs(left, right), left.settings.agreement)
     count = len(found.a)
-    return Minutiae3DMatch(share_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
+    return Minutiae3DMatch(fraction_of_both(count, left.minutiae.count, right.minutiae.count), count, compared=True)
 
 
-def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
-    """Correspondences (K, 2) of pairs that look alike."""
+def _similar_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, Index]:
+    """Correspondences (K, 2) of pairs that look similar."""
     i, j = close_points(a.tree, b.tree)
     return a.pairs[i], b.pairs[j]
 
@@ -134,7 +134,7 @@ def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, I
 # Comparison of minutiae in space after Lin and Kumar: tetrahedra of neighbouring minutiae, matched level by level.
 #
 # A tetrahedron is a minutia and three of its nearest. Level 1 compares six sorted edges of all tetrahedra, which is
-# cheap and hardly misses: sorted lists of edges that are similar one by one stay alike. Level 2 finds which corner is
+# cheap and hardly misses: sorted lists of edges that are similar one by one stay similar. Level 2 finds which corner is
 # which, and compares edges and the angles between each corner's direction and the edges from it. Level 3 lets what is
 # left vote for corresponding minutiae; the tetrahedra whose corners have the most votes align the fingers. Level 4
 # counts minutiae that agree. Nothing of the first two levels depends on how the finger lies.
@@ -142,7 +142,7 @@ def _alike_pairs(a: PreparedMinutiae3D, b: PreparedMinutiae3D) -> tuple[Index, I
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _ORDERS = np.array([(0, *rest) for rest in permutations((1, 2, 3))])
-"""Ways to lay the corners of one tetrahedron on another's, the apex on the apex."""
+"""Permutations that lay the corners of one tetrahedron on another's, the apex on the apex."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class TetrahedraSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class TetrahedraMatch:
-    """How alike two sets of minutiae in space are."""
+    """How similar two sets of minutiae in space are."""
 
     similarity: float
     """0 to 1: the square of `agreeing` over the product of both numbers of minutiae."""
@@ -239,24 +239,24 @@ def tetrahedra_match(
     References
     ----------
     C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
-    Trans. PAMI 40(12), 2018. The paper does not print its tolerances where we could read them: those here are ours.
+    Trans. PAMI 40(12), 2018. The accessible text of the paper lacks its tolerances: those here are chosen by us.
     """
     sides = two_sides(a, b, PreparedTetrahedra, settings, TetrahedraSettings())
     if sides is None:
         return TetrahedraMatch(0.0, 0, 0, compared=False)
     left, right = sides
-    corners = _alike_tetrahedra(left, right)
+    corners = _similar_tetrahedra(left, right)
     total = len(corners[0])
     found = best_agreement(left, right, corners, left.settings.agreement)
     count = len(found.a)
-    score = share_of_both(count, left.minutiae.count, right.minutiae.count)
+    score = fraction_of_both(count, left.minutiae.count, right.minutiae.count)
     return TetrahedraMatch(score, count, total, compared=True)
 
 
-def _alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
+def _similar_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
     """Corners (K, 4) of both sides' tetrahedra that are similar, each corner beside the one that it corresponds to.
 
-    Where several orders of the corners are alike the one with the least difference of angles is taken.
+    Where several orders of the corners are similar, the one with the least difference of angles is taken.
     """
     i, j = close_points(a.tree, b.tree)
     order, good = _best_order(a, b, i, j)
@@ -265,7 +265,7 @@ def _alike_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Ind
 
 
 def _best_order(a: PreparedTetrahedra, b: PreparedTetrahedra, i: Index, j: Index) -> tuple[Index, NDArray[np.bool_]]:
-    """Level 2: which order of the corners is alike in edges and angles, and whether any is."""
+    """Level 2: which order of the corners is similar in edges and angles, and whether any is."""
     edge, angle = a.settings.edge_mm, np.deg2rad(a.settings.angle_deg)
     own_edges, own_angles = (one[:, 0] for one in a.ordered)
     edges, angles = b.ordered

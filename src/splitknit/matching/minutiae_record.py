@@ -48,7 +48,7 @@ class Packing:
         return self.head.pack(self.magic, self.version, *sizes, zlib.crc32(body)) + body
 
     def unpack(self, data: bytes, body_size: Callable[..., int]) -> tuple[tuple[Any, ...], bytes]:
-        """Sizes and body of what :meth:`pack` made; `body_size` tells the body's length by the sizes, 0 if impossible.
+        """Sizes and body of what :meth:`pack` made; `body_size` gives the body's length by the sizes, 0 if impossible.
 
         Raises
         ------
@@ -82,9 +82,9 @@ MINUTIAE_VERSION = 1
 """Of the packed bytes; a reader refuses others."""
 ENDING, BIFURCATION = 1, 2
 """Types, with the codes of ISO/IEC 19794-2; 0 is any other."""
-LEAST_MINUTIAE = 10
+MIN_MINUTIAE = 10
 """bozorth3 compares no fewer (its MIN_COMPUTABLE_BOZORTH_MINUTIAE); what has fewer is a failure to acquire."""
-MOST_MINUTIAE = 200
+MAX_MINUTIAE = 200
 """bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE)."""
 LARGEST_SIDE_PX = 8192
 _PACKING = Packing("minutiae", b"SKMI", MINUTIAE_VERSION, "HHH", "extract them from the print again.")
@@ -140,7 +140,7 @@ class Minutiae:
     @property
     def acquired(self) -> bool:
         """Whether they are enough to be compared; false is a failure to acquire."""
-        return self.count >= LEAST_MINUTIAE
+        return self.count >= MIN_MINUTIAE
 
     @property
     def x_mm(self) -> NDArray[np.float64]:
@@ -246,9 +246,9 @@ class SpaceMinutiae:
         require(
             self.position_mm.shape == (count, 3)
             and all(one.shape == (count,) for one in (self.theta_rad, self.phi_rad, self.type, self.quality)),
-            "minutiae in space must be (N, 3) places and lists of N angles, types and qualities; give them alike.",
+            "minutiae in space must be (N, 3) places and lists of N angles, types and qualities; all of one length.",
         )
-        require(count <= MOST_MINUTIAE, f"a finger has no {count} minutiae (at most {MOST_MINUTIAE} are compared).")
+        require(count <= MAX_MINUTIAE, f"a finger has no {count} minutiae (at most {MAX_MINUTIAE} are compared).")
         finite = all(np.isfinite(one).all() for one in (self.position_mm, self.theta_rad, self.phi_rad))
         require(finite, "places and angles of minutiae in space must be finite; leave out those that are not known.")
 
@@ -260,7 +260,7 @@ class SpaceMinutiae:
     @property
     def acquired(self) -> bool:
         """Whether they are enough to be compared (ten, as in the plane); false is a failure to acquire."""
-        return self.count >= LEAST_MINUTIAE
+        return self.count >= MIN_MINUTIAE
 
     @property
     def direction(self) -> NDArray[np.float64]:

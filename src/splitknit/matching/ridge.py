@@ -1,11 +1,6 @@
 """Comparison of two ridge templates: coarse alignment, an affine refinement, local correlation, one similarity.
 
-A higher similarity means more similar; 1 is the same picture. Comparing A with B gives what B with A gives.
-
-Coarse alignment is phase correlation over shift, one rotation after another. Rotations are first ranked by how well the
-directions of the ridges agree (a small complex field, two angles for one direction); the best few are then tried on the
-ridges themselves, whitened within their band, so that the peak is where ridges, not borders or contrast, agree. The
-rotated views of one side are made once and serve any number of comparisons.
+A higher similarity means more similar fingers; 1 is the same picture. Comparing A with B gives what B with A gives.
 """
 
 from __future__ import annotations
@@ -70,7 +65,7 @@ class PhaseSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """One way to lay A on B."""
+    """One alignment of A on B."""
 
     angle_deg: float
     """A is turned by it about its middle, counter-clockwise."""
@@ -194,7 +189,7 @@ class RidgeMatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class RidgeMatch:
-    """How alike two fingers are, and how they were laid on each other."""
+    """How similar two fingers are, and how they were laid on each other."""
 
     similarity: float
     """At most 1; other fingers give about 0.2; -1 where a finger could not be acquired."""
@@ -280,7 +275,10 @@ def ridge_match(
     fingerprint verification system (local patches).
     """
     left, right = prepared(a, settings), prepared(b, settings)
-    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
+    require(
+        left.settings == right.settings,
+        "the two sides were prepared with different settings; prepare both with the same.",
+    )
     if left.template.empty or right.template.empty:
         return RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
     require(

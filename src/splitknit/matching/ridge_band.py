@@ -21,7 +21,7 @@ from splitknit.settings import Checked, Limits
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
-"""Pixels and surfaces beyond these are no finger's, and ask for grids and windows that fill the memory."""
+"""Pixels and surfaces beyond these are no finger's, and need grids and windows that fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +153,8 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     ridges: AnyArray = np.where(inside, value, np.float32(0.0)).astype(np.float32)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
         ridges = (ridges - blur(ridges, narrow) / total) * weight
-    share = np.maximum(blur(weight, window), np.float32(1e-3))
-    spread = np.sqrt(np.maximum(blur(ridges * ridges, window) / share, np.float32(0.0)))
+    fraction = np.maximum(blur(weight, window), np.float32(1e-3))
+    spread = np.sqrt(np.maximum(blur(ridges * ridges, window) / fraction, np.float32(0.0)))
     typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
     empty = np.zeros(value.shape, dtype=np.float32)
     if typical <= 0.0:
@@ -162,7 +162,7 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     flat = ridges / np.maximum(spread, np.float32(settings.floor * typical))
     orientation, coherence = _ridge_direction(flat, window)
     valid = inside & (spread > 0.5 * settings.floor * typical) & (coherence >= settings.coherence)
-    # specks and threads of valid skin at the edge say nothing
+    # specks and threads of valid skin at the edge are not used
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     valid = cv2.morphologyEx(valid.view(np.uint8), cv2.MORPH_OPEN, element).astype(np.bool_)
     return RidgeBand(np.where(valid, flat, np.float32(0.0)), valid, orientation, coherence, pitch)

@@ -1,7 +1,7 @@
 """From distances to scores, and from scores to rates.
 
 The thesis's score (5.2) grows with distance; here it is called what it is, a dissimilarity, and turned round at the
-edge: everywhere else a higher score means more alike.
+edge: everywhere else a higher score means more similar.
 """
 
 from __future__ import annotations
@@ -165,8 +165,8 @@ class JoinedSettings(Checked):
 def joined_similarity(minutiae: float, ridge: float, settings: JoinedSettings | None = None) -> float:
     """Mean of the z-scores of bozorth3's score and the ridges' similarity; NaN stands for a method that failed.
 
-    Higher is more alike; other fingers lie about 0. Where one method failed the other one speaks alone, where both did
-    the result is NaN.
+    Higher is more similar; other fingers lie about 0. Where one method failed the other one counts alone, where both
+    did the result is NaN.
 
     Examples
     --------

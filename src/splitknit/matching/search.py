@@ -185,7 +185,7 @@ def identify(  # noqa: PLR0917
         candidates only
     index : codes of the gallery
     k : candidates of the codes; `settings.candidates` if None. Where k reaches the size of the index, codes are not
-        used at all: all are compared. For galleries up to `EXHAUSTIVE` fingers that is the sure way.
+        used at all: all are compared. For galleries up to `EXHAUSTIVE` fingers that is the safe choice.
     settings : SearchSettings, optional
     match : of the comparison of ridges
 

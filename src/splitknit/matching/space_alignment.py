@@ -174,8 +174,8 @@ def _agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: 
     turned = np.arctan2(ahead[i, 1], ahead[i, 0]) - np.arctan2(b.places[1][j, 1], b.places[1][j, 0])
     turned = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
     risen = np.abs(np.arcsin(np.clip(ahead[i, 2], -1, 1)) - np.arcsin(np.clip(b.places[1][j, 2], -1, 1)))
-    alike = (turned <= np.deg2rad(_THETA_DEG)) & (risen <= np.deg2rad(_PHI_DEG))
-    i, j, turned, risen = i[alike], j[alike], turned[alike], risen[alike]
+    similar = (turned <= np.deg2rad(_THETA_DEG)) & (risen <= np.deg2rad(_PHI_DEG))
+    i, j, turned, risen = i[similar], j[similar], turned[similar], risen[similar]
     cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / _HEIGHT_MM) ** 2
     cost += (turned / np.deg2rad(_THETA_DEG)) ** 2 + (risen / np.deg2rad(_PHI_DEG)) ** 2
     chosen = _one_to_one(i, j, cost)
@@ -194,7 +194,7 @@ def _one_to_one(i: Index, j: Index, cost: Array) -> Index:
     return np.array(kept, dtype=np.intp)
 
 
-def share_of_both(count: int, a: int, b: int) -> float:
+def fraction_of_both(count: int, a: int, b: int) -> float:
     """Score of `count` agreeing minutiae of `a` and `b`: count squared over their product, 0 to 1."""
     return count * count / (a * b) if a and b else 0.0
 
@@ -221,7 +221,10 @@ def two_sides(
             assert isinstance(side, SpaceMinutiae)
             sides.append(kind(side, settings or usual))
     left, right = sides
-    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
+    require(
+        left.settings == right.settings,
+        "the two sides were prepared with different settings; prepare both with the same.",
+    )
     if not (left.minutiae.acquired and right.minutiae.acquired):
         return None
     return (right, left) if left.key > right.key else (left, right)

@@ -66,8 +66,8 @@ class SurfaceCode:
     def __post_init__(self) -> None:
         require(
             self.code.ndim == 2 and self.code.shape == self.mask.shape and self.code.dtype == np.uint8,
-            f"a surface code must be (H, W) uint8 with a mask alike, but they are {self.code.shape} {self.code.dtype} "
-            f"and {self.mask.shape}.",
+            f"a surface code must be (H, W) uint8 with a mask of the same size, but they are {self.code.shape} "
+            f"{self.code.dtype} and {self.mask.shape}.",
         )
         require(max(self.code.shape, default=0) <= LARGEST_SIDE_PX, "a surface code is too large; check its pitch.")
         require(self.pitch_mm > 0, "the pitch of a surface code must be positive.")
@@ -100,7 +100,7 @@ def make_surface_code(
     37(3), 2015: finger surface codes; V. Kanhangad, A. Kumar and D. Zhang, "A unified framework for contactless hand
     verification", IEEE Trans. IFS 6(3), 2011: nine surface types in four bits; J. Koenderink and A. van Doorn, "Surface
     shape and curvature scales", Image and Vision Computing 10, 1992. Which bits stand for which type is not printed
-    where we could read it: the Gray code is ours.
+    in the accessible text: the Gray code is chosen by us.
 
     Examples
     --------
@@ -210,7 +210,7 @@ class SurfaceMatchSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMatch:
-    """How alike two surface codes are."""
+    """How similar two surface codes are."""
 
     similarity: float
     """1 - the distance; 0 where nothing was compared."""
@@ -306,10 +306,13 @@ def surface_code_match(
     References
     ----------
     A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: normalised Hamming distance of masked codes, least over shifts. Turns are ours.
+    37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our addition.
     """
     left, right = (_prepared(side, settings) for side in (a, b))
-    require(left.settings == right.settings, "the two sides were prepared with different settings; prepare them alike.")
+    require(
+        left.settings == right.settings,
+        "the two sides were prepared with different settings; prepare both with the same.",
+    )
     pitch = left.surface_code.pitch_mm
     if left.surface_code.empty or right.surface_code.empty:
         return NOT_COMPARED
@@ -329,7 +332,7 @@ def surface_code_match(
     return SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
 
 
-def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> list[tuple[float, float, float]]:
+def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[tuple[float, float, float]]:
     """Turn of `a` in degrees and its shift along rows and columns in mm, of the best of the first level.
 
     The overlap is taken to be that of the outlines as they came, whatever the turn.
@@ -348,24 +351,22 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, least_mm2: float) -> lis
     planes = b.planes(0.0, size)
     common = scipy.fft.irfft2(a.outline(size).conj() * b.outline(size), size)[chosen]
     common = np.maximum(np.rint(common), 1.0)
-    enough = common * pitch**2 >= least_mm2
+    enough = common * pitch**2 >= min_mm2
     if not bool(enough.any()):
         return []
     found: list[tuple[float, float, int, int]] = []
     for turn in settings.turns_deg():
         equal = scipy.fft.irfft2((a.planes(turn, size).conj() * planes).sum(axis=0), size)[chosen]
-        alike = equal / common
+        agreement = equal / common
         # how far above what is usual, in units of what chance gives at this overlap
-        worth = np.where(enough, (alike - np.median(alike[enough])) * np.sqrt(common), -np.inf)
+        worth = np.where(enough, (agreement - np.median(agreement[enough])) * np.sqrt(common), -np.inf)
         row, column = np.unravel_index(int(np.argmax(worth)), worth.shape)
         found.append((-float(worth[row, column]), turn, int(shifts[0][row]), int(shifts[1][column])))
     found.sort()
     return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[:_CANDIDATES]]
 
 
-def _counted(
-    a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], least_mm2: float
-) -> SurfaceMatch:
+def _counted(a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], min_mm2: float) -> SurfaceMatch:
     """Minimum distance around a candidate: turns within a step, shifts within a coarse place."""
     settings, pitch = a.settings, a.surface_code.pitch_mm
     step = settings.turn_step_deg
@@ -388,7 +389,7 @@ def _counted(
             differ = (planes ^ other[:, window]) & common[:, None]
             unequal = np.bitwise_count(differ).sum(axis=(1, 2, 3), dtype=np.int64)
             area = total * pitch**2
-            distance = np.where(area >= least_mm2, unequal / np.maximum(PLANES * total, 1), 1.0)
+            distance = np.where(area >= min_mm2, unequal / np.maximum(PLANES * total, 1), 1.0)
             k = int(np.argmin(distance))
             if distance[k] < best.distance:
                 best = SurfaceMatch(1 - float(distance[k]), float(distance[k]), float(area[k]), turns[k], compared=True)

@@ -1,4 +1,4 @@
-"""The thesis's matcher: masks aligned, boxes made alike, features of every channel, the score (5.2)."""
+"""The thesis's matcher: masks aligned, boxes made equal in size, features of every channel, the score (5.2)."""
 
 from __future__ import annotations
 
@@ -292,8 +292,8 @@ def thesis_match(
     settings = settings or ThesisSettings()
     require(
         abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02,
-        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs both "
-        "alike.",
+        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs one "
+        "scale.",
     )
     _needed(database, settings)
     needed = _needed(query, settings)
@@ -365,8 +365,8 @@ def match_database(database: DatabaseFinger, query: FingerImages, settings: Thes
     """
     require(
         abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02,
-        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs both "
-        "alike.",
+        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs one "
+        "scale.",
     )
     laid = align_masks(database.mask, query.mask)
     if laid.ratio < settings.gate or laid.ratio <= 0.0:

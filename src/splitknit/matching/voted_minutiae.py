@@ -165,12 +165,12 @@ def _listed(kept: list[tuple[float, float, float, int, int]], size: tuple[int, i
     table = np.array(kept, dtype=np.float64).reshape(-1, 5)
     x, y = (np.rint(table[:, k]).astype(np.int32) for k in (0, 1))
     order = np.lexsort((table[:, 2], y, x))
-    share = np.rint(100.0 * table[:, 4] / pictures)
+    fraction = np.rint(100.0 * table[:, 4] / pictures)
     return Minutiae(
         x[order],
         y[order],
         table[order, 2],
         table[order, 3].astype(np.uint8),
-        share[order].astype(np.uint8),
+        fraction[order].astype(np.uint8),
         size,
     )

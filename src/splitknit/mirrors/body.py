@@ -25,7 +25,7 @@ from splitknit.model import BoolArray, Camera, FloatArray
 Array = NDArray[np.float64]
 
 OVAL_NODES = 400
-MOST_SQUARE = 0.45
+MAX_SQUARE = 0.45
 """Beyond, the oval is no longer convex."""
 
 
@@ -67,13 +67,13 @@ class Body:
         level = vectors[:, :2] - self.origin_mm if place else vectors[:, :2]
         return np.column_stack([level @ self.across, level @ self.axis, vectors[:, 2]])
 
-    def share(self, u: Array) -> Array:
+    def fraction(self, u: Array) -> Array:
         """Distance from the tip over the length, just above zero beyond the tip, at most one."""
         return np.asarray(np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0))
 
     def sections(self, u: Array) -> Sections:
         """Centre, half axes and shear at `u` (n,)."""
-        w = self.share(u)
+        w = self.fraction(u)
         s = np.sqrt(w)
         along, root = _between(self._lines[0], w), _between(self._lines[1], s)
         shear = self.shear + self.shear_slope * (w - 0.5)
@@ -139,8 +139,8 @@ def _between(table: Array, x: Array) -> Array:
     """(..., K) columns of a table (N, K) of values at evenly spaced places on [0, 1], at places `x` (...)."""
     place = np.minimum(np.maximum(x, 0.0), 1.0) * (len(table) - 1)
     below = np.minimum(place.astype(np.intp), len(table) - 2)
-    share = (place - below)[..., None]
-    return np.asarray(table.take(below, axis=0) * (1.0 - share) + table.take(below + 1, axis=0) * share)
+    fraction = (place - below)[..., None]
+    return np.asarray(table.take(below, axis=0) * (1.0 - fraction) + table.take(below + 1, axis=0) * fraction)
 
 
 @cache
@@ -154,7 +154,7 @@ def _basis_table(count: int) -> Array:
 
 _DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
 STEEPEST_DEG = 24.0
-"""Slopes of the skin are believed up to here: steeper skin looks flatter than it is."""
+"""Slopes of the skin are used up to here: steeper skin looks flatter than it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,9 +302,9 @@ class SeenIn:
     from_tip: bool = False
     """Whether it looks along the finger."""
     turn_rad: float = 0.0
-    """What the tips of the views say about its turn."""
+    """Its turn, as the tips of the views show it."""
     turn_sd_rad: float | None = None
-    """Standard deviation of that; None: they say nothing."""
+    """Standard deviation of that; None: it is undefined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,7 +365,7 @@ class State:
 
 def convex(body: Body) -> Body:
     """The body with a squareness at which its sections are convex."""
-    return replace(body, squareness=float(np.clip(body.squareness, -0.2, MOST_SQUARE)))
+    return replace(body, squareness=float(np.clip(body.squareness, -0.2, MAX_SQUARE)))
 
 
 def all_planes(state: State, front: Touching, mirrors: Mapping[str, SeenIn], names: list[str]) -> list[Touching]:

@@ -22,7 +22,7 @@ from splitknit.integration.rays import unevenness
 from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
-from splitknit.mirrors.rolled.reflection import facing_share, led_image, mirrored_share
+from splitknit.mirrors.rolled.reflection import facing_fraction, led_image, mirrored_fraction
 from splitknit.mirrors.rolled.view_lights import Glass, glass_in
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, find_views, view_binning
@@ -36,7 +36,7 @@ OUTLINE_PX_PER_MM = 10.0
 APART_MM = 1.0
 """Distance of the places whose slopes are used."""
 RIM_MM = 1.2
-"""Skin nearer to the outline than this says nothing: light is lost there."""
+"""Skin nearer to the outline than this is not used: light is lost there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +202,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     capture : Capture
     grey : (L, h, w) white images on the views' grid
     views : Views
-    shape : a first one: it says where each light reaches the skin
+    shape : a first one: it gives where each light reaches the skin
     """
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
@@ -237,8 +237,8 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     upward = np.maximum(normals[..., 2], level)
     known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
     sigma = 0.5 / (pitch * factor)
-    share = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), np.float32(1e-3))
-    smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / share for k in range(2)]
+    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), np.float32(1e-3))
+    smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction for k in range(2)]
     step = max(1, round(APART_MM / (pitch * factor)))
     chosen = np.zeros_like(inside)
     chosen[step // 2 :: step, step // 2 :: step] = True
@@ -266,17 +266,19 @@ def with_images(
     leds = []
     for exposure in rig.leds:
         members = [replace(led, also=()) for led in (exposure, *exposure.also)]
-        lights = [_shaded(led, facing_share(points_mm, normals, led), points_mm) for led in members]
+        lights = [_shaded(led, facing_fraction(points_mm, normals, led), points_mm) for led in members]
         for glass in glasses:
             for led in members:
                 image = led_image(led, glass.plane, glass.reflectance)
-                through = mirrored_share(points_mm, image, glass.plane, glass.corners_mm)
-                lights.append(_shaded(image, facing_share(points_mm, normals, image) * through, points_mm))
+                through = mirrored_fraction(points_mm, image, glass.plane, glass.corners_mm)
+                lights.append(_shaded(image, facing_fraction(points_mm, normals, image) * through, points_mm))
         leds.append(replace(lights[0], also=tuple(lights[1:])))
     return replace(rig, leds=tuple(leds))
 
 
-def _shaded(led: Led, share: FloatArray, points_mm: NDArray[np.float64]) -> Led:
+def _shaded(led: Led, fraction: FloatArray, points_mm: NDArray[np.float64]) -> Led:
     x, y = points_mm[0, [0, -1], 0], points_mm[[0, -1], 0, 1]
-    shade = Shade((float(x[0]), float(x[1])), (float(y[0]), float(y[1])), np.ascontiguousarray(share, dtype=np.float32))
+    shade = Shade(
+        (float(x[0]), float(x[1])), (float(y[0]), float(y[1])), np.ascontiguousarray(fraction, dtype=np.float32)
+    )
     return replace(led, shade=shade)

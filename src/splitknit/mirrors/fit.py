@@ -1,8 +1,8 @@
 """A body and mirrors that agree with all outlines: Gauss-Newton on planes that touch the finger.
 
-Every point of every outline says that a plane touches the body: the support of the section where it touches, along the
-plane's normal, equals the plane's offset. These equations are linear in centre lines, nearly linear in the half axes,
-and hold for any pose of the mirrors; the poses, the tip, the sections' squareness and shear are found with them.
+Every point of every outline implies that a plane touches the body: the support of the section where it touches, along
+the plane's normal, equals the plane's offset. These equations are linear in centre lines, nearly linear in the half
+axes, and hold for any pose of the mirrors; the poses, the tip, the sections' squareness and shear are found with them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM,
 # Mirrors beyond the tip: they show the form of the largest sections.
 
 
-# What is expected without any outline, what the skin's slopes say, and how far points of an outline are believed.
+# What is expected without any outline, what the skin's slopes add, and how far points of an outline are trusted.
 
 
 Array = NDArray[np.float64]
@@ -88,9 +88,9 @@ def _add_priors(  # noqa: PLR0917
             pose = state.poses[mirror]
             spread = OFFSET_MM if kind == "shift_mm" else np.deg2rad(ANGLE_DEG)
             away = -getattr(pose, kind)
-            told = mirrors[mirror].turn_sd_rad
-            if kind == "turn_rad" and told is not None:
-                away, spread = away + mirrors[mirror].turn_rad, told
+            deviation = mirrors[mirror].turn_sd_rad
+            if kind == "turn_rad" and deviation is not None:
+                away, spread = away + mirrors[mirror].turn_rad, deviation
         else:
             away, spread = expected[kind]
         normal[4 * count + k, 4 * count + k] += 1.0 / spread**2
@@ -226,7 +226,7 @@ def fit_body(  # noqa: PLR0917
     poses : a first guess
     settings : MirrorShapeSettings
     slopes : of the skin, optional
-    shear : where the slopes do not say it
+    shear : where the slopes do not determine it
     sure_from : corrections before points of an outline may be left out altogether
     """
     body = replace(body, shear=shear)
@@ -274,7 +274,7 @@ def _with_ends(  # noqa: PLR0917
 ) -> Fit:
     """With mirrors beyond the tip: what they show of the sections' form, the others fit with that form again.
 
-    They see the largest sections only, and those beside the tip hide the rest: so they say nothing of the lines along
+    They see the largest sections only, and those beside the tip hide the rest: so they do not constrain the lines along
     the finger.
     """
     beside = {name: seen for name, seen in mirrors.items() if not seen.from_tip}
@@ -340,7 +340,7 @@ def _linearised(state: State, front: Touching, mirrors: Mapping[str, SeenIn], na
     residuals, rows = [], []
     for part, tip in zip(all_planes(state, front, mirrors, names), tips, strict=True):
         residual, u, normal, by_a, by_b = misfit_of(state, part, from_tip=tip)
-        w = body.share(u)
+        w = body.fraction(u)
         s = np.sqrt(w)
         along, root = basis(w, count), basis(s, count)
         rows.append(
@@ -365,8 +365,8 @@ _MISFIT_MM = 0.6
 
 THICKNESS = (0.4, 1.4)
 """Of fingers, over their breadth."""
-MOST_DEG = 7.0
-"""A mirror that would be further off than this is not believed."""
+MAX_DEG = 7.0
+"""A mirror that would be further off than this is rejected."""
 
 
 def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn]) -> None:
@@ -389,7 +389,7 @@ def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn]) -> None:
     for name, pose in fit.poses.items():
         worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
         require(
-            worst < MOST_DEG,
+            worst < MAX_DEG,
             f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
             "file; check that one finger alone is in view, or correct the rig file.",
         )

@@ -26,7 +26,7 @@ _KNOTS = 11
 """Spans of the splines along the finger."""
 
 
-MOST_TURN_RAD = 0.12
+MAX_TURN_RAD = 0.12
 """Mirrors are not turned by more."""
 
 
@@ -56,7 +56,7 @@ def turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, 
         far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
         return float(far[0] - far[1]) * float(np.hypot(*epipole))
 
-    low, high = -MOST_TURN_RAD, MOST_TURN_RAD
+    low, high = -MAX_TURN_RAD, MAX_TURN_RAD
     values = apart(low), apart(high)
     if values[0] * values[1] > 0:
         return None
@@ -101,7 +101,7 @@ def first_body(
     return replace(body, coefficients=coefficients, squareness=squareness)
 
 
-# The thesis's way: lateral and frontal masks aligned row by row, one ellipse a row; mirrors at exactly 45 deg.
+# The thesis's method: lateral and frontal masks aligned row by row, one ellipse a row; mirrors at exactly 45 deg.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +156,7 @@ def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> _Ellipses:
     parts = []
     for rows in (front, lateral):
         known = np.isfinite(rows.width_mm)
-        require(int(known.sum()) >= 8, "a view of the finger is too small to tell how it lies.")
+        require(int(known.sum()) >= 8, "a view of the finger is too small to show how it lies.")
         back = (rows.tip_mm - rows.along_mm[known])[::-1]
         slope, offset = medial_line(rows)
         line = (slope * rows.along_mm + offset)[known][::-1]
@@ -175,7 +175,7 @@ Array = NDArray[np.float64]
 
 
 TURN_DEG = 0.2
-"""Standard deviation of a mirror's turn as the views' tips tell it."""
+"""Standard deviation of a mirror's turn as the views' tips show it."""
 
 
 EVERY = 2
@@ -255,7 +255,7 @@ def mirror_shape(
     mirrors : by name, where they nominally are
     settings : MirrorShapeSettings, optional
     tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
-    slopes : of the skin in the front view, optional: they tell the sections' form and roll
+    slopes : of the skin in the front view, optional: they determine the sections' form and roll
 
     Raises
     ------

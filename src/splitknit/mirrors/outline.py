@@ -128,7 +128,7 @@ def medial_line(rows: Rows, full_width: float = 0.8) -> tuple[float, float]:
     """
     width = rows.width_mm
     known = np.isfinite(width)
-    require(int(known.sum()) >= 8, "a view of the finger is too small to tell how it lies.")
+    require(int(known.sum()) >= 8, "a view of the finger is too small to show how it lies.")
     wide = known & (width > full_width * np.nanquantile(width, 0.9))
     y, middle = rows.along_mm[wide], 0.5 * (rows.left_mm + rows.right_mm)[wide]
     weight = np.ones_like(y)
@@ -159,7 +159,7 @@ def is_cut(rows: Rows, side: str, *, from_tip: bool = False) -> bool:
     known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
     edge = rows.left_mm if side == "left" else rows.right_mm
     low, high = (0.3, 0.7) if from_tip else (0.1, 0.6)
-    part = slice(*(int(known[0] + share * (known[-1] - known[0])) for share in (low, high)))
+    part = slice(*(int(known[0] + fraction * (known[-1] - known[0])) for fraction in (low, high)))
     along, edge = rows.along_mm[part], edge[part]
     there = np.isfinite(edge)
     if float(there.mean()) < 0.6:

@@ -29,10 +29,10 @@ class MirrorShapeSettings(Checked):
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
     """Flatness of the pad that is expected: 0 is an ellipse."""
     squareness_spread: Annotated[float, Limits(0, above=True)] = 0.08
-    """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip say more."""
+    """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip are stronger evidence."""
     rounds: Annotated[int, Limits(1, 50)] = 9
     """Corrections."""
     slopes: bool = True
-    """Let the skin's slopes in white light tell the form and the roll of the sections."""
+    """Let the skin's slopes in white light determine the form and the roll of the sections."""
     detail_mm: Annotated[float, Limits(0, above=True)] = 5.0
     """What is finer than this is taken from white light, where the preset undoes the skin's blur."""

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 SEARCH_PX_PER_MM = 4.0
 """Views are looked for on a copy of about this scale where their outlines are found apart."""
 FindFinger = Callable[[FloatArray, float], BoolArray]
-"""From an image (h, w, C) and its px_per_mm to the mask of the finger in it."""
+"""From an image (h, w, C) and its px_per_mm to its segmentation mask."""
 FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
 """From an image (h, w, C), a rough mask of the same piece of the scene and px_per_mm to the finger's mask (h, w)."""
 
@@ -65,9 +65,9 @@ def find_views(  # noqa: PLR0917
         Linear, in blocks of `binning` pixels a side of the camera's image.
     camera : Camera
     mirrors : by name, where they nominally are
-    find_finger : mask of the finger in an image, :func:`splitknit.finger.finger_mask` say
+    find_finger : segmentation mask of an image, such as :func:`splitknit.finger.finger_mask`
     binning : int
-    find_outline : outline of a finger roughly known, :func:`splitknit.finger.finger_outline` say, optional
+    find_outline : outline of a finger roughly known, such as :func:`splitknit.finger.finger_outline`, optional
 
     Raises
     ------

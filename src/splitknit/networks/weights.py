@@ -1,6 +1,6 @@
-"""Networks as files: ``NAME.onnx`` with the weights, and ``NAME.json``, its card, which says what they are.
+"""Networks as files: ``NAME.onnx`` with the weights, and ``NAME.json``, its card, which describes them.
 
-The card tells what goes in and out, where the weights come from (data, seed, metrics, licence, the command that makes
+The card states what goes in and out, where the weights come from (data, seed, metrics, licence, the command that makes
 them again), and their SHA-256, which is checked whenever they are read.
 """
 
@@ -20,7 +20,7 @@ from splitknit.errors import BadInput, read_bytes, refusing, require
 
 FORMAT = "splitknit-network"
 _MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
-"""Networks of ours have less than 1 MB, their cards 3 kB."""
+"""The shipped networks have less than 1 MB, their cards 3 kB."""
 REINSTALL = "reinstall splitknit, or name another network"
 
 

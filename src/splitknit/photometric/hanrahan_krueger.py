@@ -30,7 +30,7 @@ _Cut = Callable[[slice], tuple[BoolArray, FloatArray, FloatArray]]
 class SkinFit:
     """What the fit found beside normals and albedo, and how it went; (H, W), NaN, zero or false outside the mask."""
 
-    share: FloatArray
+    fraction: FloatArray
     """W of the epidermis: scattering over scattering and absorption, in (0, 1). Thickness, scattering and absorption
     themselves cannot be separated: the images depend on W and on the optical depth alone."""
     depth: FloatArray
@@ -47,8 +47,8 @@ def hanrahan_krueger(
     """Normals, albedo and layers of skin under distant lights, seen along z.
 
     Every pixel has five unknowns: the normal (2), the matt base, and W and optical depth of the epidermis; the dermis,
-    the phase functions and the refractive index are the same everywhere (:class:`SkinLayers`). Seven images say little
-    of the two last unknowns: they are held to typical skin with the spreads of the settings.
+    the phase functions and the refractive index are the same everywhere (:class:`SkinLayers`). Seven images determine
+    little of the two last unknowns: they are held to typical skin with the spreads of the settings.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _run(
     count, rows, columns = images.shape
     exposure = np.pi * typical / (settings.base_reflectance * settings.layers.refractive_index**2)
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
-    albedo, share, depth, misfit = (np.full((rows, columns), np.nan, dtype=np.float32) for _ in range(4))
+    albedo, fraction, depth, misfit = (np.full((rows, columns), np.nan, dtype=np.float32) for _ in range(4))
     iterations = np.zeros((rows, columns), dtype=np.float32)
     converged = np.zeros((rows, columns), dtype=np.bool_)
 
@@ -197,7 +197,7 @@ def _run(
         unit, minimum = fitted(pixels, g)
         normals[chunk][here] = unit.T
         albedo[chunk][here] = start * np.exp(minimum.parameters[2])
-        share[chunk][here] = 1 / (1 + np.exp(-minimum.parameters[3]))
+        fraction[chunk][here] = 1 / (1 + np.exp(-minimum.parameters[3]))
         depth[chunk][here] = np.exp(minimum.parameters[4])
         squares = np.maximum(minimum.cost - pixels.held(minimum.parameters), 0)
         misfit[chunk][here] = settings.noise * np.sqrt(squares / np.maximum(weights.sum(axis=0), 1e-6))
@@ -205,4 +205,4 @@ def _run(
         converged[chunk][here] = minimum.converged
 
     for_each_chunk(work, rows, columns, max(count, _LIGHTS_A_CHUNK))
-    return normals, albedo, SkinFit(share, depth, misfit, iterations, converged)
+    return normals, albedo, SkinFit(fraction, depth, misfit, iterations, converged)

@@ -12,8 +12,8 @@ of an interaction that is scattering and not absorption; primes are the dermis. 
 axis and everything is elementwise, so that chunking changes no byte.
 
 Parameters, in rows: the normal's two stereographic coordinates f, g (n = (2f, 2g, 1 - f^2 - g^2) / (1 + f^2 + g^2)),
-the logarithm of the base over the Lambertian albedo, the logit of the epidermis's scattering share W, the logarithm of
-its optical depth. The last two are held to what all skin has: seven images see little of them.
+the logarithm of the base over the Lambertian albedo, the logit of the epidermis's scattering fraction W, the logarithm
+of its optical depth. The last two are held to what all skin has: seven images see little of them.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ class SkinLayers:
             )
 
         require(
-            0.001 <= self.epidermis_share <= 0.999 and 0.01 <= self.epidermis_depth <= 100,
+            0.001 <= self.epidermis_fraction <= 0.999 and 0.01 <= self.epidermis_depth <= 100,
             "layers: scattering over scattering and absorption of the epidermis must lie between 0.001 and 0.999, and "
-            f"its thickness times both between 0.01 and 100, but they are {self.epidermis_share:.4g} and "
+            f"its thickness times both between 0.01 and 100, but they are {self.epidermis_fraction:.4g} and "
             f"{self.epidermis_depth:.4g}.",
         )
 
     @property
-    def epidermis_share(self) -> float:
+    def epidermis_fraction(self) -> float:
         """W: scattering over scattering and absorption."""
         return self.epidermis_scattering_per_mm / (self.epidermis_scattering_per_mm + self.epidermis_absorption_per_mm)
 
@@ -87,7 +87,7 @@ class SkinLayers:
         return self.epidermis_thickness_mm * (self.epidermis_scattering_per_mm + self.epidermis_absorption_per_mm)
 
     @property
-    def dermis_share(self) -> float:
+    def dermis_fraction(self) -> float:
         """W': scattering over scattering and absorption."""
         return self.dermis_scattering_per_mm / (self.dermis_scattering_per_mm + self.dermis_absorption_per_mm)
 
@@ -129,7 +129,7 @@ class Reflected:
     by_view: Array
     """By mu_r, the normal's cosine with the view."""
     by_base: Array
-    by_share: Array
+    by_fraction: Array
     """By W of the epidermis."""
     by_depth: Array
     """By the epidermis's optical depth."""
@@ -175,7 +175,7 @@ def reflected(  # noqa: PLR0917 - the model's own variables
     turn = (between - mu * to_view) / index**2 + inside * outside
     upper, upper_by = _scattered(turn, layers.epidermis_asymmetry)
     lower, lower_by = _scattered(turn, layers.dermis_asymmetry)
-    lower, lower_by = lower * layers.dermis_share, lower_by * layers.dermis_share
+    lower, lower_by = lower * layers.dermis_fraction, lower_by * layers.dermis_fraction
     passed = np.exp(-depth * (1.0 / inside + 1.0 / outside))
     spread = 1.0 / (inside + outside)
     upper_lit = spread * (1.0 - passed)
@@ -197,7 +197,7 @@ def reflected(  # noqa: PLR0917 - the model's own variables
         + front * (exposure * once_by_light),
         by_view=through * leaves_by * level + front * (exposure * once_by_view),
         by_base=front,
-        by_share=front * (exposure * upper * upper_lit),
+        by_fraction=front * (exposure * upper * upper_lit),
         by_depth=front * ((-exposure) * step * (1.0 / inside + 1.0 / outside)),
     )
 
@@ -255,7 +255,7 @@ class Minimum:
 
 
 _STEEPER, _FLATTER = 8.0, 0.15
-_LEAST, _MOST = 1e-7, 1e7
+_MIN, _MAX = 1e-7, 1e7
 
 
 def _levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSettings) -> Minimum:
@@ -278,7 +278,7 @@ def _levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSett
         better = new.cost < known.cost
         moved = np.abs(trial - here).max(axis=0)
         fallen = known.cost - new.cost
-        ended = (moved < settings.step) | (better & (fallen < settings.gain * known.cost)) | (damping >= _MOST)
+        ended = (moved < settings.step) | (better & (fallen < settings.gain * known.cost)) | (damping >= _MAX)
         here = np.where(better, trial, here)
         known = NormalEquations(
             np.where(better, new.cost, known.cost),
@@ -286,7 +286,7 @@ def _levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSett
             np.where(better, new.moments, known.moments),
         )
         factor = np.where(better, np.asarray(_FLATTER, start.dtype), np.asarray(_STEEPER, start.dtype))
-        damping = np.clip(damping * factor, _LEAST, _MOST)
+        damping = np.clip(damping * factor, _MIN, _MAX)
         if ended.any():
             over = pixels[ended]
             best[:, over], cost[over], count[over], done[over] = here[:, ended], known.cost[ended], turn, True
@@ -392,11 +392,11 @@ class Pixels:
     def equations(self, parameters: Array) -> NormalEquations:
         """Weighted squares of the residuals over the noise, and of the layers' distance from all skin's."""
         normals, by_f, by_g = directions(parameters)
-        share = 1.0 / (1.0 + np.exp(-parameters[3]))
+        fraction = 1.0 / (1.0 + np.exp(-parameters[3]))
         depth, base = np.exp(parameters[4]), self.albedo * np.exp(parameters[2])
         to_light = _dots(self.lights, normals)
         model = reflected(
-            to_light, normals[2], self.lights[:, 2], base, share, depth, self.exposure, self.settings.layers
+            to_light, normals[2], self.lights[:, 2], base, fraction, depth, self.exposure, self.settings.layers
         )
         scale = self.strengths * self.trust
         residual = model.value * scale - self.images * self.trust
@@ -404,7 +404,7 @@ class Pixels:
             scale * (model.by_light * _dots(self.lights, by_f) + model.by_view * by_f[2]),
             scale * (model.by_light * _dots(self.lights, by_g) + model.by_view * by_g[2]),
             scale * (model.by_base * base),
-            scale * (model.by_share * (share * (1.0 - share))),
+            scale * (model.by_fraction * (fraction * (1.0 - fraction))),
             scale * (model.by_depth * depth),
         )
         cost = _summed(residual, residual)
@@ -421,9 +421,9 @@ class Pixels:
 
     def held(self, parameters: Array) -> Array:
         """The part of the cost that is the layers' distance from all skin's, (n,)."""
-        share, depth = self._prior()
+        fraction, depth = self._prior()
         return np.asarray(
-            ((parameters[3] - share) / self.settings.spread_share) ** 2
+            ((parameters[3] - fraction) / self.settings.spread_share) ** 2
             + ((parameters[4] - depth) / self.settings.spread_depth) ** 2
         )
 
@@ -450,8 +450,8 @@ class Pixels:
         )
 
     def _prior(self) -> tuple[float, float]:
-        share = self.settings.layers.epidermis_share
-        return float(np.log(share / (1.0 - share))), float(np.log(self.settings.layers.epidermis_depth))
+        fraction = self.settings.layers.epidermis_fraction
+        return float(np.log(fraction / (1.0 - fraction))), float(np.log(self.settings.layers.epidermis_depth))
 
     @staticmethod
     def _inside(parameters: Array) -> Array:

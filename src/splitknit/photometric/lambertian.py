@@ -90,7 +90,7 @@ def _store(  # noqa: PLR0917
 # Photometric stereo once for every light that is left out, from one least-squares problem.
 
 
-LEAST_REST = 1e-3
+MIN_REST = 1e-3
 """Minimum fraction of a light's own direction that the other lights still determine; 1 minus its leverage."""
 
 
@@ -138,7 +138,7 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     leverage = np.einsum("ki,ij,kj->k", vectors, inverse, vectors)
     alone = int(np.argmax(leverage))
     require(
-        bool(leverage[alone] < 1.0 - LEAST_REST),
+        bool(leverage[alone] < 1.0 - MIN_REST),
         f"without image {alone} the lights lie in one plane, so that no normals follow from the others; add a light.",
     )
     where = inside.ravel()

@@ -21,7 +21,7 @@ class NearLightSettings:
     """Near-light photometric stereo."""
 
     robust: RobustSettings | None = field(default_factory=RobustSettings)
-    """Weights for shadowed and glossy lights where none are given; None uses all lights alike."""
+    """Weights for shadowed and glossy lights where none are given; None weights all lights equally."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +140,7 @@ def pseudo_normals(  # noqa: PLR0917
     rig, surface_mm, mask, x_mm, y_mm, view
         As of :func:`near_light`.
     weights : (L, H, W), 0 or more, optional
-        What each light counts at each pixel; without them all count alike.
+        What each light counts at each pixel; without them all count equally.
 
     Returns
     -------

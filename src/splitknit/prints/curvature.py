@@ -95,10 +95,10 @@ def curvature(  # noqa: PLR0917
     side = settings.side(1.0 / pitch_mm)
     box = mask_box(mask, side // 2 + 1)
     inside = mask[box] & np.isfinite(height_mm[box])
-    shares = _blurred(inside.astype(np.float32), [1.0] * side, [1.0] * side)
-    cut = inside & (shares < side * side - 0.5)
-    edge = np.flatnonzero((cut & (shares >= settings.least_share * side * side)).ravel())
-    known = inside & (shares >= settings.least_share * side * side)
+    fractions = _blurred(inside.astype(np.float32), [1.0] * side, [1.0] * side)
+    cut = inside & (fractions < side * side - 0.5)
+    edge = np.flatnonzero((cut & (fractions >= settings.least_share * side * side)).ravel())
+    known = inside & (fractions >= settings.least_share * side * side)
     normal = _edge_normals(inside, edge, side, settings.degree)
 
     def fit(field: FloatArray) -> list[FloatArray]:

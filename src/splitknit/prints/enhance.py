@@ -273,8 +273,8 @@ def _context(found: RidgeField) -> tuple[FloatArray, FloatArray, FloatArray]:
         cv2.GaussianBlur(np.ascontiguousarray(part, dtype=np.float32), (0, 0), 1.5)
         for part in (double.real, double.imag)
     ]
-    share = np.maximum(cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 1.5), np.float32(1e-3))
-    agree = np.clip(np.hypot(*parts) / share, 0.0, 1.0)
+    fraction = np.maximum(cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 1.5), np.float32(1e-3))
+    agree = np.clip(np.hypot(*parts) / fraction, 0.0, 1.0)
     narrow, wide = np.deg2rad(_NARROW_DEG), np.deg2rad(_WIDE_DEG)
     width = (wide + (narrow - wide) * agree**2).astype(np.float32)
     orientation = (0.5 * np.arctan2(parts[1], parts[0])).astype(np.float32)
@@ -284,11 +284,11 @@ def _context(found: RidgeField) -> tuple[FloatArray, FloatArray, FloatArray]:
 # Ridges as black and white, and as lines one pixel wide.
 
 
-def ridge_mask(enhanced: Enhanced, least_px: int = 12) -> BoolArray:
-    """(h, w) bool, true on ridges: where the wave is negative; specks and holes below `least_px` pixels are dropped."""
+def ridge_mask(enhanced: Enhanced, min_px: int = 12) -> BoolArray:
+    """(h, w) bool, true on ridges: where the wave is negative; specks and holes below `min_px` pixels are dropped."""
     ridges = enhanced.mask & (enhanced.wave < 0)
-    ridges &= ~_small(ridges, least_px)
-    return np.asarray(ridges | (_small(~ridges, least_px) & enhanced.mask))
+    ridges &= ~_small(ridges, min_px)
+    return np.asarray(ridges | (_small(~ridges, min_px) & enhanced.mask))
 
 
 def as_print(ridges: BoolArray) -> NDArray[np.uint8]:
@@ -329,10 +329,10 @@ def thin(shape: BoolArray) -> BoolArray:
     return image[1:-1, 1:-1] > 0
 
 
-def _small(shape: BoolArray, least_px: int) -> BoolArray:
-    """Pieces of `shape` of less than `least_px` pixels."""
+def _small(shape: BoolArray, min_px: int) -> BoolArray:
+    """Pieces of `shape` of less than `min_px` pixels."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(shape.astype(np.uint8), connectivity=4)
-    few = stats[:, cv2.CC_STAT_AREA] < least_px
+    few = stats[:, cv2.CC_STAT_AREA] < min_px
     few[0] = False
     return np.asarray(few[labels]) if count > 1 else np.zeros_like(shape)
 

@@ -174,9 +174,9 @@ def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
 
-MOST_SENTENCES = 3
-LEAST_WORTH = 0.7
-"""A figure that is worth less is spoken of."""
+MAX_SENTENCES = 3
+MIN_WORTH = 0.7
+"""A figure that is worth less is mentioned."""
 FULL_WORTH = 0.95
 """Of the ridges' height: from here on, soft edges are the finger's own."""
 
@@ -210,18 +210,18 @@ def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> 
 def advice(found: PrintQuality) -> tuple[str, ...]:
     """What is wrong with a print and what to do, at most three sentences, the worst first; empty if nothing is.
 
-    Every figure that is worth less than 0.7 may speak; figures with one remedy speak once, through the worst of them.
+    Every figure that is worth less than 0.7 is mentioned; of figures with one remedy only the worst.
     """
-    spoken: dict[str, None] = {}
+    sentences: dict[str, None] = {}
     causes: set[str] = set()
     for name, worth in sorted(found.worth.items(), key=lambda item: item[1]):
         cause = _CAUSES[name]
         if cause == "soft" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
             continue  # defocus lowers ridges as well; soft but high ones grew that way
-        if worth < LEAST_WORTH and cause not in causes and len(spoken) < MOST_SENTENCES:
+        if worth < MIN_WORTH and cause not in causes and len(sentences) < MAX_SENTENCES:
             causes.add(cause)
-            spoken[_sentence(cause, name, found)] = None
-    return tuple(spoken)
+            sentences[_sentence(cause, name, found)] = None
+    return tuple(sentences)
 
 
 _CAUSES = {
@@ -291,7 +291,7 @@ def write_minutiae(  # noqa: PLR0917
     says, or by the phase of the ridges (``phase``), which needs no package; `finger_quality` (0 to 100) goes into the
     record.
 
-    Without the package that mindtct comes with, nothing is written and the facts say what to install.
+    Without the package that mindtct comes with, nothing is written and the facts name what to install.
     """
     from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 

@@ -149,7 +149,7 @@ def checked_surface(method: str, surface: str | None, settings: PrintingSettings
 
 
 def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -> Enhanced:
-    """Enhance a print the way the settings say."""
+    """Enhance a print by the method in the settings."""
     settings = settings or PrintingSettings()
     require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
     if settings.enhance == "stft":

@@ -45,7 +45,7 @@ class PhaseMinutiae:
     kind: NDArray[np.uint8]
     """(N,) 1 ridge ending, 2 bifurcation."""
     quality: NDArray[np.uint8]
-    """(N,) 0 to 100: how much of the print about it is what the wave says."""
+    """(N,) 0 to 100: how well the print about it follows the wave."""
 
 
 def phase_minutiae(

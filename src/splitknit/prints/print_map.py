@@ -345,10 +345,10 @@ def resample(
         weight, values = (_shrunk(image[cut], (width, height)) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
-        share = _blur(weight, sigma)
-        values = np.asarray(_blur(values, sigma) / np.maximum(share, np.float32(1e-3)), dtype=np.float32)
-        values[share <= 1e-3] = 0.0
-        weight = share
+        fraction = _blur(weight, sigma)
+        values = np.asarray(_blur(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        values[fraction <= 1e-3] = 0.0
+        weight = fraction
     x, y = (
         (places - np.float32(box.start) + np.float32(0.5)) / np.float32(factor) - np.float32(0.5)
         for places, box in ((print_map.columns, columns), (print_map.rows, rows))

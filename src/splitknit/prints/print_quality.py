@@ -1,4 +1,4 @@
-"""How good a print is: one score made of figures that say what is wrong with it."""
+"""How good a print is: one score made of figures that show what is wrong with it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from splitknit.prints.ridges import MM_PER_INCH
 #
 # Everything is measured on the values that are inked (the relief in micrometres, or light), not on the print's grey
 # values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
-# all that varies around it, and its second harmonic, which tells how sharp the ridges' edges are.
+# all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
 
 
 _SIGMA_PERIODS = 0.75
@@ -26,7 +26,7 @@ _SIGMA_PERIODS = 0.75
 _SMOOTH_MM = 0.6
 """Values are taken relative to their Gaussian mean of this standard deviation."""
 _CLOSE_MM = 3.0
-"""Gaps up to about twice as wide, with ridges around, are told from an outline that has none."""
+"""Gaps up to about twice as wide, with ridges around, are distinguished from an outline that has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class QualityFigures:
     ridge_length_mm: float
     """mm, 0 or more: from the tip of the finger to the last rows of ridges."""
     gap_share: float
-    """0 to 1: share without ridges of what ridges surround."""
+    """0 to 1: fraction without ridges of what ridges surround."""
     centre_offset_mm: float
     """mm, 0 or more: sideways from the middle of the finger's area to the middle of the ridges."""
 
@@ -63,8 +63,8 @@ def _quality_figures(
     found: RidgeField,
     ppi: float = 500.0,
     *,
-    least_purity: float = 0.3,
-    least_height_um: float | None = None,
+    min_purity: float = 0.3,
+    min_height_um: float | None = None,
     period_tolerance: float = 0.35,
 ) -> QualityFigures:
     """Measure the figures of a print's quality.
@@ -74,7 +74,7 @@ def _quality_figures(
     minimum height of ridges above their valleys; None where `values` are not in um; `period_tolerance`: float, how far
     a period may lie from the median, relative. Raises BadInput if the shapes disagree or nothing lies on the finger.
     """
-    in_um = least_height_um is not None
+    in_um = min_height_um is not None
     if values.ndim != 2 or values.shape != weight.shape:
         raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
     nodes = tuple(-(-side // found.step_px) for side in values.shape)
@@ -90,9 +90,9 @@ def _quality_figures(
         return QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, float(finger.sum()) * cell, 0, 1, 0)
     first, second, purity = _waves(values, weight, looked, px)
     height = 2.0 * np.abs(first)
-    strong = looked.mask & (purity > least_purity)
-    if least_height_um is not None:
-        strong &= height > least_height_um
+    strong = looked.mask & (purity > min_purity)
+    if min_height_um is not None:
+        strong &= height > min_height_um
     period = 1.0 / (found.frequency_px * np.float32(px))
     typical = float(np.median(period[looked.mask]))
     near = (period > typical * (1.0 - period_tolerance)) & (period < typical * (1.0 + period_tolerance))
@@ -130,8 +130,8 @@ def _waves(
     width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
     there: FloatArray = np.maximum(_blur(inside, width), np.float32(0.3))
     variance = _at_nodes((_blur(centred * centred, width) / there).astype(np.float32), looked)
-    share = _at_nodes(there, looked)
-    first, second = (first / share).astype(np.complex64), (second / share).astype(np.complex64)
+    fraction = _at_nodes(there, looked)
+    first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
     purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, np.float32(1e-12))
     return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), np.float32(0.0)).astype(np.float32)
 
@@ -177,7 +177,7 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(blurred, dtype=np.float32)
 
 
-_LEAST_PART = 0.01
+_MIN_PART = 0.01
 """What the worst figure is worth: no single one makes the score 0."""
 
 
@@ -199,7 +199,7 @@ class Part:
 
     def worth(self, figure: float) -> float:
         """0.01 to 1, the better the higher."""
-        return float(np.clip((figure - self.useless) / (self.good - self.useless), _LEAST_PART, 1.0))
+        return float(np.clip((figure - self.useless) / (self.good - self.useless), _MIN_PART, 1.0))
 
 
 _MIN_PURITY = 0.3
@@ -229,7 +229,7 @@ class PrintQualitySettings:
     ridge_length_mm: Part = field(default_factory=lambda: Part(6.0, 20.0, 0.3))
     """From the tip to the last ridges in mm."""
     gap_share: Part = field(default_factory=lambda: Part(0.4, 0.0, 0.15))
-    """Share without ridges of what ridges surround: creases, scars, glare, shadows."""
+    """Fraction without ridges of what ridges surround: creases, scars, glare, shadows."""
     centre_offset_mm: Part = field(default_factory=lambda: Part(8.0, 1.0, 0.1))
     """How far the ridges' centre lies beside the finger's middle, in mm."""
 
@@ -292,8 +292,8 @@ def print_quality(
         weight,
         found,
         ppi,
-        least_purity=_MIN_PURITY,
-        least_height_um=_MIN_HEIGHT_UM if in_um else None,
+        min_purity=_MIN_PURITY,
+        min_height_um=_MIN_HEIGHT_UM if in_um else None,
         period_tolerance=_PERIOD_TOLERANCE,
     )
     score, worth = score_of(figures, settings)

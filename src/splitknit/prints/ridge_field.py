@@ -28,9 +28,9 @@ _WIDE_MM = 0.8
 _WINDOW_MM = 1.63
 """Side of the windows whose spectra give the frequency."""
 _SHORTEST_MM = 0.25
-"""Shortest ridge period that is believed."""
+"""Shortest ridge period that is accepted."""
 _LONGEST_MM = 0.9
-"""Longest ridge period that is believed."""
+"""Longest ridge period that is accepted."""
 _MIN_STRENGTH = 0.2
 """Contrast below this fraction of the print's strong parts is background."""
 
@@ -176,22 +176,22 @@ def _frequencies(
     band = (radius > 1.0 / (_LONGEST_MM * px) - reach) & (radius < 1.0 / (_SHORTEST_MM * px) + reach)
     x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
     low, high = 1.0 / (_LONGEST_MM * px), 1.0 / (_SHORTEST_MM * px)
-    believed = (radius[band] > low) & (radius[band] < high) & (x >= 0)
+    accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
     power = power[:, band]
     angle = 2.0 * (orientation[::2, ::2][wanted] + np.float32(0.5 * np.pi))
     toward = 2.0 * np.arctan2(-y, x)
     across = 0.5 + 0.5 * (np.cos(angle)[:, None] * np.cos(toward) + np.sin(angle)[:, None] * np.sin(toward))
-    best = np.argmax(power * across * believed, axis=1)
+    best = np.argmax(power * across * accepted, axis=1)
     near = (np.abs(x - x[best, None]) < reach) & (np.abs(y - y[best, None]) < reach)
     near_power = np.where(near, power, np.float32(0.0))
     weight = np.maximum(near_power.sum(axis=1), np.float32(1e-9))
     found = np.hypot(near_power @ x / weight, near_power @ y / weight)
-    share = weight / np.maximum(total, np.float32(1e-9))
-    sure = (share > 0.1) & (found > low) & (found < high)
+    fraction = weight / np.maximum(total, np.float32(1e-9))
+    sure = (fraction > 0.1) & (found > low) & (found < high)
     if not bool(sure.any()):
         return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
     trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
-    trust[wanted] = np.where(sure, share, np.float32(0.0))
+    trust[wanted] = np.where(sure, fraction, np.float32(0.0))
     value[wanted] = found
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, np.float32(1e-9))

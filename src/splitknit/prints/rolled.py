@@ -117,10 +117,10 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
     every = max(1, round(1.0 / chart.pitch_mm))
     seams = {}
     for place, name in enumerate(rolled.names[1:], start=1):
-        line = seam_lines(rolled.blended.shares, 0, place)
-        both = np.minimum(rolled.blended.shares[0], rolled.blended.shares[place]) > 0.2
+        line = seam_lines(rolled.blended.fractions, 0, place)
+        both = np.minimum(rolled.blended.fractions[0], rolled.blended.fractions[place]) > 0.2
         apart = rolled.view_reliefs[place][both] - rolled.view_reliefs[0][both]
-        alike = (
+        correlation = (
             float(np.corrcoef(rolled.view_reliefs[0][both], rolled.view_reliefs[place][both])[0, 1])
             if int(both.sum()) > 100
             else None
@@ -130,7 +130,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
             "length_mm": round(float(line.any(axis=1).sum()) * chart.pitch_mm, 2),
             "step_rms_um": round(1000.0 * float(np.sqrt((steps**2).mean())), 2) if steps.size else None,
             "views_differ_um": round(1000.0 * float(apart.std()), 2) if apart.size else None,
-            "views_correlate": None if alike is None else round(alike, 3),
+            "views_correlate": None if correlation is None else round(correlation, 3),
         }
     return {
         **rolled.facts,
@@ -141,7 +141,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
             "rows": [round(float(v), 1) for v in around[::every]],
         },
         "share_of_views": {
-            name: round(float(rolled.blended.shares[k][rolled.blended.known].mean()), 3)
+            name: round(float(rolled.blended.fractions[k][rolled.blended.known].mean()), 3)
             for k, name in enumerate(rolled.names)
         },
         "seams": seams,

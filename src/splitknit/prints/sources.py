@@ -49,7 +49,7 @@ class Source:
 def read_source(
     path: Path, *, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
 ) -> Source:
-    """Read a result folder (or its ``height.npz``), or a capture folder, which is reconstructed where `surface` asks.
+    """Read a result folder (or its ``height.npz``), or a capture folder, which is reconstructed where `surface` is set.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Unrolling a finger: where its skin lies when it is laid flat.
 
-Four ways: ``free`` (along the skin, then relaxed until nothing is stretched more than it must be), ``arc`` (along the
-skin, row by row), ``tube`` (one circle a cross-section) and ``cylinder`` (one for all).
+Four methods: ``free`` (along the skin, then relaxed until nothing is stretched more than it must be), ``arc`` (along
+the skin, row by row), ``tube`` (one circle a cross-section) and ``cylinder`` (one for all).
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Distortion:
         for zone, slanted in zones.items():
             where = slanted & np.isfinite(self.area)
             for name, values in (("area", np.abs(self.area)), ("anisotropy", self.anisotropy), ("length", worst)):
-                for word, share in (("median", 0.5), ("p95", 0.95)):
-                    found = _percentile(values[where], self.skin_mm2[where], share)
+                for word, fraction in (("median", 0.5), ("p95", 0.95)):
+                    found = _percentile(values[where], self.skin_mm2[where], fraction)
                     result[f"{name}{zone}_{word}_percent"] = None if found is None else round(100.0 * found, 3)
         return result
 
@@ -101,12 +101,12 @@ def _differences(values: Array) -> tuple[Array, Array]:
     return right, down
 
 
-def _percentile(values: Array, weights: Array, share: float) -> float | None:
+def _percentile(values: Array, weights: Array, fraction: float) -> float | None:
     if values.size == 0:
         return None
     order = np.argsort(values)
     total = np.cumsum(weights[order])
-    return float(values[order][min(int(np.searchsorted(total, share * total[-1])), values.size - 1)])
+    return float(values[order][min(int(np.searchsorted(total, fraction * total[-1])), values.size - 1)])
 
 
 # Nonparametric unrolling: distances along the skin, laid flat.

@@ -1,4 +1,4 @@
-"""The demonstration: a simulated finger, photographed, reconstructed two ways, and compared with what it really is."""
+"""The demonstration: a simulated finger, photographed, reconstructed by two methods, compared with its true surface."""
 
 from __future__ import annotations
 

@@ -205,14 +205,14 @@ def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     return plot(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
 
 
-def _histogram_chart(name: str, shares: Histograms, threshold: float | None) -> Markup:
-    """Shares of genuine and impostor scores in each bin, and where both rates are equal."""
-    edges = np.repeat(shares.edges, 2)
+def _histogram_chart(name: str, fractions: Histograms, threshold: float | None) -> Markup:
+    """Fractions of genuine and impostor scores in each bin, and where both rates are equal."""
+    edges = np.repeat(fractions.edges, 2)
     drawn = [
         Curve(label, edges, np.concatenate([[0.0], np.repeat(side, 2), [0.0]]), filled=True)
-        for label, side in (("genuine", shares.genuine), ("impostor", shares.impostor))
+        for label, side in (("genuine", fractions.genuine), ("impostor", fractions.impostor))
     ]
-    top = max(float(shares.genuine.max()), float(shares.impostor.max()))
+    top = max(float(fractions.genuine.max()), float(fractions.impostor.max()))
     steps = _round_marks(0.0, top, 5)
     x_marks = tuple((v, f"{v:g}") for v in _round_marks(float(edges[0]), float(edges[-1]), 7))
     x = Axis("score", float(edges[0]), float(edges[-1]), x_marks)
@@ -221,7 +221,7 @@ def _histogram_chart(name: str, shares: Histograms, threshold: float | None) -> 
 
 
 def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
-    """Share of probes whose finger is among the first n of the gallery."""
+    """Fraction of probes whose finger is among the first n of the gallery."""
     longest = max(2, min(20, max(rate.size for _, rate in curves)))
     floor = float(np.floor(min([*(float(rate[0]) for _, rate in curves), 0.95]) * 10) / 10)
     drawn = [Curve(name, np.arange(1.0, 1 + rate[:20].size), rate[:20]) for name, rate in curves]

@@ -1,4 +1,4 @@
-"""The pictures of the report, each with a caption that says what is seen and what good looks like."""
+"""The pictures of the report, each with a caption that explains what is seen and what good looks like."""
 
 from __future__ import annotations
 

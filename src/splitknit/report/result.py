@@ -339,7 +339,7 @@ EXPLAINED = {
     "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone.",
     "separation": "What was done about specular reflection and about light that spreads inside the skin.",
 }
-"""Name in ``quality`` or ``facts`` to what it says and what good looks like."""
+"""Name in ``quality`` or ``facts`` to what it means and what good looks like."""
 
 
 def label(name: str) -> str:

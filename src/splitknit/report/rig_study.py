@@ -351,7 +351,7 @@ def verdict(summary: Mapping[str, Any]) -> str:
         return f"The thesis's choice is the best of them, with a {what} of {thesis['value']:.3g} {unit}."
     said = f"The thesis's choice has a {what} of {thesis['value']:.3g} {unit}, the best one {best['value']:.3g} {unit}"
     if thesis["worse_low"] is None:
-        return f"{said}; one finger tells no interval."
+        return f"{said}; one finger gives no interval."
     between = f"{thesis['worse_low']:.3g} to {thesis['worse_high']:.3g} {unit}"
     if thesis["as_good"]:
         return f"{said}: the difference, {between} at 95 %, may be nothing."
@@ -359,7 +359,7 @@ def verdict(summary: Mapping[str, Any]) -> str:
 
 
 def describe(record: Mapping[str, Any]) -> str:
-    """A rig in words."""
+    """A rig as a sentence."""
     one = _candidate_of(record)
     tilt = "aimed at the middle" if one.tilt_deg is None else f"tilted by {one.tilt_deg:g} deg"
     return (

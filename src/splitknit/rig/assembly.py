@@ -102,7 +102,7 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
     Parameters
     ----------
     dimensions : RigDimensions
-    progress : called with the part's name and the share that is done
+    progress : called with the part's name and the fraction that is done
 
     Raises
     ------

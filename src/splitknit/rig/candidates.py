@@ -286,8 +286,8 @@ def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings) -> Fin
         below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
         if below <= 0:
             continue
-        share = below / candidate.height_mm if build.view == "perspective" else 1.0
-        half_y, half_x = (0.5 * side * share for side in _FIELD_MM)
+        fraction = below / candidate.height_mm if build.view == "perspective" else 1.0
+        half_y, half_x = (0.5 * side * fraction for side in _FIELD_MM)
         outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
         clear = min(clear, outside - _LED_BODY_MM)
     clear = float(min(clear, 1e3))
@@ -301,7 +301,7 @@ def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings) -> Fin
 
 
 def _into_lens(leds: list[Led], candidate: Candidate) -> Finding:
-    """Share of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
+    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
     worst = 0.0
     for led in leds:
         to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
@@ -348,14 +348,14 @@ def _bed(candidate: Candidate) -> Finding:
 def _beam(candidate: Candidate, exponent: float) -> Finding:
     centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
     off = abs(candidate.beam_deg - centre)
-    share = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
-    ok = share >= _MIN_BEAM and off < 75.0
+    fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
+    ok = fraction >= _MIN_BEAM and off < 75.0
     words = (
-        f"the finger gets {100 * share:.0f} % of the LEDs' axial intensity."
+        f"the finger gets {100 * fraction:.0f} % of the LEDs' axial intensity."
         if ok
-        else f"beams {off:.0f} deg off the finger give it {100 * share:.0f} % of it; tilt them by {centre:.0f} deg."
+        else f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} % of it; tilt them by {centre:.0f} deg."
     )
-    return Finding("beam", ok, True, share, words)
+    return Finding("beam", ok, True, fraction, words)
 
 
 def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: Print) -> Finding:
@@ -363,11 +363,11 @@ def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: 
     free = (~glare.astype(bool)).sum(axis=0)
     blind = float(np.mean(free < 3))
     ok = blind <= _MAX_BLIND
-    shares = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
+    covered = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
     words = (
-        f"{shares}, and {100 * blind:.0f} % of it under all but two."
+        f"{covered}, and {100 * blind:.0f} % of it under all but two."
         if ok
-        else f"{shares}; on {100 * blind:.0f} % of it fewer than three LEDs are free of it; widen or lower the circle."
+        else f"{covered}; on {100 * blind:.0f} % of it fewer than three LEDs are free of it; widen or lower the circle."
     )
     return Finding("glare", ok, True, blind, words)
 

@@ -117,8 +117,8 @@ def _preferred(ohm: float, *, up: bool = True) -> float:
 
 
 def _rating_for(power_w: float, margin: float) -> float:
-    """Return the smallest rating that `power_w` uses no more than the share `margin` of. Raises BadInput if no leaded
-    resistor is large enough.
+    """Return the smallest rating that `power_w` uses no more than the fraction `margin` of. Raises BadInput if no
+    leaded resistor is large enough.
     """
     for rating in RATINGS_W:
         if power_w <= margin * rating:
@@ -130,10 +130,10 @@ def _rating_for(power_w: float, margin: float) -> float:
     raise AssertionError
 
 
-LEAST_HEADROOM_V = 0.5
+MIN_HEADROOM_V = 0.5
 """Voltage that a current sink's transistor must keep to be one."""
 FORCED_GAIN = 20.0
-"""A switching transistor gets this fraction of its collector current in the base, far more than its gain asks for."""
+"""A switching transistor gets this fraction of its collector current in the base, far more than its gain requires."""
 
 
 _MAX_HEAT = 0.6
@@ -228,10 +228,10 @@ def _sink(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
     t, high = s.transistor, RASPBERRY_PI.high_v
     # with the supply missing, the base feeds the emitter resistor: the base resistor limits what the line gives
     typical_drop = sum(high) / 2 - sum(t.base_v) / 2
-    least_total = (high[1] - t.base_v[0]) / (0.9 * RASPBERRY_PI.limit_a)
-    base = _preferred(max(least_total - typical_drop / led.current_a, 47.0))
+    min_total = (high[1] - t.base_v[0]) / (0.9 * RASPBERRY_PI.limit_a)
+    base = _preferred(max(min_total - typical_drop / led.current_a, 47.0))
     emitter = _preferred(typical_drop / led.current_a - base / (sum(t.gain) / 2))
-    least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
+    min_v, max_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
 
     def current(high_v: float, base_v: float, gain: float, spread: float) -> float:
         return (high_v - base_v) / (emitter * (1 + spread) + base / (gain + 1)) * gain / (gain + 1)
@@ -240,18 +240,18 @@ def _sink(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
     low, top = min(corners), max(corners)
     middle = current(sum(high) / 2, sum(t.base_v) / 2, sum(t.gain) / 2, 0.0)
     over_emitter = top * emitter * (1 + s.resistor_spread) * (1 + 1 / t.gain[0])
-    spare = least_v - led.forward_v - led.spread_v - over_emitter - LEAST_HEADROOM_V
-    enough = np.ceil(10 * (least_v - spare) / (1 - s.supply_spread)) / 10
+    spare = min_v - led.forward_v - led.spread_v - over_emitter - MIN_HEADROOM_V
+    enough = np.ceil(10 * (min_v - spare) / (1 - s.supply_spread)) / 10
     require(
         spare >= 0,
-        f"{s.supply_v:g} V are too little for the {band} LEDs: {least_v - spare:.2g} V are needed for LED, transistor "
+        f"{s.supply_v:g} V are too little for the {band} LEDs: {min_v - spare:.2g} V are needed for LED, transistor "
         f"and emitter resistor; set circuit.supply_v to {enough:.1f} or more, or "
         "circuit.topology to switch.",
     )
     # what is to spare heats a resistor rather than the transistor
     series = _preferred(spare / top, up=False) if spare / top >= 1.0 else 0.0
     over_led = led.forward_v - led.spread_v
-    heat = max(i * (most_v - over_led - i * (emitter + series)) for i in (low, middle, top))
+    heat = max(i * (max_v - over_led - i * (emitter + series)) for i in (low, middle, top))
     resistors = [_resistor("base", base, 0.0, s), _resistor("emitter", emitter, top * top * emitter, s)]
     if series:
         resistors.append(_resistor("series", series, top * top * series, s))
@@ -263,11 +263,11 @@ def _sink(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
 
 def _switch(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
     t, high = s.transistor, RASPBERRY_PI.high_v
-    least_v, most_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
+    min_v, max_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
     saturated = sum(t.saturation_v) / 2
     headroom = s.supply_v - led.forward_v - saturated
     require(
-        least_v - led.forward_v - led.spread_v - t.saturation_v[1] > 0,
+        min_v - led.forward_v - led.spread_v - t.saturation_v[1] > 0,
         f"{s.supply_v:g} V are too little for the {band} LEDs of {led.forward_v:g} V; set circuit.supply_v higher.",
     )
     series = _preferred(headroom / led.current_a)
@@ -278,7 +278,7 @@ def _switch(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
 
     voltages = (led.forward_v - led.spread_v, led.forward_v + led.spread_v)
     spreads = (-s.resistor_spread, s.resistor_spread)
-    corners = [current(*c) for c in product((least_v, most_v), voltages, t.saturation_v, spreads)]
+    corners = [current(*c) for c in product((min_v, max_v), voltages, t.saturation_v, spreads)]
     top = max(corners)
     line = (high[1] - t.base_v[0]) / (base * (1 - s.resistor_spread)) + high[1] / _PULL_DOWN_OHM
     resistors = (

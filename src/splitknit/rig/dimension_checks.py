@@ -25,7 +25,7 @@ from splitknit.rig.part_settings import (
 )
 
 _SAMPLES = 400
-_LEAST_SEAT_MM = 0.6
+_MIN_SEAT_MM = 0.6
 """An LED's flange rests on three layers at least."""
 
 
@@ -118,9 +118,9 @@ def _check_hole(hole: LedHole, dimensions: RigDimensions) -> None:
     start = max(hole.level_mm(dimensions.frame_z_mm) + hole.lean_mm, LED_TIP_FREE_MM)
     land = hole.shoulder_mm - start
     require(
-        land >= _LEAST_SEAT_MM,
+        land >= _MIN_SEAT_MM,
         f"LED {hole.index} at {hole.light_mm[2]:.1f} mm would rest on {max(land, 0):.1f} mm of plastic instead of "
-        f"{_LEAST_SEAT_MM:g} mm, as the frame's lower face is at {dimensions.frame_z_mm:.1f} mm; take LEDs with a "
+        f"{_MIN_SEAT_MM:g} mm, as the frame's lower face is at {dimensions.frame_z_mm:.1f} mm; take LEDs with a "
         f"longer body (led.white_flange_to_light_mm, led.nir_flange_to_light_mm) or smaller ones.",
     )
 
@@ -146,8 +146,8 @@ def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
     start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - FINGER_PHALANX_MM)
     ends = (start, (start + dimensions.stop_y_mm) / 2, dimensions.field_mm[1] / 2)
     corners = np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
-    share = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
-    way = hole.light_mm + share * (corners - hole.light_mm)  # (samples, corners, 3)
+    fraction = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
+    way = hole.light_mm + fraction * (corners - hole.light_mm)  # (samples, corners, 3)
     require(
         not bool(_in_niche(way, dimensions).any()),
         f"the light of LED {hole.index} would be cut by the roof of the hand's niche; set finger.reach_mm larger, "

@@ -434,7 +434,7 @@ def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]
 
 
 def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
-    """Return what the mirrors show: heights of the finger over the plane (mm), and the share of it in the picture.
+    """Return what the mirrors show: heights of the finger over the plane (mm), and the fraction of it in the picture.
 
     A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
     """

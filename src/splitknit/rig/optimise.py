@@ -26,7 +26,7 @@ from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """What the thesis's sweep chose (4.1.1)."""
 Progress = Callable[[str, float], None]
-"""Hears what is being done, and the share of the whole that is done."""
+"""Called with what is being done and the fraction of the whole that is done."""
 
 
 def sweep(
@@ -35,7 +35,7 @@ def sweep(
     study: Study,
     *,
     workers: int = 1,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda stage, fraction: None,
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates and keep each as soon as it is finished.
 
@@ -45,7 +45,7 @@ def sweep(
     candidates : rigs to compare
     study : what they are evaluated with
     workers : processes; the result does not depend on it
-    progress : hears the candidate and the share done
+    progress : called with the candidate and the fraction done
 
     Returns
     -------
@@ -77,7 +77,7 @@ def sweep(
 
 
 def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = "hausdorff") -> dict[str, Any]:
-    """What a sweep says: the best rig, those as good, the Pareto front, and where the thesis's choice stands.
+    """What a sweep found: the best rig, those as good, the Pareto front, and where the thesis's choice stands.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
     Raises
     ------
     BadInput
-        If not one candidate was done; the message says why.
+        If not one candidate was done; the message gives the reason.
     """
     require(objective in OBJECTIVES, f"the objective must be one of {', '.join(OBJECTIVES)}, not '{objective}'.")
     done = [one for one in records if one["status"] == DONE]
@@ -213,14 +213,14 @@ def pareto_front(costs: Array) -> NDArray[np.bool_]:
     return front
 
 
-def _mean_interval(values: Sequence[float] | Array, share: float = 0.95) -> tuple[float, float, float]:
+def _mean_interval(values: Sequence[float] | Array, fraction: float = 0.95) -> tuple[float, float, float]:
     """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
     numbers = np.asarray(values, dtype=np.float64)
     require(numbers.size > 0, "an interval needs one value at least.")
     mean = float(numbers.mean())
     if numbers.size == 1:
         return mean, -np.inf, np.inf
-    half = float(stats.t.ppf(0.5 + 0.5 * share, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
+    half = float(stats.t.ppf(0.5 + 0.5 * fraction, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
     return mean, mean - half, mean + half
 
 
@@ -260,7 +260,7 @@ def _finite(value: float) -> float | None:
 FORMAT = "splitknit-rig-sweep"
 STUDY_FILE = "sweep.json"
 CANDIDATES = "candidates"
-OURS = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
+OWN_FILES = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
 _STRAY = re.compile(r"(.*/)?(\.[^/]*\.tmp|\.DS_Store|Thumbs\.db|desktop\.ini)")
 """What a killed run or a file manager leaves behind."""
 
@@ -308,7 +308,7 @@ class _SweepFolder:
 
     def _check(self) -> None:
         names = self._files()
-        foreign = [name for name in names if not OURS.fullmatch(name)]
+        foreign = [name for name in names if not OWN_FILES.fullmatch(name)]
         require(
             not foreign and STUDY_FILE in names,
             f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep to go on with; name another folder.",

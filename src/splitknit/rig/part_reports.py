@@ -147,7 +147,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         )
     elif hanging.bridge_mm > 0:
         findings.append(
-            f"{hanging.steep_mm2:.0f} mm² ({100 * hanging.share:.1f} % of its surface) lean further than "
+            f"{hanging.steep_mm2:.0f} mm² ({100 * hanging.fraction:.1f} % of its surface) lean further than "
             f"{MAX_OVERHANG_DEG:g} deg; the longest bridge is {hanging.bridge_mm:.1f} mm, "
             f"{hanging.bridge_z_mm:.1f} mm above the bed: no support."
         )
@@ -173,7 +173,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
                 "ok": bridged,
                 "limit_deg": MAX_OVERHANG_DEG,
                 "steep_mm2": round(hanging.steep_mm2, 1),
-                "share": round(hanging.share, 5),
+                "share": round(hanging.fraction, 5),
                 "bridge_mm": round(hanging.bridge_mm, 1),
                 "bridge_z_mm": round(hanging.bridge_z_mm, 1),
                 "bridge_limit_mm": BRIDGE_MM,
@@ -192,7 +192,7 @@ class _Overhang:
 
     steep_mm2: float
     """Area of faces that look down and lean further than the limit from the vertical, not on the bed."""
-    share: float
+    fraction: float
     """Of the whole surface."""
     bridge_mm: float
     """Longest way over air in any layer: twice the distance from a printed point to what lies below it."""
@@ -269,8 +269,8 @@ def _slice_mask(
     ends = []
     for step in (1, 2):
         other = (alone + step) % 3
-        share = heights[rows, alone] / (heights[rows, alone] - heights[rows, other])
-        ends.append(points[rows, alone, :2] + share[:, None] * (points[rows, other, :2] - points[rows, alone, :2]))
+        fraction = heights[rows, alone] / (heights[rows, alone] - heights[rows, other])
+        ends.append(points[rows, alone, :2] + fraction[:, None] * (points[rows, other, :2] - points[rows, alone, :2]))
     start, end = ((np.asarray(point) - low) / pitch_mm for point in ends)  # in columns and rows
     parity = np.zeros((shape[0], shape[1] + 1), dtype=np.int64)
     first = np.ceil(np.minimum(start[:, 1], end[:, 1])).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Settings of the printed parts: what the rig file does not say.
+"""Settings of the printed parts: what the rig file does not contain.
 
 Everything is in millimetres and degrees. What follows from the rig file (LED places, camera height, field of view) is
 worked out in :mod:`splitknit.rig.dimensions`.

@@ -99,7 +99,7 @@ class Exposure:
     time_s: float
     gain: float
     level: float
-    """Share of full scale of the brightest skin: the target where the shutter and the gain allow it."""
+    """Fraction of full scale of the brightest skin: the target where the shutter and the gain allow it."""
 
     @property
     def saturates(self) -> bool:
@@ -142,8 +142,8 @@ def _tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
 
     A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
     """
-    share = 1.0 - float(np.sinc(_TREMOR_HZ * time_s)) ** 2
-    return _TREMOR_UM * 1e-3 * float(np.sqrt(0.5 * share))
+    fraction = 1.0 - float(np.sinc(_TREMOR_HZ * time_s)) ** 2
+    return _TREMOR_UM * 1e-3 * float(np.sqrt(0.5 * fraction))
 
 
 W_PER_UNIT = 100.0

@@ -148,7 +148,7 @@ def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tu
     """Light (H, W, C) of each pixel where it is nearest to the middle of a dark and of a lit check.
 
     The pattern's mean over a square somewhat smaller than a check is 1 or 0 near the middle of one and passes 1/2 at
-    its rim: it stands for the light that arrives from around, it tells where the middle is, and images count the more
+    its rim: it stands for the light that arrives from around, it shows where the middle is, and images count the more
     the nearer the pixel is to it.
     """
     around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
@@ -161,7 +161,7 @@ def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tu
         terms = np.stack([np.ones_like(near), states[:, rows], near], axis=-1)  # (N, h, W, 3)
         weighted = terms * (used[:, rows] * np.abs(2 * near - 1))[..., None]
         normal = np.einsum("nhwk,nhwl->hwkl", weighted, terms)
-        # where no shift tells the terms apart they share the light; far too little to bias what is known
+        # where no shift separates the terms they share the light; far too little to bias what is known
         normal += 1e-9 * np.trace(normal, axis1=2, axis2=3)[..., None, None] * np.eye(3)
         fitted = np.linalg.solve(normal, np.einsum("nhwk,nhwc->hwkc", weighted, light[:, rows]))
         for part, image in ((low, near.argmin(axis=0)), (high, near.argmax(axis=0))):
@@ -175,8 +175,8 @@ def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tu
 def _square_mean(state: FloatArray, side_px: float) -> FloatArray:
     """Mean (H, W) over a square around each pixel, whose side need not be whole pixels."""
     reach = int(np.ceil(max(side_px - 1, 0) / 2))
-    share = np.ones(2 * reach + 1)
+    fraction = np.ones(2 * reach + 1)
     if reach > 0:
-        share[[0, -1]] = (side_px - (2 * reach - 1)) / 2
-    share /= share.sum()
-    return np.asarray(cv2.sepFilter2D(state, cv2.CV_32F, share, share, borderType=cv2.BORDER_REFLECT))
+        fraction[[0, -1]] = (side_px - (2 * reach - 1)) / 2
+    fraction /= fraction.sum()
+    return np.asarray(cv2.sepFilter2D(state, cv2.CV_32F, fraction, fraction, borderType=cv2.BORDER_REFLECT))

@@ -17,7 +17,7 @@ DEFAULT_NETWORK = "direct"
 LEVEL_BLOCK_PX = 8
 LEVEL_SIGMA_PX = 16.0
 """Standard deviation of the neighbourhood whose mean brightness the network takes as one."""
-LEAST_LEVEL = 0.05
+MIN_LEVEL = 0.05
 """It does not fall below this part of :func:`exposure_level`: in the dark there is noise alone."""
 
 
@@ -50,7 +50,7 @@ def local_level(image: FloatArray) -> FloatArray:
         return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
 
     level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), np.float32(1e-3))
-    least = np.float32(max(LEAST_LEVEL * exposure_level(image), 1e-12))
+    least = np.float32(max(MIN_LEVEL * exposure_level(image), 1e-12))
     fine = cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(fine, dtype=np.float32)
 
@@ -88,7 +88,7 @@ def direct_light(
     -----
     Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
     shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
-    tells.
+    shows.
 
     References
     ----------
@@ -121,7 +121,7 @@ def direct_of_enhanced(
 ) -> FloatArray:
     """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
 
-    A grey image has lost the colours that tell how much of skin's light is direct. Here the network is given the
+    A grey image has lost the colours that show how much of skin's light is direct. Here the network is given the
     colours, and the enhanced image is multiplied by the fraction of direct light that it finds; the thesis gives the
     network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
 
@@ -144,5 +144,5 @@ def direct_of_enhanced(
     direct = direct_light(colours, network, tile=tile, workers=workers)
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
-    share = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
-    return np.asarray(np.maximum(grey, 0.0) * share, dtype=np.float32)
+    fraction = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
+    return np.asarray(np.maximum(grey, 0.0) * fraction, dtype=np.float32)

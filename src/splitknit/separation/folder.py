@@ -159,7 +159,7 @@ def _write(parts: Separation, plan: PatternFolder, light: _PatternLight, target:
 
 
 def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> dict[str, Any]:
-    """What the report says about the result."""
+    """The report's facts on the result."""
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
     known = np.isfinite(grey)

@@ -14,7 +14,7 @@ from splitknit.separation.stacks import (
     Separation,
     StackSettings,
     check_contrast,
-    check_share,
+    check_fraction,
     from_extremes,
     light_stack,
 )
@@ -36,7 +36,7 @@ def occluder(
     """Separate direct from global light by a moving shadow.
 
     A thin line takes away hardly any of the global light: direct = greatest - least, global = least. A mesh that lets
-    the share `alpha` of the light through takes the rest of the global light with it in *every* image:
+    the fraction `alpha` of the light through takes the rest of the global light with it in *every* image:
     direct = greatest - least, global = least / alpha.
 
     Minimum and maximum over noisy images are biased outwards. Two remedies: `shadow_percent`, the fraction of the
@@ -64,16 +64,16 @@ def occluder(
     Raises
     ------
     BadInput
-        If pixels were never shadowed (with their share and the first of them), or the images are unusable.
+        If pixels were never shadowed (with their fraction and the first of them), or the images are unusable.
 
     References
     ----------
     S. K. Nayar et al. 2006, section 5.1 (line occluder and mesh of holes, from a video).
     """
     require(kind in KINDS, f"kind must be 'line' or 'mesh', but it is '{kind}'.")
-    require(kind == "line" or alpha is not None, "a mesh needs alpha, the share of the light that passes it.")
+    require(kind == "line" or alpha is not None, "a mesh needs alpha, the fraction of the light that passes it.")
     require(0 <= shadow_percent <= 50, f"shadow_percent must lie in [0, 50], but it is {shadow_percent}.")
-    share = check_share(1.0 if alpha is None else alpha, "alpha")
+    fraction = check_fraction(1.0 if alpha is None else alpha, "alpha")
     images = light_stack(sequence, least=2, mask=mask, settings=settings)
     light = images.light
     if patterns is not None:
@@ -85,7 +85,7 @@ def occluder(
         low, high = _robust_extremes(light, shadow_percent)
     words = ("never shadowed (or never lit)", "sweep the occluder over them, or leave them out with a mask")
     check_contrast(low, high, images.mask, settings, words)
-    direct, global_ = from_extremes(low, high, share, 0.0)
+    direct, global_ = from_extremes(low, high, fraction, 0.0)
     return Separation(images.shaped(direct), images.shaped(global_))
 
 

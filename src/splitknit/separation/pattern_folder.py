@@ -2,7 +2,7 @@
 
 Without more, all PNG, TIFF and JPEG images of the folder are the stack, in the order of their names (``a_2`` before
 ``a_10``), except files named ``black``, ``white`` and ``mask``. Numbers in the names, one or two of them, are taken for
-the shifts and must leave no gap. A file ``separation.json`` says it exactly; all but its first two fields are
+the shifts and must leave no gap. A file ``separation.json`` states it exactly; all but its first two fields are
 optional::
 
     {

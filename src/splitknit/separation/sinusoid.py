@@ -17,18 +17,18 @@ from splitknit.separation.stacks import (
     StackSettings,
     by_rows,
     check_contrast,
+    check_fraction,
     check_repeats,
-    check_share,
     light_stack,
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseSeparation(Separation):
-    """Direct and global light, and the phase that says which line of the projector lit a pixel."""
+    """Direct and global light, and the phase that identifies which line of the projector lit a pixel."""
 
     phase_rad: FloatArray
-    """(H, W) in [-pi, pi]: phase of the pattern at the pixel in the image of phase zero. It is *wrapped*: it tells
+    """(H, W) in [-pi, pi]: phase of the pattern at the pixel in the image of phase zero. It is *wrapped*: it gives
     the place within one period of the pattern, not which period."""
     modulation: FloatArray
     """(H, W): amplitude over mean, all channels together, 0 to 1. Where it is small the phase is noise."""
@@ -51,7 +51,7 @@ def sinusoid(
     phase.
 
     B is the length of a noisy vector and so biased upwards, by v / (2 B) for a variance v of its two components. Two
-    ways out: `known_phase_rad`, with which B is linear in the images and has no bias; or `noise_std`, by which this
+    remedies: `known_phase_rad`, with which B is linear in the images and has no bias; or `noise_std`, by which this
     bias is taken off, to second order in noise over B (sound where B exceeds about three standard deviations).
 
     Parameters
@@ -82,7 +82,7 @@ def sinusoid(
     S. K. Nayar et al. 2006, section 5.3 (three sinusoids); H. Gudbjartsson and S. Patz, "The Rician distribution of
     noisy MRI data", Magnetic Resonance in Medicine 34(6), 1995 (the bias).
     """
-    check_share(dark, "dark")
+    check_fraction(dark, "dark")
     require(bool(np.isfinite(noise_std)) and noise_std >= 0, f"noise_std must not be negative, but it is {noise_std}.")
     images = light_stack(stack, least=3, mask=mask, settings=settings)
     phases = _check_phases(phases_rad, len(images.light))
@@ -152,7 +152,7 @@ def _fit(light: FloatArray, inverse: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def _check_residual(images: LightStack, design: NDArray[np.float64], inverse: NDArray[np.float64]) -> None:
-    """Refuse images that do not follow their phases; with three there is nothing left over to tell by.
+    """Refuse images that do not follow their phases; with three there is no redundancy to check.
 
     Noise is independent in neighbouring pixels and does not count.
     """

@@ -3,7 +3,7 @@
 All methods of :mod:`splitknit.separation` share one model. A pixel whose surface point the pattern lights with
 brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light follows the pattern, global
 light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
-checks. With a share `alpha` of the source lit, k = alpha + dark (1 - alpha).
+checks. With a fraction `alpha` of the source lit, k = alpha + dark (1 - alpha).
 
 References
 ----------
@@ -39,7 +39,7 @@ EDGE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class StackSettings(Checked):
-    """When a stack is refused. Shares are of the pixels inside the mask."""
+    """When a stack is refused. Fractions are of the pixels inside the mask."""
 
     clip_level: Annotated[float | None, Limits(0, above=True)] = 0.99
     """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
@@ -142,15 +142,15 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings,
     brightest = light.max(axis=(0, -1))
     if settings.clip_level is None or float(brightest.max()) > 1.0001:
         return
-    share = float((brightest[mask] >= settings.clip_level).mean())
+    fraction = float((brightest[mask] >= settings.clip_level).mean())
     require(
-        share <= _MAX_CLIPPED,
-        f"{percent(share)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
+        fraction <= _MAX_CLIPPED,
+        f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
         f"brightest image; capture again with a shorter exposure.",
     )
 
 
-def check_share(value: float, name: str, low: float = 0.0, high: float = 1.0) -> float:
+def check_fraction(value: float, name: str, low: float = 0.0, high: float = 1.0) -> float:
     """Return `value` as a float in (low, high], or [0, high) where it is the dark level."""
     number = float(value)
     dark = name == "dark"
@@ -161,8 +161,8 @@ def check_share(value: float, name: str, low: float = 0.0, high: float = 1.0) ->
 
 
 def mean_brightness(alpha: float, dark: float) -> float:
-    """Mean brightness k of a pattern of which a share `alpha` is lit and the rest has the brightness `dark`."""
-    return check_share(alpha, "alpha") + check_share(dark, "dark") * (1.0 - float(alpha))
+    """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the brightness `dark`."""
+    return check_fraction(alpha, "alpha") + check_fraction(dark, "dark") * (1.0 - float(alpha))
 
 
 def from_extremes(
@@ -196,9 +196,9 @@ def _thinned(values: NDArray[Any], mask: BoolArray, most: int = 200_000) -> NDAr
     return np.asarray(inside[:: max(1, inside.size // most)])
 
 
-def percent(share: float) -> str:
-    """`share` (0 to 1) in words for people, never rounded to nothing."""
-    return f"{100 * share:.1f} %" if share >= 0.001 or share == 0 else f"{100 * share:.1g} %"
+def percent(fraction: float) -> str:
+    """`fraction` (0 to 1) as a percentage for people, never rounded to nothing."""
+    return f"{100 * fraction:.1f} %" if fraction >= 0.001 or fraction == 0 else f"{100 * fraction:.1g} %"
 
 
 # Whether a stack can hold what its patterns are to show: pixels that change, and no pattern twice.
@@ -218,17 +218,17 @@ def check_contrast(
     Raises
     ------
     BadInput
-        Naming their share and where the first of them is.
+        Naming their fraction and where the first of them is.
     """
     dark, bright = low.max(axis=-1), high.max(axis=-1)
     looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
     constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
-    share = float(constant.sum()) / max(1.0, float(looked_at.sum()))
-    if share <= settings.constant_share:
+    fraction = float(constant.sum()) / max(1.0, float(looked_at.sum()))
+    if fraction <= settings.constant_share:
         return
     row, column = np.argwhere(constant)[0]
     raise BadInput(
-        f"{percent(share)} of the bright pixels were {words[0]} (first at row {row}, column {column}): they change "
+        f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column}): they change "
         f"by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}."
     )
 
@@ -243,14 +243,14 @@ def check_repeats(
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
     Two images of one pattern differ by noise alone. Noise is independent from pixel to pixel, patterns are not: the
-    covariance of the difference with itself, moved by a pixel or two, tells them apart in noisy images too.
+    covariance of the difference with itself, moved by a pixel or two, separates them in noisy images too.
 
     Parameters
     ----------
     light : (N, H, W, C)
     mask : (H, W)
     expected : (N, N), optional
-        How much the patterns themselves differ (any unit); all alike where None.
+        How much the patterns themselves differ (any unit); all equal where None.
 
     Raises
     ------
@@ -268,9 +268,9 @@ def check_repeats(
         f"the {name}s differ by noise at most: the patterns never light the scene; check the projector, or whether "
         f"the direct light is too weak to be seen.",
     )
-    alike = np.zeros(covariance.shape, dtype=np.bool_)
-    alike[pairs] = relative <= limit * reference
-    twins = odd_twins(alike)
+    similar = np.zeros(covariance.shape, dtype=np.bool_)
+    similar[pairs] = relative <= limit * reference
+    twins = odd_twins(similar)
     if twins is not None:
         raise BadInput(
             f"{name}s {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
@@ -278,17 +278,17 @@ def check_repeats(
         )
 
 
-def odd_twins(alike: BoolArray) -> tuple[int, int] | None:
-    """Return the first pair that is `alike` (N, N, upper triangle), or None if all have as many twins.
+def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
+    """Return the first pair that is `similar` (N, N, upper triangle), or None if all have as many twins.
 
     A checkerboard moved by one check each way is the same again, so that in a full grid of an even number of shifts
     every image has a twin. One that was captured twice by mistake has a twin where others have none.
     """
-    number = (alike | alike.T).sum(axis=0)
+    number = (similar | similar.T).sum(axis=0)
     if bool((number == number[0]).all()):
         return None
     image = int(np.argmax(number > number.min()))
-    first, second = np.argwhere((alike | alike.T)[image])[0][0], image
+    first, second = np.argwhere((similar | similar.T)[image])[0][0], image
     return int(min(first, second)), int(max(first, second))
 
 

@@ -153,9 +153,9 @@ def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) 
         never = images.mask & ~found.any(axis=0)
         if bool(never.any()):
             row, column = np.argwhere(never)[0]
-            share = float(never.sum()) / float(images.mask.sum())
+            fraction = float(never.sum()) / float(images.mask.sum())
             raise BadInput(
-                f"{percent(share)} of the pixels are never {word} by the patterns (first at row {row}, column "
+                f"{percent(fraction)} of the pixels are never {word} by the patterns (first at row {row}, column "
                 f"{column}): a shift is missing; capture it, or leave these pixels out with a mask."
             )
     if distinct:

@@ -3,7 +3,7 @@
 Derivation. A checkerboard with equal checks has the brightness 1/2 + chi / 2 with chi = +1 or -1. Light adds up, so
 that an image under it is L = W / 2 + D / 2: W is the image under full light, D the response to chi (of either sign).
 Moved by one check along one axis chi changes its sign everywhere, and so does D. A period is two checks; with an *odd*
-number n of equal steps along it no step is a whole check, so that each image tells D at four phases: its own, the two a
+number n of equal steps along it no step is a whole check, so that each image gives D at four phases: its own, the two a
 check away along one axis (-D), and the one a check away along both (+D). Images in steps of 2 / n of a check hold D in
 steps of 1 / n: 25 images know it at 100 phases.
 
@@ -32,8 +32,8 @@ from splitknit.separation.stacks import (
     StackSettings,
     by_rows,
     check_contrast,
+    check_fraction,
     check_repeats,
-    check_share,
     light_stack,
 )
 from splitknit.separation.states import check_shifts
@@ -97,7 +97,7 @@ def by_symmetry(
     >>> bool(abs(parts.white - 0.5).max() < 0.02)
     True
     """
-    check_share(dark, "dark")
+    check_fraction(dark, "dark")
     images = light_stack(stack, least=9, mask=mask, settings=settings)
     count = len(images.light)
     steps = round(count**0.5)
@@ -178,12 +178,12 @@ def _check_neighbours(light: FloatArray, total: FloatArray, dark: float, images:
     found = _responses(np.stack(grey[:-1]), grey[-1], dark)
     power = float(np.mean(np.square(found, dtype=np.float64)))
     for axis in (0, 1):
-        alike = float(np.mean(found * _next(found, axis), dtype=np.float64)) / max(power, 1e-30)
+        correlation = float(np.mean(found * _next(found, axis), dtype=np.float64)) / max(power, 1e-30)
         require(
-            alike > 0.75 * (1 - 2 / len(found)),
-            f"neighbouring phases of the pattern have little in common (correlation {alike:.2f}): the images are out "
-            f"of order, their shifts do not fill one period in equal steps, or there is too much noise; give shifts "
-            f"and period, or take maximum and minimum (method checkerboard).",
+            correlation > 0.75 * (1 - 2 / len(found)),
+            f"neighbouring phases of the pattern have little in common (correlation {correlation:.2f}): the images are "
+            f"out of order, their shifts do not fill one period in equal steps, or there is too much noise; give "
+            f"shifts and period, or take maximum and minimum (method checkerboard).",
         )
 
 

@@ -1,4 +1,4 @@
-"""All photographs that calibrate a rig, of a simulated one: the whole way can be gone and measured without hardware."""
+"""All photographs that calibrate a rig, of a simulated one, so that calibration is measured without hardware."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def bench_to_folder(
 
     Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
     ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
-    exposure series), ``rig_drawn.json`` (what the drawings say) and ``rig_true.json`` (what calibration should find).
+    exposure series), ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what calibration should find).
 
     Raises
     ------

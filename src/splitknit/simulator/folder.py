@@ -44,7 +44,7 @@ def simulate_to_folder(
     started = time.perf_counter()
     settings = twin_settings(scale, changes)
     if rig is not None:
-        require(scale is None, "the rig file says how large the images are; leave out the scale.")
+        require(scale is None, "the rig file sets how large the images are; leave out the scale.")
         settings = replace(settings, rig=read_rig(rig))
     if lights != "white":
         settings = replace(settings, rig=_coloured_lights(lights, settings))
@@ -74,6 +74,6 @@ def _coloured_lights(lights: str, settings: TwinSettings) -> Rig:
     """The rig with coloured LEDs in place of its white ones. Raises BadInput if something else is asked for that has
     LEDs of its own, or takes them one by one.
     """
-    require(settings.rig is None, "a rig file says which LEDs there are; leave out --lights, or --rig.")
+    require(settings.rig is None, "a rig file defines the LEDs; leave out --lights, or --rig.")
     require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out --mirrors or --lights.")
     return coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])

@@ -52,8 +52,8 @@ def _light_through(
         with np.errstate(divide="ignore", invalid="ignore"):  # light from straight behind, where nothing is lit
             enters, shines = light_on(patch, light.led, roughness, led_radius_mm)
         if light.gate is not None:
-            share = light.gate.share(patch.x, patch.y, patch.z, light.led, led_radius_mm)
-            enters, shines = enters * share, shines * share
+            fraction = light.gate.fraction(patch.x, patch.y, patch.z, light.led, led_radius_mm)
+            enters, shines = enters * fraction, shines * fraction
         entering += enters
         gloss += shines
     return entering, gloss
@@ -94,7 +94,7 @@ class MirrorScene:
             for view in self.views:
                 cover = view.coverage
                 inside = finger_depth(view.surface)[0][cover.window]
-                depth[cover.window] += cover.share * (inside - depth[cover.window])
+                depth[cover.window] += cover.fraction * (inside - depth[cover.window])
             self.front.blur = self.front.blur_by(depth, top)
         self.mirrors = [view.mirror for view in seen]
         self.free = ~surface.mask
@@ -343,16 +343,16 @@ def _face_normal(corners: Array, inwards: Array) -> Array:
 
 def _blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, free: BoolArray | None = None) -> None:
     """Replace what `cover` covers of `frame` (H, W, 3) by `over` (H, W, 3), in place; only where `free` (H, W)."""
-    share = cover.share if free is None else cover.share * free[cover.window]
+    fraction = cover.fraction if free is None else cover.fraction * free[cover.window]
     some = frame[cover.window]
-    some += share[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
+    some += fraction[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
 
 
 def _visible(view: View, frame: _Frame, free: BoolArray) -> BoolArray:
     """(H, W) pixels that show the finger in a mirror: not the lip, not the lip in the mirror, not the finger itself."""
     mask = view.mask & free
     for plate in (*frame.reflected_lip, *frame.lip):
-        mask[plate.coverage.window] &= plate.coverage.share < 0.5
+        mask[plate.coverage.window] &= plate.coverage.fraction < 0.5
     return mask
 
 

@@ -136,10 +136,10 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
     across = u0 + skin.pitch_mm * np.arange(columns)
     beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
     arc = np.hypot(across[None, :], beyond[:, None])
-    share = np.clip(0.5 - (arc - limit) / _FADE_MM, 0.0, 1.0)
-    share = share * share * (3.0 - 2.0 * share)
-    shaded = np.asarray(1.0 - share * (1.0 - pigment), dtype=np.float32)
-    return replace(skin, coefficients=coefficients * share, pigment=shaded, u0_mm=u0, v0_mm=v0)
+    fraction = np.clip(0.5 - (arc - limit) / _FADE_MM, 0.0, 1.0)
+    fraction = fraction * fraction * (3.0 - 2.0 * fraction)
+    shaded = np.asarray(1.0 - fraction * (1.0 - pigment), dtype=np.float32)
+    return replace(skin, coefficients=coefficients * fraction, pigment=shaded, u0_mm=u0, v0_mm=v0)
 
 
 def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None:

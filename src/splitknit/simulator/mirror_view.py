@@ -74,7 +74,7 @@ class _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
-    def share(self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float) -> NDArray[np.float32]:
+    def fraction(self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float) -> NDArray[np.float32]:
         """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1, their shape."""
         middle, normal, inwards = self._frame()
         source = np.asarray(led.position_mm if led.position_mm is not None else led.direction, dtype=np.float64)
@@ -95,8 +95,8 @@ class _Gate:
         soft = np.maximum(radius_mm * crossing, 1e-3) if led.position_mm is not None else np.full(here.shape, 1e-3)
         if led.position_mm is not None:
             ahead &= crossing < 1.0
-        share = np.clip(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0), 0.0, 1.0)
-        return np.where(ahead, share * share * (3.0 - 2.0 * share), 0.0).astype(np.float32)
+        fraction = np.clip(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0), 0.0, 1.0)
+        return np.where(ahead, fraction * fraction * (3.0 - 2.0 * fraction), 0.0).astype(np.float32)
 
     def _frame(self) -> tuple[Array, Array, list[tuple[Array, float]]]:
         """Middle, normal, and for every edge its inward direction and the middle's distance from it."""
@@ -136,7 +136,7 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     return [Light(led), *images]
 
 
-_TURN_MOST_DEG, _SHIFT_MOST_MM = 3.0, 2.0
+_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0
 """Turns about any axis and shifts along any axis beyond this are cut off to it."""
 
 
@@ -146,8 +146,8 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorViews, seed: int) -> tuple[
     for mirror in mirrors:
         number = ("left", "right", "tip").index(mirror.name)
         rng = np.random.default_rng(np.random.SeedSequence([seed, 0x3117, number]))
-        turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -_TURN_MOST_DEG, _TURN_MOST_DEG)
-        shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -_SHIFT_MOST_MM, _SHIFT_MOST_MM)
+        turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -_TURN_MAX_DEG, _TURN_MAX_DEG)
+        shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -_SHIFT_MAX_MM, _SHIFT_MAX_MM)
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
         middle = mirror.point_mm
         corners = (np.asarray(mirror.corners_mm) - middle) @ rotation.T + middle + shift
@@ -177,7 +177,7 @@ class Coverage:
 
     window: tuple[slice, slice]
     """Rows and columns of the frame; empty where it lies outside."""
-    share: FloatArray
+    fraction: FloatArray
     """(h, w) inside the window, 0 to 1."""
 
 
@@ -198,7 +198,7 @@ class View:
         """(H, W) pixels of the mirror's face that show the finger, if nothing stands before the mirror."""
         mask = np.zeros_like(self.surface.mask)
         window = self.coverage.window
-        mask[window] = self.surface.mask[window] & (self.coverage.share >= 0.5)
+        mask[window] = self.surface.mask[window] & (self.coverage.fraction >= 0.5)
         return mask
 
 
@@ -223,7 +223,7 @@ def mirror_view(
     behind = reflection.placement(placement)
     coverage = outline_coverage(camera, np.asarray(mirror.corners_mm))
     require(
-        bool((coverage.share >= 0.5).any()),
+        bool((coverage.fraction >= 0.5).any()),
         f"the {mirror.name} mirror lies outside the picture; lower px_per_mm or make image_size larger.",
     )
     margin = int(np.ceil(BEYOND_MM * camera.px_per_mm))
@@ -238,8 +238,8 @@ def mirror_view(
 
 def outline_coverage(camera: Camera, corners: Array) -> Coverage:
     """Where an outline (N, 3) appears, its edges as the lens bends them."""
-    share = np.linspace(0.0, 1.0, 16, endpoint=False)[:, None]
-    edges = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    fraction = np.linspace(0.0, 1.0, 16, endpoint=False)[:, None]
+    edges = [a + fraction * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     x, y, z = np.concatenate(edges).T
     column, row = pixels_of_points(camera, x, y, z)
     rows, columns = camera.image_size

@@ -55,7 +55,7 @@ def walk(
 ) -> tuple[list[Any], Any, Any]:
     """Walk `walks` times from each seen point; return the lights' sums, the light that left, and the steps, by lane.
 
-    With a diffuse boundary (`spread_rad` None), the Fresnel terms say how much passes, and what passes or is reflected
+    With a diffuse boundary (`spread_rad` None), the Fresnel terms give how much passes, and what passes or is reflected
     is spread as by a matt surface. A smooth boundary refracts and mirrors at the triangles; the lights then have a lobe
     of `spread_rad`, and a scattered walk looks for one of them through the boundary.
 
@@ -231,9 +231,9 @@ class _Smooth(_Diffuse):
         normal = mi.Vector3f(found.compute_surface_interaction(ray, mi.RayFlags.Minimal, met).n)
         cosine = dr.dot(direction, normal)
         met &= cosine > 0.0
-        share = 1.0 - mi.fresnel(dr.maximum(cosine, 1e-4), 1.0 / ratio)[0]
+        fraction = 1.0 - mi.fresnel(dr.maximum(cosine, 1e-4), 1.0 / ratio)[0]
         strength = crop.gather(crop.strength, found.prim_index, choice, met)
-        light_in = share * strength * self._lobe(self._bend(direction, -normal, ratio), aim)
+        light_in = fraction * strength * self._lobe(self._bend(direction, -normal, ratio), aim)
         kept = state.weight * dr.exp(-(self.scattering + self.absorption) * found.t) / (4.0 * dr.pi)
         light_in = dr.select(met, kept * light_in / density * count, 0.0)
         state.sums = [total + dr.select(choice == light, light_in, 0.0) for light, total in enumerate(state.sums)]

@@ -56,7 +56,7 @@ class BackgroundSettings(Checked):
 
 
 def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
-    """(H, W) albedo of the background: even, with a gradient and specks of dust where the settings ask for them."""
+    """(H, W) albedo of the background: even, with a gradient and specks of dust where the settings enable them."""
     height, width = camera.image_size
     albedo = np.full((height, width), settings.albedo, dtype=np.float32)
     if settings.gradient:
@@ -74,8 +74,8 @@ def _hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
     """(H, 1) fraction of the light that reaches each row: the hand's shadow has a soft edge."""
     height = camera.image_size[0]
     below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
-    share = np.clip(below, 0.0, 1.0)
-    smooth = share * share * (3.0 - 2.0 * share)
+    fraction = np.clip(below, 0.0, 1.0)
+    smooth = fraction * fraction * (3.0 - 2.0 * fraction)
     return (1.0 - settings.hand_shadow * smooth).astype(np.float32)[:, None]
 
 
@@ -128,7 +128,7 @@ class TwinSettings(Checked):
     mirrors: MirrorViews = field(default_factory=MirrorViews)
     """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
     condition: Condition = field(default_factory=Condition)
-    """State of the finger's skin: clean unless `condition.kind` says wet, dry, dusty, scarred or glossy."""
+    """State of the finger's skin: clean unless `condition.kind` is wet, dry, dusty, scarred or glossy."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -340,9 +340,9 @@ class Scene:
         return record(self.through_lens(frame), name, seed, self.settings.sensor, self.scale)
 
 
-def room_level(camera: Camera, leds: Sequence[Led], share: float) -> float:
-    """Radiance of a white card under ambient light: `share` of that under one LED (mean of all)."""
-    return share * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
+def room_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:
+    """Radiance of a white card under ambient light: `fraction` of that under one LED (mean of all)."""
+    return fraction * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
 
 
 Taken = tuple[Band, NDArray[np.float16], NDArray[Any]]

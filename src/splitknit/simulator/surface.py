@@ -20,7 +20,7 @@ WATER = 1.333
 class Film:
     """Water on the skin, seen from above."""
 
-    share: FloatArray
+    fraction: FloatArray
     """(H, W) fraction of the pixel that is under water."""
     normals: FloatArray
     """(H, W, 3) unit normals of the water's surface, those of the skin where there is none."""
@@ -44,7 +44,7 @@ class Coat:
 
     kind: str
     severity: float
-    share: FloatArray
+    fraction: FloatArray
     """(H, W) fraction of each pixel that is affected."""
     roughness: FloatArray | None = None
     """(H, W) GGX alpha of the skin across its ridges; None: the skin's own everywhere."""
@@ -64,7 +64,7 @@ class Coat:
         return {
             "condition_kind": np.array(self.kind),
             "condition_severity": np.array(self.severity),
-            "condition_share": self.share.astype(np.float16),
+            "condition_share": self.fraction.astype(np.float16),
         }
 
 

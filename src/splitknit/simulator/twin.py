@@ -60,7 +60,7 @@ def simulate_capture(
     Raises
     ------
     BadInput
-        If there is no such `pattern`, or `settings` ask for what the twin cannot show together (motion and mirrors).
+        If there is no such `pattern`, or `settings` combine what the twin cannot show together (motion and mirrors).
 
     Notes
     -----
@@ -280,8 +280,8 @@ def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
     """(n, n) kernel of a straight path of `length_px` (columns, rows), its middle in the middle."""
     reach = int(np.ceil(np.abs(length_px).max() / 2)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
-    for share in np.linspace(-0.5, 0.5, 65):
-        column, row = reach + share * length_px
+    for fraction in np.linspace(-0.5, 0.5, 65):
+        column, row = reach + fraction * length_px
         left, top = int(np.floor(column)), int(np.floor(row))
         across, down = column - left, row - top
         kernel[top : top + 2, left : left + 2] += np.outer([1 - down, down], [1 - across, across])

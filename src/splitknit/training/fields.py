@@ -1,8 +1,8 @@
 """What the two networks of the `metric` method share: both turn 32 fields of a finger into others.
 
 A *sample* is one finger, or a piece of one, as one array (channels, h, w): the fields that the network sees, what it
-shall compute, and a weight in [0, 1]. Patches are cut from samples and laid down in one of eight ways: a finger and its
-mirror image are equally likely, and so are a capture and its quarter turns.
+shall compute, and a weight in [0, 1]. Patches are cut from samples and laid down in one of eight orientations: a finger
+and its mirror image are equally likely, and so are a capture and its quarter turns.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Turns:
         return turned
 
     def turned_by(self, fields: FloatArray, way: int) -> FloatArray:
-        """One of the eight ways (0 to 7) to lay down a square."""
+        """One of the eight orientations (0 to 7) to lay down a square."""
         if way & 1:
             fields = self.mirrored(fields)
         if way & 2:
@@ -223,7 +223,7 @@ def packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping
     ----------
     name, what : of the network, and what it turns into what
     state : ``state_dict`` of a :func:`splitknit.training.networks.fields_network`
-    facts : what the card says beside: command, training, data, metrics
+    facts : what the card also contains: command, training, data, metrics
 
     Raises
     ------

@@ -198,7 +198,7 @@ def network_from(state: Mapping[str, Any]) -> Any:
 def unet_reach(depth: int) -> int:
     """How far beyond a stretch that begins on the stride's grid an input can change the network's result, in pixels.
 
-    Followed from the result back to the input: every 3 x 3 convolution asks for one pixel more at its scale, a
+    Followed from the result back to the input: every 3 x 3 convolution needs one pixel more at its scale, a
     transposed convolution for the coarse pixels that cover the fine ones, a pooling for the fine pixels of the coarse.
     """
     reach = 0

@@ -336,7 +336,7 @@ def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any])
 
 
 def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
-    """What a card says of how a network does on fingers that it was not trained on.
+    """The card's figures of a network on fingers that it was not trained on.
 
     Parameters
     ----------

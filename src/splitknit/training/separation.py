@@ -66,7 +66,7 @@ class SeparationSettings(TrainerSettings):
     dropout: Annotated[float, Limits(0, 1)] = 0.5
     """Fraction dropped after the last encoder block and the bridge, while training; below 1."""
     start_fraction: Annotated[float, Limits(0, 1)] = 0.0
-    """The untrained network gives this fraction of its image: a shorter way to go than from noise. 0 = all random."""
+    """The untrained network gives this fraction of its image: a better start than noise. 0 = all random."""
     epochs: Annotated[int, Limits(1, 100_000)] = 50
     """How often every patch is seen."""
     decay: Annotated[float, Limits(0, 1)] = 0.0

@@ -217,11 +217,11 @@ def _record(
     kept = np.maximum((light.direct * exposure * mask).transpose(1, 2, 0) - (clean - clipped), np.float32(0.0))
     grey, grey_clean, grey_kept = (np.asarray(part @ GREY_WEIGHTS) for part in (image, clipped, kept))
     enhanced = enhance(grey, px_per_mm, mask)
-    share = np.clip(grey_kept / np.maximum(grey_clean, np.float32(1e-6)), 0.0, 1.0)
+    fraction = np.clip(grey_kept / np.maximum(grey_clean, np.float32(1e-6)), 0.0, 1.0)
     level = np.float32(exposure_level(image.transpose(2, 0, 1)))
     enhanced_level = np.float32(exposure_level(enhanced))
     parts = [image / level, kept / level]
-    parts += [(part / enhanced_level)[..., None] for part in (enhanced, enhanced * share)]
+    parts += [(part / enhanced_level)[..., None] for part in (enhanced, enhanced * fraction)]
     return np.concatenate(parts, axis=2).astype(np.float16)
 
 

@@ -191,8 +191,8 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, error in (("before", wanted), ("after", wanted - made)):
         found[name] = _rms(error, weight)
-        share = np.maximum(_mean(weight), _MIN_TRUST)
-        found[f"wide_{name}"] = _rms(np.stack([_mean(part * weight) / share for part in error]), weight)
+        fraction = np.maximum(_mean(weight), _MIN_TRUST)
+        found[f"wide_{name}"] = _rms(np.stack([_mean(part * weight) / fraction for part in error]), weight)
     return found
 
 
@@ -317,7 +317,7 @@ def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any])
 
 
 def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
-    """What a card says of how a network does on fingers that it was not trained on.
+    """The card's figures of a network on fingers that it was not trained on.
 
     Parameters
     ----------

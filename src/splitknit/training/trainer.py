@@ -395,7 +395,7 @@ def _shoot(names: Sequence[Path], kind: str, number: int, shoot: Shoot) -> None:
         buffer = io.BytesIO()
         np.save(buffer, array, allow_pickle=False)
         _write(name.with_suffix(".npy"), buffer.getvalue())
-        _write(name.with_suffix(".json"), (json.dumps(facts) + "\n").encode())  # last: it says that both are there
+        _write(name.with_suffix(".json"), (json.dumps(facts) + "\n").encode())  # last: it marks both as complete
 
 
 def _name(out: Path, kind: str, number: int, view: str) -> Path:
@@ -482,7 +482,7 @@ def packed(
     Parameters
     ----------
     name, network : its name, and torch's module
-    facts : what the card says beside: command, training, data, metrics
+    facts : what the card also contains: command, training, data, metrics
     channels : of input and output
     depth : times that the network halves the scale
     what, architecture : what it turns into what, and how

@@ -1,5 +1,5 @@
 """The viewer: a page on this machine, and the small server behind it.
 
-``catalogue`` lists what there is to show, ``surface`` and ``measure`` answer what the page asks about a result,
-``service`` answers an address, ``server`` authorises requests and speaks HTTP. The page is in ``static``.
+``catalogue`` lists what there is to show, ``surface`` and ``measure`` answer the page's requests about a result,
+``service`` answers an address, ``guard`` authorises requests, ``server`` speaks HTTP. The page is in ``static``.
 """

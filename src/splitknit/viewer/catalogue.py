@@ -61,15 +61,15 @@ class Pieces:
         self._stream.close()
 
 
-def read_below(root: Path, name: str, most_bytes: int = 1 << 30) -> bytes:
+def read_below(root: Path, name: str, max_bytes: int = 1 << 30) -> bytes:
     """Return the content of a file that :func:`open_below` opens."""
     with open_below(root, name) as stream:
-        require(os.fstat(stream.fileno()).st_size <= most_bytes, f"'{name}' is too large.")
+        require(os.fstat(stream.fileno()).st_size <= max_bytes, f"'{name}' is too large.")
         return stream.read()
 
 
 _DEEPEST = 6
-_MOST = 5000
+_MAX = 5000
 _REPORT_BYTES = 20_000_000
 
 
@@ -78,7 +78,7 @@ class Entry:
     """One result."""
 
     key: str
-    """By which the page asks for it: its number."""
+    """By which the page requests it: its number."""
     name: str
     """As people know it: where it lies below what was named."""
     folder: Path
@@ -168,7 +168,7 @@ def _find_results(root: Path) -> list[Path]:
         if _is_result(here):
             found.append(here)
             below.clear()
-            require(len(found) <= _MOST, f"'{root}' holds more than {_MOST} results; name a folder below it.")
+            require(len(found) <= _MAX, f"'{root}' holds more than {_MAX} results; name a folder below it.")
         deep = len(here.relative_to(root).parts) >= _DEEPEST
         below[:] = [] if deep else sorted(name for name in below if not name.startswith("."))
     return sorted(found)

@@ -14,7 +14,7 @@ from splitknit.model import FloatArray
 from splitknit.viewer.surface import Surface
 
 _RIDGE_SIGMA_MM = 0.32
-_MOST_SAMPLES = 20_000
+_MAX_SAMPLES = 20_000
 _FARTHEST_MM = 200.0
 _Values = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def pick(
     span = _inside_box(surface, origin_mm, unit, abs(exaggeration - 1.0))
     if span is None:
         return None
-    count = int(np.clip((span[1] - span[0]) / (0.5 * surface.pitch_mm), 16, _MOST_SAMPLES))
+    count = int(np.clip((span[1] - span[0]) / (0.5 * surface.pitch_mm), 16, _MAX_SAMPLES))
     t = np.linspace(span[0], span[1], count)
     points = origin_mm[:, None] + unit[:, None] * t
     place = locate(surface, points[0], points[1])
@@ -101,7 +101,7 @@ def section(surface: Surface, start_mm: tuple[float, float], end_mm: tuple[float
     require(sound, "the two points must be finite and within 200 mm.")
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
-    count = int(min(_MOST_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
+    count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
     fraction = np.linspace(0.0, 1.0, count)
     x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
     place = locate(surface, x, y)
@@ -144,8 +144,8 @@ def _ridges(along: _Values, relief: _Values) -> tuple[int, float | None]:
     if level <= 0:
         return 0, None
     state = np.where(band > level, 1, np.where(band < -level, -1, 0))
-    told = np.flatnonzero(state)
-    rising = told[1:][(state[told[1:]] == 1) & (state[told[:-1]] == -1)]
+    known = np.flatnonzero(state)
+    rising = known[1:][(state[known[1:]] == 1) & (state[known[:-1]] == -1)]
     places = along[rising]
     if len(places) < 2:
         return len(places), None

@@ -78,8 +78,8 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     """Pairs of minutiae that lie within 0.8 mm of each other and point the same way within 30 deg, nearest first."""
     moved, tails = alignment.moved(b.place_mm), alignment.moved(b.tail_mm)
     gaps = np.linalg.norm(a.place_mm[:, None, :2] - moved[None, :, :2], axis=2)
-    ways = (_ways(a.tail_mm - a.place_mm)[:, None] - _ways(tails - moved)[None, :] + np.pi) % (2 * np.pi) - np.pi
-    fits = (gaps <= _NEAR_MM) & (np.abs(ways) <= _TURNED_RAD)
+    turns = (_angles(a.tail_mm - a.place_mm)[:, None] - _angles(tails - moved)[None, :] + np.pi) % (2 * np.pi) - np.pi
+    fits = (gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD)
     pairs, used_a, used_b = [], set(), set()
     rows, columns = np.nonzero(fits)
     for k in np.argsort(gaps[rows, columns], kind="stable"):
@@ -91,7 +91,7 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     return pairs
 
 
-def _ways(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _angles(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.arctan2(steps[:, 1], steps[:, 0]))
 
 

@@ -95,7 +95,7 @@ def refusal(method: str, path: str, headers: Message, token: str, port: int) -> 
 
 
 def _is_malformed(headers: Message) -> bool:
-    """What we would read in one way and others perhaps in another."""
+    """What other programs might read differently."""
     twice = any(len(headers.get_all(name, [])) > 1 for name in ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Dest"))
     body = "Transfer-Encoding" in headers or any(size != "0" for size in headers.get_all("Content-Length", []))
     return twice or body or bool(headers.defects) or bool(headers.get_payload())  # a line that is no header ends them
@@ -167,7 +167,7 @@ def serve(server: ViewerServer) -> None:
 
 @contextlib.contextmanager
 def opened_page(url: str) -> Iterator[bool]:
-    """Open `url` in the browser; say whether there is one.
+    """Open `url` in the browser; return whether there is one.
 
     The browser's command line can be read by every user of the machine and must not hold the token: it is given a file
     that only its owner may read, which leads on.
@@ -187,7 +187,7 @@ def opened_page(url: str) -> Iterator[bool]:
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_PATH = 2000
-_MOST_CONNECTIONS = 32
+_MAX_CONNECTIONS = 32
 """Each has a thread; browsers open six."""
 _HEAD_BYTES = 16_384
 _HEAD_S = 20.0
@@ -206,7 +206,7 @@ class ViewerServer(ThreadingHTTPServer):
     def __init__(self, service: Service, token: str, port: int) -> None:
         """Raises OSError where the port cannot be had."""
         self.service, self.token = service, token
-        self._free = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._free = threading.BoundedSemaphore(_MAX_CONNECTIONS)
         super().__init__(("127.0.0.1", port), _Handler)
 
     def server_bind(self) -> None:
@@ -256,7 +256,7 @@ class _Handler(BaseHTTPRequestHandler):
     _unread = b""
 
     def handle_one_request(self) -> None:
-        """Answer a request whose head comes whole, in time and not too long; else close, or say why not."""
+        """Answer a request whose head comes whole, in time and not too long; else close, or report why not."""
         head = self._head()
         self.connection.settimeout(_ANSWER_S)
         self.close_connection = True
@@ -338,4 +338,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(chunk)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: the address holds the token."""
+        """Log nothing: the address holds the token."""

@@ -35,7 +35,7 @@ _PICTURES = ("normals.png", "albedo.png", "print.png", "preview.png")
 _KEPT_BYTES = 200_000_000
 """Of surfaces, but two are kept however large they are: a pair is looked at by turns."""
 _THUMB_PX = 360
-_MOST_PICTURE_BYTES = 400_000_000
+_MAX_PICTURE_BYTES = 400_000_000
 """Of a picture that is sent as it is; reconstructions of the rig's images write at most some 40 MB."""
 _NOT_FOUND = "there is nothing at this address."
 
@@ -240,9 +240,9 @@ def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) 
 
 def _file(folder: Path, name: str, kind: str) -> Answer:
     pieces = Pieces(open_below(folder, name))
-    if pieces.size > _MOST_PICTURE_BYTES:
+    if pieces.size > _MAX_PICTURE_BYTES:
         pieces.close()
-        raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MOST_PICTURE_BYTES} are sent.")
+        raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MAX_PICTURE_BYTES} are sent.")
     return Answer(kind, pieces.size, pieces)
 
 
@@ -292,7 +292,7 @@ def listed(entry: Entry) -> dict[str, Any]:
 
 
 def describe(entry: Entry, surface: Surface) -> dict[str, Any]:
-    """All that the page needs of a result before it asks for pieces of it."""
+    """All that the page needs of a result before it requests pieces of it."""
     levels = strides(surface)
     return {
         **listed(entry),

@@ -9,9 +9,9 @@ from splitknit.errors import BadInput
 from splitknit.mirrors.rolled.reflection import (
     Plane,
     _reflected_corners,
-    facing_share,
+    facing_fraction,
     led_image,
-    mirrored_share,
+    mirrored_fraction,
     plane_of,
     reflect_points,
     reflect_vectors,
@@ -55,25 +55,25 @@ def test_skin_that_is_turned_away_gets_no_light() -> None:
     led = Led("white", position_mm=(0.0, 0.0, 140.0))
     angle = np.deg2rad([0.0, 80.0, 89.9, 90.1, 150.0])
     normals = np.stack([np.sin(angle), np.zeros(5), np.cos(angle)], axis=-1)
-    share = facing_share(np.zeros((5, 3)), normals, led)
-    assert np.allclose(share[[0, 1]], 1.0)
-    assert 0.0 < share[2] < 0.1
-    assert np.array_equal(share[3:], [0.0, 0.0])
+    fraction = facing_fraction(np.zeros((5, 3)), normals, led)
+    assert np.allclose(fraction[[0, 1]], 1.0)
+    assert 0.0 < fraction[2] < 0.1
+    assert np.array_equal(fraction[3:], [0.0, 0.0])
 
 
 def test_light_by_way_of_a_mirror_ends_at_its_outline() -> None:
     led = Led("white", position_mm=(0.0, 0.0, 140.0))
     image = led_image(led, RIGHT)
     points = np.stack([np.full(41, 7.0), np.linspace(-16, 16, 41), np.full(41, -8.0)], axis=-1)
-    share = mirrored_share(points, image, RIGHT, CORNERS)
+    fraction = mirrored_fraction(points, image, RIGHT, CORNERS)
     # from the image at distance D of the mirror, a point at d in front of it: the ray meets the mirror at y D / (D + d)
     towards = np.array(image.position_mm) - points
     way = (points @ LEAN - RIGHT.offset_mm) / -(towards @ LEAN)
     met = points[:, 1] + way * towards[:, 1]
-    assert np.array_equal(share > 0.5, np.abs(met) < 10.0)
-    assert share.max() == 1.0
-    assert mirrored_share(points - 100 * LEAN, image, RIGHT, CORNERS).max() == 0.0  # behind the mirror
-    assert np.array_equal(share, mirrored_share(points, image, RIGHT, CORNERS[::-1]))
+    assert np.array_equal(fraction > 0.5, np.abs(met) < 10.0)
+    assert fraction.max() == 1.0
+    assert mirrored_fraction(points - 100 * LEAN, image, RIGHT, CORNERS).max() == 0.0  # behind the mirror
+    assert np.array_equal(fraction, mirrored_fraction(points, image, RIGHT, CORNERS[::-1]))
 
 
 def test_a_plane_is_moved_as_it_says() -> None:

@@ -138,14 +138,14 @@ def test_views_fade_into_each_other() -> None:
     assert not weights[1][:, degrees < 90 - STEEPEST_DEG].any()
     values = np.stack([np.zeros(chart.shape), np.ones(chart.shape)]).astype(np.float32)
     made = blend(values, np.stack([deviation] * 2), weights)
-    assert np.allclose(made.shares.sum(axis=0)[made.known], 1.0, atol=1e-5)
+    assert np.allclose(made.fractions.sum(axis=0)[made.known], 1.0, atol=1e-5)
     rising = made.relief_mm[70, (degrees > 18) & (degrees < 72)]
     assert (np.diff(rising) > -1e-6).all()
     assert np.abs(np.diff(rising)).max() < 0.2  # no jump between neighbours 0.1 mm apart
     assert made.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.08)
-    line = seam_lines(made.shares, 0, 1)
+    line = seam_lines(made.fractions, 0, 1)
     assert np.abs(degrees[np.flatnonzero(line[70])] - 45).max() < 2
-    hard = np.where(made.shares[0] > made.shares[1], 0.0, 1.0)
+    hard = np.where(made.fractions[0] > made.fractions[1], 0.0, 1.0)
     assert np.allclose(seam_steps(hard, line, 0.1), 1.0)
     assert np.abs(seam_steps(np.ones(chart.shape), line, 0.1)).max() == 0
     # from -72 deg of the front to the chart's end, less what fades out

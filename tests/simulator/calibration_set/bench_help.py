@@ -67,5 +67,5 @@ def crossing(values, places, level):
     """Where along `places` the rising `values` pass `level`."""
     index = int(np.argmax(values > level))
     assert 0 < index < len(values)
-    share = (level - values[index - 1]) / (values[index] - values[index - 1])
-    return places[index - 1] + share * (places[index] - places[index - 1])
+    fraction = (level - values[index - 1]) / (values[index] - values[index - 1])
+    return places[index - 1] + fraction * (places[index] - places[index - 1])

@@ -42,12 +42,12 @@ def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
     places = (np.arange(40) + 0.5) / 40 - 0.5
     moved = distance[..., None, None] + 0.7 * (c * places[:, None] + s * places)
     exact = np.mean(ndtr(moved / 0.7 / blur) if blur else moved > 0, axis=(-1, -2))
-    share = inside(distance, blur=0.7 * blur)
+    fraction = inside(distance, blur=0.7 * blur)
     # what is least exact is an edge at 45 deg, whose triangle becomes half a box and half a Gaussian
-    assert np.abs(share - exact).max() < (0.014 if turn_deg % 90 == 0 else 0.03)
-    assert abs(np.sum(share - exact, axis=1 if turn_deg <= 45 else 0)).max() < 0.02
+    assert np.abs(fraction - exact).max() < (0.014 if turn_deg % 90 == 0 else 0.03)
+    assert abs(np.sum(fraction - exact, axis=1 if turn_deg <= 45 else 0)).max() < 0.02
     if turn_deg == 45 and not blur:
-        weight = np.gradient(share[12])
+        weight = np.gradient(fraction[12])
         middle = np.average(column[12], weights=weight)
         spread = np.average((column[12] - middle) ** 2, weights=weight) - 1 / 3
         assert spread == pytest.approx((1 + 1) / 12, rel=0.15)
@@ -118,12 +118,12 @@ def test_a_boards_pixels_are_the_average_of_many_points_in_them():
 
 def test_paper_and_ink_have_their_reflectance():
     scene = held(drawn())
-    share = reflectance(scene)
+    fraction = reflectance(scene)
     turn = cv2.Rodrigues(np.array(scene.rotation_vector))[0]
     black = np.array([(-15, 10.5, 0), (-12, 7.5, 0), (15, -10.5 + 3, 0)]) @ turn.T + scene.translation_mm
     white = np.array([(-12, 10.5, 0), (-15, 7.5, 0), (-15, -10.5, 0)]) @ turn.T + scene.translation_mm
-    assert sample(share, seen(scene.camera, black)) == pytest.approx([0.05] * 3, abs=1e-3)
-    assert sample(share, seen(scene.camera, white)) == pytest.approx([0.85] * 3, abs=1e-3)
+    assert sample(fraction, seen(scene.camera, black)) == pytest.approx([0.05] * 3, abs=1e-3)
+    assert sample(fraction, seen(scene.camera, white)) == pytest.approx([0.85] * 3, abs=1e-3)
 
 
 @pytest.mark.parametrize("make", [drawn, built])
@@ -177,17 +177,17 @@ def test_a_disc_ends_at_its_rim():
     things = drawn()
     scene = DiscScene(**things, radius_mm=12.0, spacing_mm=5.0)
     assert np.hypot(*scene.dots_mm().T).max() + 0.75 < 12
-    share = grey(scene, [0]) / grey(CardScene(**things, reflectance=1.0), [0])
-    assert share[:, :20].max() < 1e-6
-    assert share.sum() / things["camera"].px_per_mm ** 2 == pytest.approx(
+    fraction = grey(scene, [0]) / grey(CardScene(**things, reflectance=1.0), [0])
+    assert fraction[:, :20].max() < 1e-6
+    assert fraction.sum() / things["camera"].px_per_mm ** 2 == pytest.approx(
         np.pi * (0.85 * 144 - 0.8 * 0.75**2 * len(scene.dots_mm())), rel=2e-3
     )
 
 
 def test_boards_beyond_the_picture_are_black_cloth():
     scene = BoardScene(**drawn(), translation_mm=(300, 0, 0), cloth=0.006)
-    share = grey(scene, [0]) / grey(CardScene(**drawn(), reflectance=1.0), [0])
-    assert share == pytest.approx(0.006, abs=1e-6)
+    fraction = grey(scene, [0]) / grey(CardScene(**drawn(), reflectance=1.0), [0])
+    assert fraction == pytest.approx(0.006, abs=1e-6)
     assert (scene.truth_corners()[:, 0] > 320).all()
 
 

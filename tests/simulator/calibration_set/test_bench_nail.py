@@ -13,7 +13,7 @@ from splitknit.simulator.calibration_set.flat import CardScene
 from splitknit.simulator.calibration_set.solids import NailScene
 
 
-def share_lit(scene, led):
+def fraction_lit(scene, led):
     """Light with the nail over light without it."""
     card = CardScene(
         camera=scene.camera, leds=scene.leds, bench=scene.bench, reflectance=scene.ground, tilt_deg=scene.tilt_deg
@@ -53,7 +53,7 @@ def test_the_picture_shows_the_shadows_tip_where_geometry_has_it(make, led):
     foot = scene.plane.points(*scene.position_mm)
     along = (tip - foot) / np.linalg.norm(tip - foot)
     reach = np.linspace(-0.5, 1.5, 401)
-    image = share_lit(scene, led)
+    image = fraction_lit(scene, led)
     profile = sample(image, seen(things["camera"], tip + reach[:, None] * along))
     # the tip is a disc of 0.15 mm: its shadow's end lies that far behind its middle, a little magnified
     assert crossing(profile, reach, 0.5) == pytest.approx(0.15 * (1 + 12 / 128), abs=0.5 / things["camera"].px_per_mm)
@@ -74,7 +74,7 @@ def test_shadows_are_soft_by_the_size_of_the_led():
     things = drawn(0.3) | {"leds": (led,)}
     bench = BenchSettings(ambient=0.0, led_radius_mm=radius)
     scene = NailScene(**things, nail_mm=14.0, base_radius_mm=4.0, tip_radius_mm=4.0, bench=bench)
-    image = share_lit(scene, 0)
+    image = fraction_lit(scene, 0)
     reach = np.linspace(-1.0, 1.0, 801)
     end = scene.shadow_tips_mm()[0] - (4.0 * (1 + 14 / 126), 0, 0)
     profile = sample(image, seen(things["camera"], end - reach[:, None] * (1, 0, 0)))
@@ -93,11 +93,11 @@ def test_far_from_the_nail_nothing_is_darkened():
     scene = NailScene(**built(scale=0.2), position_mm=(5.0, 2.0), bench=DARK_ROOM)
     row, column = np.indices(scene.camera.image_size)
     for led in (0, 5):
-        image = share_lit(scene, led)
+        image = fraction_lit(scene, led)
         ends = np.array([*seen(scene.camera, scene.plane.points(5.0, 2.0)), scene.shadow_tips_px()[led]])
         near = np.zeros(image.shape, dtype=bool)
-        for share in np.linspace(0, 1, 20):
-            place = ends[0] + share * (ends[1] - ends[0])
+        for fraction in np.linspace(0, 1, 20):
+            place = ends[0] + fraction * (ends[1] - ends[0])
             near |= np.hypot(column - place[0], row - place[1]) < 3.4 * scene.camera.px_per_mm
         assert np.abs(image[~near] - 1).max() < 1e-5
         assert image[near].min() < 1e-4
@@ -144,12 +144,12 @@ def test_the_cone_is_shaded_as_its_slope_says():
 def test_nails_and_shadows_may_lie_outside_the_picture():
     things = drawn()
     beside = NailScene(**things, position_mm=(40.0, 0.0))
-    assert np.allclose(share_lit(beside, 0), 1)
+    assert np.allclose(fraction_lit(beside, 0), 1)
     assert (beside.shadow_tips_px()[:, 0] > 320).all()
     edge = NailScene(**things, position_mm=(-20.0, 0.0))
     assert edge.shadow_tips_px()[0, 0] < 0
     assert np.isfinite(grey(edge, [0])).all()
-    assert share_lit(edge, 0).min() < 0.5
+    assert fraction_lit(edge, 0).min() < 0.5
 
 
 def test_an_aperture_blurs_the_tip_of_a_high_nail():

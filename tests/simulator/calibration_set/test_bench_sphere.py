@@ -132,10 +132,10 @@ def test_the_shadow_is_where_the_ball_hides_the_led(make):
     half = np.arcsin(8 / np.linalg.norm(middle, axis=-1))
     visible = angle(middle, eye - ground) > half + 0.02
     for index in (1, 8):
-        share = grey(scene, [index]) / grey(card, [index])
+        fraction = grey(scene, [index]) / grey(card, [index])
         margin = angle(middle, things["leds"][index].position_mm - ground) - half
-        assert share[visible & (margin < -0.02)].max() < 1e-3
-        assert share[visible & (margin > 0.02)].min() > 0.999
+        assert fraction[visible & (margin < -0.02)].max() < 1e-3
+        assert fraction[visible & (margin > 0.02)].min() > 0.999
         assert (visible & (margin < -0.02)).sum() > 500
 
 
@@ -145,11 +145,11 @@ def test_the_penumbra_has_the_width_of_the_led():
     bench = BenchSettings(ambient=0.0, led_radius_mm=4.0)
     scene = SphereScene(camera=things["camera"], leds=(led,), chrome=False, ground=0.8, bench=bench)
     card = CardScene(camera=things["camera"], leds=(led,), reflectance=0.8, bench=bench)
-    share = grey(scene, [0]) / grey(card, [0])
+    fraction = grey(scene, [0]) / grey(card, [0])
     # beside the shadow's middle: the tangent from the LED touches the ball about 8 mm up
     middle = -52.5 * 8 / 132
     places = np.stack([np.full(401, middle), np.linspace(8, 10, 401), np.zeros(401)], axis=1)
-    profile = sample(share, seen(things["camera"], places))
+    profile = sample(fraction, seen(things["camera"], places))
     slope = np.gradient(profile)
     width = 4 * np.sqrt(np.average((places[:, 1] - np.average(places[:, 1], weights=slope)) ** 2, weights=slope))
     assert width == pytest.approx(2 * 4.0 * 8 / 132, rel=0.1)

@@ -97,11 +97,11 @@ def test_the_picture_on_the_finger_plane() -> None:
 
 def test_the_fall_off_is_what_reconstruction_divides_by() -> None:
     camera = Camera(18.9, (55, 80), shading=(-0.3, 0.12, -0.05))
-    share = fall_off(camera)
-    np.testing.assert_allclose(share, lens_shading(camera.shading, camera.image_size), rtol=1e-6)
-    assert share[27, 39] == pytest.approx(1.0, abs=1e-3)
+    fraction = fall_off(camera)
+    np.testing.assert_allclose(fraction, lens_shading(camera.shading, camera.image_size), rtol=1e-6)
+    assert fraction[27, 39] == pytest.approx(1.0, abs=1e-3)
     corner = (27.0**2 + 39.5**2) / (27.5**2 + 40.0**2)  # of half the diagonal, squared
-    assert share[0, 0] == pytest.approx(1 - 0.3 * corner + 0.12 * corner**2 - 0.05 * corner**3, rel=1e-6)
+    assert fraction[0, 0] == pytest.approx(1 - 0.3 * corner + 0.12 * corner**2 - 0.05 * corner**3, rel=1e-6)
     np.testing.assert_array_equal(fall_off(Camera(18.9, (5, 8))), 1.0)
 
 

@@ -64,7 +64,7 @@ def _render(surface, leds=None, **skin):
 
 def _coated(egg, **parts):
     zero = np.zeros(egg.mask.shape, dtype=np.float32)
-    return replace(egg, coat=Coat("wet", 1.0, parts.pop("share", zero), **parts))
+    return replace(egg, coat=Coat("wet", 1.0, parts.pop("fraction", zero), **parts))
 
 
 def test_a_coat_of_nothing_changes_nothing(egg):
@@ -140,7 +140,7 @@ def test_water_lies_on_the_skin_and_bridges_valleys_in_arcs():
     u = 0.02 * np.arange(600)
     valleys = np.repeat(-0.03 * (1 - np.cos(2 * np.pi * u / 0.44))[None, :], 8, axis=0)
     levels = [
-        _water_level(valleys, 0.02, replace(_water_of(s), share=1.0), np.random.default_rng(0)) for s in (0.4, 0.5)
+        _water_level(valleys, 0.02, replace(_water_of(s), fraction=1.0), np.random.default_rng(0)) for s in (0.4, 0.5)
     ]
     for level in levels:
         assert (level >= valleys - 1e-12).all()
@@ -158,7 +158,7 @@ def test_water_lies_on_the_skin_and_bridges_valleys_in_arcs():
 def test_half_of_the_skin_is_wet_at_a_quarter():
     valleys = np.repeat(-0.03 * (1 - np.cos(2 * np.pi * np.arange(700) / 11))[None, :], 700, axis=0)
     level = _water_level(valleys, 0.04, _water_of(0.25), np.random.default_rng(1))
-    full = _water_level(valleys, 0.04, replace(_water_of(0.25), share=1.0), np.random.default_rng(1))
+    full = _water_level(valleys, 0.04, replace(_water_of(0.25), fraction=1.0), np.random.default_rng(1))
     deep = full - valleys > 1e-3
     assert 0.35 < float(((level - valleys)[deep] > 0.5 * (full - valleys)[deep]).mean()) < 0.65
 
@@ -167,7 +167,7 @@ def test_light_bends_towards_the_normal_under_water(egg):
     flat = egg.shape_normals
     everywhere = egg.mask.astype(np.float32)
     film = Film(everywhere, flat, np.full(egg.mask.shape, 0.05, dtype=np.float32))
-    wet, bare = _render(_coated(egg, share=everywhere, film=film)), _render(egg)
+    wet, bare = _render(_coated(egg, fraction=everywhere, film=film)), _render(egg)
     middle = np.s_[:, 60:110, 60:110]
 
     def contrast(image):
@@ -208,8 +208,8 @@ def test_discs_keep_their_areas():
 
 def test_grains_hide_the_skin_and_shade_it(egg):
     one = Grains(np.array([85.0]), np.array([90.0]), np.array([4.0]), np.array([0.0]))
-    share = np.zeros(egg.mask.shape, dtype=np.float32)
-    dusty, bare = _render(_coated(egg, share=share, grains=one)), _render(egg)
+    fraction = np.zeros(egg.mask.shape, dtype=np.float32)
+    dusty, bare = _render(_coated(egg, fraction=fraction, grains=one)), _render(egg)
     window = dusty.window
     row, column = 90 - window[0].start, 85 - window[1].start
     assert (dusty.diffuse[:, :, row, column] < 1e-2 * bare.diffuse[:, :, row, column]).all()
@@ -221,7 +221,7 @@ def test_grains_hide_the_skin_and_shade_it(egg):
 
 def test_scales_scatter_white_light(egg):
     white = np.where(egg.mask, 0.2, 0.0).astype(np.float32)
-    dry, bare = _render(_coated(egg, share=white, scales=white)), _render(egg)
+    dry, bare = _render(_coated(egg, fraction=white, scales=white)), _render(egg)
     gain = dry.diffuse - 0.64 * bare.diffuse  # what comes through goes through the scale twice
     inside = np.s_[:, :, 60:110, 60:110]
     np.testing.assert_allclose(gain[inside][:, 0], gain[inside][:, 2], rtol=0.02, atol=1e-4)
@@ -232,8 +232,8 @@ def test_scales_scatter_white_light(egg):
 def test_dry_skin_is_lower_rougher_and_has_scales(master):
     relief = -0.065 * (1 - master.ridge.astype(np.float64))
     weak, strong = (_dried(relief, master, s, np.random.default_rng(2)) for s in (0.2, 1.0))
-    assert strong.share.mean() > 2 * weak.share.mean() > 0
-    assert 0.04 < strong.share.mean() < 0.5
+    assert strong.fraction.mean() > 2 * weak.fraction.mean() > 0
+    assert 0.04 < strong.fraction.mean() < 0.5
     assert strong.reflectance is not None
     assert 0.08 < strong.reflectance.max() < 0.29
     fissured = relief - strong.displacement > 0.02
@@ -242,15 +242,15 @@ def test_dry_skin_is_lower_rougher_and_has_scales(master):
 
 def test_scars_have_no_ridges_and_grow_with_the_severity(master):
     relief = -0.065 * (1 - master.ridge.astype(np.float64))
-    shares = []
+    fractions = []
     for severity in (0.1, 0.5, 1.0):
         scar = scarred(relief, master, severity, np.random.default_rng(2))
-        shares.append(float(scar.share.mean()))
-        inside = scar.share > 0.99
+        fractions.append(float(scar.fraction.mean()))
+        inside = scar.fraction > 0.99
         if severity == 1.0:
             assert np.std(np.diff(scar.displacement, axis=1)[inside[:, 1:]]) < 0.15 * np.std(np.diff(relief, axis=1))
-        np.testing.assert_array_equal(scar.displacement[(scar.share == 0)].size > 0, True)
-    assert 0 < shares[0] < shares[1] < shares[2] < 0.3
+        np.testing.assert_array_equal(scar.displacement[(scar.fraction == 0)].size > 0, True)
+    assert 0 < fractions[0] < fractions[1] < fractions[2] < 0.3
 
 
 def test_the_ridges_direction_is_found(master):
@@ -275,8 +275,8 @@ def test_a_finger_in_every_condition(finger, kind):
     coat = surface.coat
     assert coat is not None and surface.chart is None
     assert coat.truth()["condition_kind"] == kind
-    assert 0.005 < float(coat.share[surface.mask].mean()) <= 1.0
-    assert float(np.abs(coat.share[~surface.mask]).max()) == 0.0
+    assert 0.005 < float(coat.fraction[surface.mask].mean()) <= 1.0
+    assert float(np.abs(coat.fraction[~surface.mask]).max()) == 0.0
     clean = finger_surface(finger, POSE, CAMERA, workers=1)
     changed = float(np.abs(surface.normals - clean.normals)[clean.mask & surface.mask].mean())
     if kind in ("dry", "scarred"):
@@ -292,11 +292,11 @@ def test_a_finger_in_every_condition(finger, kind):
 def test_scars_stay_where_they_are_and_dust_does_not(finger):
     small = Camera(6.0, (130, 140))
 
-    def share(kind, seed):
+    def fraction(kind, seed):
         surface = conditioned_surface(
             finger, POSE, small, SKIN, Condition(kind, 0.7), np.random.SeedSequence(seed), workers=1
         )
-        return surface.coat.share
+        return surface.coat.fraction
 
-    np.testing.assert_array_equal(share("scarred", 1), share("scarred", 2))
-    assert np.any(share("dusty", 1) != share("dusty", 2))
+    np.testing.assert_array_equal(fraction("scarred", 1), fraction("scarred", 2))
+    assert np.any(fraction("dusty", 1) != fraction("dusty", 2))

@@ -85,8 +85,10 @@ def test_harder_is_larger_and_darker(finger: Finger, master: MasterPrint, steady
     soft = press_finger(finger, 1, replace(STEADY, force_n=0.4), master=master)
     hard = press_finger(finger, 1, replace(STEADY, force_n=4.0), master=master)
     assert 1.2 * soft.area_mm2 < steady.area_mm2 < hard.area_mm2 / 1.2
-    shares = [float((p.image[p.contact] < 140).mean()) for p in (soft, hard)]  # wider ridges: more of the patch touches
-    assert shares[1] > shares[0] + 0.05
+    fractions = [
+        float((p.image[p.contact] < 140).mean()) for p in (soft, hard)
+    ]  # wider ridges: more of the patch touches
+    assert fractions[1] > fractions[0] + 0.05
     assert 60 < steady.area_mm2 < 400
     assert (steady.image[~steady.contact] > 200).mean() > 0.97
 

@@ -93,11 +93,11 @@ def test_direct_light_of_a_flat_sheet_is_the_profile_times_the_checkerboard(walk
         offset = (np.arange(kernel.shape[0]) - kernel.shape[0] // 2) * pitch
         sign = np.where(np.floor(offset / check + 0.5) % 2 == 0, 1.0, -1.0)
         sign[np.abs(np.abs(offset / check) % 1.0 - 0.5) < 1e-9] = 0.0  # a pixel that an edge halves
-        share = float((kernel * np.outer(sign, sign)).sum() / kernel.sum())
+        fraction = float((kernel * np.outer(sign, sign)).sum() / kernel.sum())
         middle = (c, 60, 60)
         through = truth.direct[middle] - truth.glare[60, 60]
         # the transform's pixels are samples, the kernel's are areas: its peak at the middle differs a little
-        assert through / (truth.white[middle] - truth.glare[60, 60]) == pytest.approx(share, rel=0.04)
+        assert through / (truth.white[middle] - truth.glare[60, 60]) == pytest.approx(fraction, rel=0.04)
 
 
 def test_larger_checks_let_more_light_count_as_direct(palm, walks):

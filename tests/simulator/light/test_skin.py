@@ -117,8 +117,8 @@ def test_kernel_conserves_energy_and_follows_the_profile(walks, pitch_mm):
     distance = np.hypot(*np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))) * pitch_mm
     inside = np.concatenate([[0.0], np.cumsum(profile.weights)])
     for radius in (0.2, 0.5, 1.0):
-        share = float(np.interp(radius, profile.radii_mm, inside)) / float(np.interp(2.0, profile.radii_mm, inside))
-        assert kernel[distance < radius].sum() / kernel.sum() == pytest.approx(share, abs=max(0.02, 0.7 * pitch_mm))
+        fraction = float(np.interp(radius, profile.radii_mm, inside)) / float(np.interp(2.0, profile.radii_mm, inside))
+        assert kernel[distance < radius].sum() / kernel.sum() == pytest.approx(fraction, abs=max(0.02, 0.7 * pitch_mm))
     # the centre pixel against samples of the profile
     rng = np.random.default_rng(0)
     ring = rng.choice(profile.weights.size, 200_000, p=profile.weights / profile.albedo)

@@ -12,7 +12,7 @@ from splitknit.capture import enrolment
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.simulator.finger.finger import Pose, finger_surface
-from splitknit.simulator.population.people import DIGITS, FINGERS, PeopleRanges, class_shares, draw_person
+from splitknit.simulator.population.people import DIGITS, FINGERS, PeopleRanges, class_fractions, draw_person
 from splitknit.simulator.population.sessions import (
     LARGE,
     PopulationSettings,
@@ -67,13 +67,15 @@ def test_a_person_follows_from_its_number(people):
 
 def test_classes_have_the_frequencies_of_their_digit(people):
     for name in FINGERS:
-        shares = class_shares(*name.split("_"))
-        assert sum(shares.values()) == pytest.approx(1.0)
+        fractions = class_fractions(*name.split("_"))
+        assert sum(fractions.values()) == pytest.approx(1.0)
         drawn = [p.fingers[name].finger.pattern for p in people]
-        for pattern, share in shares.items():
-            spread = np.sqrt(share * (1 - share) / COUNT)
-            assert abs(drawn.count(pattern) / COUNT - share) < 4 * spread + 1e-9, (name, pattern)
-    assert class_shares("right", "index")["arch"] + class_shares("right", "index")["tented_arch"] == pytest.approx(0.17)
+        for pattern, fraction in fractions.items():
+            spread = np.sqrt(fraction * (1 - fraction) / COUNT)
+            assert abs(drawn.count(pattern) / COUNT - fraction) < 4 * spread + 1e-9, (name, pattern)
+    assert class_fractions("right", "index")["arch"] + class_fractions("right", "index")[
+        "tented_arch"
+    ] == pytest.approx(0.17)
 
 
 def test_loops_open_to_the_little_finger_of_either_hand(people):

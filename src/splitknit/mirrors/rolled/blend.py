@@ -56,8 +56,8 @@ def view_weight(
     fade = fade * fade * (3.0 - 2.0 * fade)
     floor = 1e-3 * _DEVIATION_FLOOR_UM
     smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    deviation = smooth / np.maximum(share, np.float32(1e-3))
+    fraction = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
+    deviation = smooth / np.maximum(fraction, np.float32(1e-3))
     certain = floor**2 / (floor**2 + deviation**2)
     sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * settings.most_deviation_um)), 0.0, 1.0)
     return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)
@@ -73,7 +73,7 @@ class Blended:
     """(n, m)."""
     known: BoolArray
     """(n, m)."""
-    shares: FloatArray
+    fractions: FloatArray
     """(V, n, m) of each view; they sum to one where known."""
 
 
@@ -81,16 +81,16 @@ def blend(reliefs: FloatArray, deviations_mm: FloatArray, weights: FloatArray) -
     """Mean of the views (V, n, m) by their weights (V, n, m)."""
     total = weights.sum(axis=0)
     known = total > 1e-6
-    shares = weights / np.where(known, total, np.float32(1.0))
-    relief = (shares * np.where(shares > 0, reliefs, np.float32(0.0))).sum(axis=0)
-    variance = (shares**2 * np.where(shares > 0, deviations_mm, np.float32(0.0)) ** 2).sum(axis=0)
-    return Blended(relief.astype(np.float32), np.sqrt(variance).astype(np.float32), known, shares.astype(np.float32))
+    fractions = weights / np.where(known, total, np.float32(1.0))
+    relief = (fractions * np.where(fractions > 0, reliefs, np.float32(0.0))).sum(axis=0)
+    variance = (fractions**2 * np.where(fractions > 0, deviations_mm, np.float32(0.0)) ** 2).sum(axis=0)
+    return Blended(relief.astype(np.float32), np.sqrt(variance).astype(np.float32), known, fractions.astype(np.float32))
 
 
-def seam_lines(shares: FloatArray, first: int, second: int) -> BoolArray:
+def seam_lines(fractions: FloatArray, first: int, second: int) -> BoolArray:
     """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along the rows."""
-    ahead = shares[first] > shares[second]
-    both = (np.minimum(shares[first], shares[second]) > 0.25) & (shares[first] + shares[second] > 0.8)
+    ahead = fractions[first] > fractions[second]
+    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (fractions[first] + fractions[second] > 0.8)
     line = np.zeros(ahead.shape, dtype=np.bool_)
     line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
     return line

@@ -1,7 +1,7 @@
 """The smooth finger between its mirrors, and where these lie: outlines of all views, also of those that are cut.
 
 The parts are those of :mod:`splitknit.mirrors`; what is added here is that a view which the border of the picture or of
-its mirror cuts still tells what the rest of its outline shows.
+its mirror cuts still gives what the rest of its outline shows.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ EVERY = 2
 """Of the rows, that many make one point of an outline in the fit."""
 FEW = 20
 """A view with fewer points of its outline left is not used."""
-MOST_MISSING = 0.4
+MAX_MISSING = 0.4
 """Of the pad's outline; what is left of it then is not the mirror's edge."""
 NEAR_EDGE_MM = 3.0
 """A straight outline this near to where the mirror should end is the mirror's edge."""
-ROLL_OF_SHEAR, MOST_ROLL_RAD = -3.1, 0.3
-"""Radians of roll to the right for each unit of a body's shear; and the most that is believed."""
+ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
+"""Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
 CUT_ROUNDS = 20
 """Corrections of the fit where views are cut."""
 CUT_TURN_DEG = 0.6
-"""Standard deviation of a mirror's turn as the tips tell it where the view is cut."""
+"""Standard deviation of a mirror's turn as the tips show it where the view is cut."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyBetweenMirrors:
-    """What the outlines tell."""
+    """What the outlines determine."""
 
     body: Body
     planes: Mapping[str, MirrorPlane]
@@ -54,7 +54,7 @@ class BodyBetweenMirrors:
     cut: tuple[str, ...]
     """Of them, those whose view is cut."""
     useless: tuple[str, ...]
-    """Mirrors whose view is cut so much that it tells nothing."""
+    """Mirrors whose view is cut so much that it determines nothing."""
 
 
 def body_between_mirrors(  # noqa: PLR0917
@@ -73,7 +73,7 @@ def body_between_mirrors(  # noqa: PLR0917
     camera, mirrors : the mirrors where they nominally are, by name
     tip_direction_deg : of the capture
     settings : MirrorShapeSettings
-    slopes_on : measures the skin's slopes, given a first shape: they tell how the finger is rolled
+    slopes_on : measures the skin's slopes, given a first shape: they show how the finger is rolled
 
     Raises
     ------
@@ -134,14 +134,14 @@ def body_between_mirrors(  # noqa: PLR0917
 
 
 def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows | None:
-    """What a cut view's outline still tells; None if it is straight, but not by its mirror's edge.
+    """What a cut view's outline still determines; None if it is straight, but not by its mirror's edge.
 
     The picture's border leaves a part of the pad's outline; a mirror's edge takes its place.
     """
     edge = rows.left_mm if side == "left" else rows.right_mm
     known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
-    low, high = (int(known[0] + share * (known[-1] - known[0])) for share in (0.1, 0.6))
-    if float(np.isfinite(edge[low:high]).mean()) < 1.0 - MOST_MISSING:
+    low, high = (int(known[0] + fraction * (known[-1] - known[0])) for fraction in (0.1, 0.6))
+    if float(np.isfinite(edge[low:high]).mean()) < 1.0 - MAX_MISSING:
         return rows
     places = rows.places(side)[0]
     at = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])).astype(np.float32)
@@ -180,7 +180,7 @@ def rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
     """
     expected = MirrorShapeSettings().squareness
     flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
-    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MOST_ROLL_RAD, MOST_ROLL_RAD))
+    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MAX_ROLL_RAD, MAX_ROLL_RAD))
     turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
     return np.asarray(-0.5 * flat * roll * turned[None] * radius_mm)
 

@@ -14,7 +14,7 @@ from splitknit.mirrors.rolled.blend import Blended, blend, view_weight
 from splitknit.mirrors.rolled.chart import Chart, surface_normals
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
-from splitknit.mirrors.rolled.work import LEAST_MEETING, MirrorViews, Work
+from splitknit.mirrors.rolled.work import MIN_MEETING, MirrorViews, Work
 from splitknit.model import BoolArray, Capture, FloatArray
 
 if TYPE_CHECKING:  # the pipeline lies above
@@ -34,7 +34,7 @@ class Rolled:
     """(n, m, 3)."""
     blended: Blended
     names: tuple[str, ...]
-    """Of the views, in the order of ``blended.shares``."""
+    """Of the views, in the order of ``blended.fractions``."""
     view_reliefs: FloatArray
     """(V, n, m) relief of each view, along the skin's normal; zero where it shows nothing."""
     places: FloatArray
@@ -71,7 +71,7 @@ def rolled_finger(
         If the front or every mirror beside the finger is missing, or they do not show the same part of the finger.
     """
     chosen = rolled or RolledSettings()
-    tell = progress or (lambda stage, share: None)
+    report = progress or (lambda stage, fraction: None)
     names = [view.name for view in views]
     require("front" in names, "the front view of the finger is missing.")
     sides = [view.name for view in views if view.glass is not None and view.mask is not None]
@@ -79,12 +79,12 @@ def rolled_finger(
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
     work = Work(capture, views, settings, chosen)
     for turn in range(chosen.turns):
-        tell("views", turn / (chosen.turns + 1))
+        report("views", turn / (chosen.turns + 1))
         work.find_ridges()
-        tell("registration", (turn + 0.7) / (chosen.turns + 1))
+        report("registration", (turn + 0.7) / (chosen.turns + 1))
         for coarse in (True, False, False, False) if turn == 0 else (False,):
             work.register(coarse)
-    tell("fusion", chosen.turns / (chosen.turns + 1))
+    report("fusion", chosen.turns / (chosen.turns + 1))
     return _fused(work)
 
 
@@ -131,7 +131,7 @@ def _base(front: BoolArray) -> int:
 def _apart(work: Work) -> list[str]:
     """Views whose ridges do not meet the front's, or may not, in sentences."""
     return [
-        f"ridges of the {name} mirror's view {'do' if values[-1] < LEAST_MEETING else 'may'} not lie on the front's "
+        f"ridges of the {name} mirror's view {'do' if values[-1] < MIN_MEETING else 'may'} not lie on the front's "
         f"(correlation {values[-1]:.2f}), so that they may be kinked where the views meet: check the mirror's pose in "
         "rig.json, and that ridges are seen in it."
         for name, values in work.correlation.items()

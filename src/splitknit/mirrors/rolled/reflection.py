@@ -68,7 +68,7 @@ def reflect_points(points_mm: Array, plane: Plane) -> Array:
 
 
 def led_image(led: Led, plane: Plane, strength: float = 1.0) -> Led:
-    """Image of one LED in a mirror that reflects the share `strength` of its light, without those of its `also`."""
+    """Image of one LED in a mirror that reflects the fraction `strength` of its light, without those of its `also`."""
     intensity = led.intensity * strength
     if led.position_mm is None:
         direction = reflect_vectors(np.asarray(led.direction, dtype=np.float64), plane)
@@ -94,8 +94,8 @@ EDGE_MM = 0.4
 """Width over which light by way of a mirror fades out at the mirror's edge."""
 
 
-def facing_share(points_mm: Array, normals: Array, led: Led) -> FloatArray:
-    """Share (...) in [0, 1] of a light that the skin is not turned away from.
+def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
+    """Fraction (...) in [0, 1] of a light that the skin is not turned away from.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def facing_share(points_mm: Array, normals: Array, led: Led) -> FloatArray:
     return np.asarray(np.clip(cosine / GRAZING, 0.0, 1.0), dtype=np.float32)
 
 
-def mirrored_share(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
-    """Share (...) in [0, 1] of an LED's image that points (..., 3) see within the mirror's outline.
+def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
+    """Fraction (...) in [0, 1] of an LED's image that points (..., 3) see within the mirror's outline.
 
     Parameters
     ----------

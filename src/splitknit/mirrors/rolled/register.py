@@ -33,8 +33,8 @@ def ridge_band(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 1.0) -> FloatArray:
     """(n, m) ridge band over its local standard deviation."""
     size = sigma_mm / pitch_mm
-    share = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
-    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / share
+    fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
+    power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / fraction
     typical = float(np.median(power[known])) if known.any() else 1.0
     return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
 
@@ -50,11 +50,11 @@ DEPTH_PRIOR_MM = 0.15
 UNSEEN_PRIOR_MM = 0.03
 """The same where no two views show it."""
 OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
-"""The same where the front's outline tells the surface, this near to a right angle from the front."""
+"""The same where the front's outline determines the surface, this near to a right angle from the front."""
 BEND_PRIOR_MM = 0.04
 """Standard deviation of the correction's second difference from knot to knot."""
-ALIKE_MM = 0.3
-"""Ridges say something new at about this distance."""
+CORRELATED_MM = 0.3
+"""Ridges are independent at about this distance."""
 ROBUST = 1.0
 """Difference of two views' ridges, of unit contrast, from which it counts less and less."""
 ROUNDS = 12
@@ -151,20 +151,20 @@ def align(  # noqa: PLR0917
         _Part(chart, radius_mm, front, first, one, every, knots) if int(one.both.sum()) >= FEW else None
         for one in mirrors
     ]
-    weight = (chart.pitch_mm / ALIKE_MM) ** 2  # neighbouring pixels say the same
+    weight = (chart.pitch_mm / CORRELATED_MM) ** 2  # neighbouring pixels are correlated
     seen = np.any([one.both for one in mirrors], axis=0)
     prior = _priors(knots, _depth_prior(chart, seen, every, knots), pose_free, len(mirrors))
     values = np.zeros(count + 3 * len(mirrors))
     scores: list[tuple[float, list[float], Array]] = []
     for _ in range(ROUNDS):
-        normal, right, alike = prior.copy(), -prior @ values, []
+        normal, right, found = prior.copy(), -prior @ values, []
         for k, part in enumerate(parts):
             if part is None:
-                alike.append(0.0)
+                found.append(0.0)
                 continue
             own = slice(count + 3 * k, count + 3 * k + 3)
             matrix, left, score = part.linearised(values[:count], values[own])
-            alike.append(score)
+            found.append(score)
             matrix = scipy.sparse.hstack(
                 [
                     matrix[:, :count],
@@ -176,7 +176,7 @@ def align(  # noqa: PLR0917
             trust = scipy.sparse.diags_array(weight / (1.0 + (left / ROBUST) ** 2))
             normal = normal + matrix.T @ trust @ matrix
             right = right + matrix.T @ (trust @ left)
-        scores.append((float(np.mean(alike)) if alike else 0.0, alike, values))
+        scores.append((float(np.mean(found)) if found else 0.0, found, values))
         values = values + scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), right)
     _, after, values = max(scores, key=lambda item: item[0])
     grid = values[:count].reshape(knots).astype(np.float32)
@@ -188,7 +188,7 @@ def align(  # noqa: PLR0917
 
 
 class _Part:
-    """One mirror's share in the equations."""
+    """One mirror's fraction in the equations."""
 
     def __init__(  # noqa: PLR0917
         self, chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, seen: Seen, every: int,
@@ -253,10 +253,10 @@ def _depth_prior(chart: Chart, seen: BoolArray, every: int, knots: tuple[int, in
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
     degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(knots[1]))
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
-    told = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
+    deviation = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
     row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in zip(knots, seen.shape, strict=True))
-    return np.where(reach[np.ix_(row, column)] > 0, told[None], UNSEEN_PRIOR_MM)
+    return np.where(reach[np.ix_(row, column)] > 0, deviation[None], UNSEEN_PRIOR_MM)
 
 
 def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirrors: int) -> Any:

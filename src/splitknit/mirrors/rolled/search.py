@@ -1,6 +1,6 @@
 """The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once.
 
-Single squares of ridges look alike a period on; the whole overlap does not.
+Single squares of ridges look the same a period on; the whole overlap does not.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 FEW = 6000
-"""So many pixels tell which of many guesses is best."""
+"""So many pixels show which of many guesses is best."""
 APART_MM = 0.15
 """Moves that differ by less than this lead to the same place."""
 OUTER = 0.9
@@ -49,7 +49,7 @@ class SearchSettings(Checked):
     along_mm: tuple[float, float] = (0.3, 0.05)
     """The same along the finger."""
     deviations: Annotated[tuple[float, float, float], Limits(0, above=True)] = (0.2, 0.06, 0.2)
-    """Standard deviations of what the outlines tell: the surface's bulge half-way between front and side (mm), the
+    """Standard deviations of what the outlines determine: the surface's bulge half-way between front and side (mm), the
     mirror's place along its normal (mm), and its turns (deg)."""
     candidates: Annotated[int, Limits(1, 50)] = 6
     """So many of the best guesses are followed up."""

@@ -26,8 +26,8 @@ class RolledSettings:
     poses_free: bool = True
     """Whether the ridges may correct the mirrors' poses."""
     slope_prior: float = 0.5
-    """How much slopes that the lights hardly tell are held to the shape's: variance of the images' relative error over
-    that of the slopes."""
+    """How much slopes that the lights hardly determine are held to the shape's: variance of the images' relative error
+    over that of the slopes."""
     search: SearchSettings = field(default_factory=SearchSettings)
     search_cut: SearchSettings = field(default_factory=_wider)
     """For views that are cut: their mirrors' poses are known less well."""

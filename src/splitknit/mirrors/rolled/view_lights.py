@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.mirrors.rolled.chart import Sight
-from splitknit.mirrors.rolled.reflection import Plane, facing_share, led_image, mirrored_share, reflect_points
+from splitknit.mirrors.rolled.reflection import Plane, facing_fraction, led_image, mirrored_fraction, reflect_points
 from splitknit.model import FloatArray, Led, Mirror, Rig, Shade
 
 Array = NDArray[np.float64]
@@ -100,17 +100,17 @@ class _Light:
     path: str
     """The mirror's name; empty for the LED itself."""
     facing: NDArray[np.float32]
-    """(h, w) share that the skin is not turned away from."""
+    """(h, w) fraction that the skin is not turned away from."""
     through: NDArray[np.float32] | None = None
-    """(h, w) share that comes within the mirror's outline."""
+    """(h, w) fraction that comes within the mirror's outline."""
 
 
 def _lights(led: Led, glasses: Sequence[Glass], skin: Skin) -> list[_Light]:
-    found = [_Light(led, "", facing_share(skin.points_mm, skin.normals, led))]
+    found = [_Light(led, "", facing_fraction(skin.points_mm, skin.normals, led))]
     for glass in glasses:
         image = led_image(led, glass.plane, glass.reflectance)
-        facing = facing_share(skin.points_mm, skin.normals, image)
-        through = mirrored_share(skin.points_mm, image, glass.plane, glass.corners_mm)
+        facing = facing_fraction(skin.points_mm, skin.normals, image)
+        through = mirrored_fraction(skin.points_mm, image, glass.plane, glass.corners_mm)
         found.append(_Light(image, glass.name, facing, through))
     return found
 
@@ -133,8 +133,8 @@ def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: Skin) -> Led:
         x, y, z = (float(v) for v in np.asarray(seen.position_mm) - origin_mm)
         ax, ay, az = (float(v) for v in seen.axis)
         seen = replace(seen, position_mm=(x, y, z), aim=(ax, ay, az), reflected=True)
-    share = light.facing if light.through is None else light.facing * light.through
-    return replace(seen, shade=Shade(skin.x_mm, skin.y_mm, np.ascontiguousarray(share)), reflected=True, also=())
+    fraction = light.facing if light.through is None else light.facing * light.through
+    return replace(seen, shade=Shade(skin.x_mm, skin.y_mm, np.ascontiguousarray(fraction)), reflected=True, also=())
 
 
 def skin_points(  # noqa: PLR0917

@@ -90,7 +90,7 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> MirrorVie
 def _notes(cut: Sequence[str], useless: Sequence[str], unseen: Sequence[str]) -> tuple[str, ...]:
     """What became of views that are not as they should be."""
     found = [
-        f"the view in the {name} mirror is cut off at the picture's border or the mirror's, so that its outline tells "
+        f"the view in the {name} mirror is cut off at the picture's border or the mirror's, so that its outline shows "
         "less of where the mirror lies: lay the finger in the middle, so that the mirror shows all of its pad."
         for name in cut
     ]

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-LIT, LEAST_LIT, FADE_MM = 0.5, 3, 0.2
+LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
 """Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
 UNKNOWN_MM = 0.02
 """Standard deviation of a relief that no network vouches for."""
@@ -184,8 +184,8 @@ def _ridges(  # noqa: PLR0917
 
 
 def _lit(light: FineLight, grid: Grid) -> FloatArray:
-    """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which tell no slope."""
-    enough = ((light.trust > LIT).sum(axis=0) >= LEAST_LIT).astype(np.float32)
+    """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which determine no slope."""
+    enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
     wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
     return np.asarray(np.clip(2.0 * wide - 1.0, 0.0, 1.0), dtype=np.float32)
 
@@ -220,8 +220,8 @@ def _window(mask: BoolArray, px_per_mm: float) -> Window:
     return limits[0], limits[1]
 
 
-# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly tell stay near the
-# shape's.
+# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly determine stay near
+# the shape's.
 
 
 def _held_normals(  # noqa: PLR0917
@@ -229,7 +229,7 @@ def _held_normals(  # noqa: PLR0917
 ) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
 
-    An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they tell
+    An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they give
     little of the slope towards it. Minimises  sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across
     the shape's normal. `stack`: (C, L, h, w) images over the light that enters; `light`: on the smooth surface;
     `smooth_mm`: (h, w); `prior`: variance of the images' relative error over that of the slopes; zero holds nothing.
@@ -298,9 +298,9 @@ def shape_of(body: Body) -> Shape:
 
 SEARCH_PITCH_MM = 0.1
 """Of the chart on which ridges are compared."""
-LEAST_COSINE = 0.25
+MIN_COSINE = 0.25
 """Views are compared where both see the skin less steeply than this."""
-LEAST_MEETING = 0.3
+MIN_MEETING = 0.3
 """Correlation of two views' ridges below which they are taken not to meet."""
 
 
@@ -320,7 +320,7 @@ class MirrorView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorViews:
-    """All views of a finger, and what their outlines tell."""
+    """All views of a finger, and what their outlines determine."""
 
     views: tuple[MirrorView, ...]
     body: Body
@@ -390,7 +390,7 @@ class Work:
         view = replace(self.reliefs[name], sight=self.sights()[name])
         relief, deviation, trust = view.sampled(points)
         cosine = view.sight.cosine(normals)
-        known = np.isfinite(relief) & np.isfinite(deviation) & np.isfinite(trust) & (cosine > LEAST_COSINE)
+        known = np.isfinite(relief) & np.isfinite(deviation) & np.isfinite(trust) & (cosine > MIN_COSINE)
         return np.where(known, relief, 0), np.where(known, deviation, 0), np.where(known, trust, 0), known
 
     def register(self, coarse: bool) -> None:
@@ -407,24 +407,24 @@ class Work:
             second, _, _, known = self.seen(name, points, normals)
             given[name] = Seen(sights[name], ridge_band(second, known, chart.pitch_mm), there & known)
         if coarse:
-            added, poses, alike = np.zeros(chart.shape), [], []
+            added, poses, correlations = np.zeros(chart.shape), [], []
             for name, one in given.items():
                 ranges = self.rolled.search_cut if name in self.cut else self.rolled.search
                 found = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, ranges)
-                if found.correlation < LEAST_MEETING and name not in self.cut:  # it may lie further off than it should
+                if found.correlation < MIN_MEETING and name not in self.cut:  # it may lie further off than it should
                     wider = self.rolled.search_cut
                     again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, wider)
                     found = max(found, again, key=lambda one: one.correlation)
                 self.met[name] = found.correlation >= MIN_CORRELATION
                 added += found.radius_mm
                 poses.append(found.pose)
-                alike.append(found.correlation)
+                correlations.append(found.correlation)
         else:
             none = np.zeros(chart.shape, dtype=np.bool_)
             seen = tuple(one if self.met[name] else replace(one, both=none) for name, one in given.items())
             done = align(chart, radius, sights["front"], first, seen, self.rolled.poses_free)
-            added, poses, alike = done.radius_mm, list(done.poses), list(done.after)
-        for name, pose, correlation in zip(given, poses, alike, strict=True):
+            added, poses, correlations = done.radius_mm, list(done.poses), list(done.after)
+        for name, pose, correlation in zip(given, poses, correlations, strict=True):
             self.correlation.setdefault(name, []).append(round(correlation, 3))
             self.glasses[name] = replace(self.glasses[name], plane=self.glasses[name].plane.moved(pose[:2], pose[2]))
         self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + self.spread(chart, added))

@@ -138,11 +138,11 @@ def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Arr
     column, row = np.abs(step.column), np.abs(step.row)
     half = np.maximum(np.maximum(column, row), 1e-9) / 2.0
     spread = np.sqrt(np.minimum(column, row) ** 2 / 12.0 + blur * blur + (1e-4 * half) ** 2)
-    share = np.asarray(distance > 0.0, dtype=np.float64)
+    fraction = np.asarray(distance > 0.0, dtype=np.float64)
     near = np.abs(distance) < half + 6.0 * spread
     distance, half, spread = distance[near], half[near], spread[near]
-    share[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (2.0 * half)
-    return share
+    fraction[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (2.0 * half)
+    return fraction
 
 
 def _ramp(distance: Array, spread: Array) -> Array:
@@ -180,7 +180,7 @@ class BenchSettings(Checked):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GroundScene(ABC):
-    """A flat ground in front of the camera; its kinds say where it lies and how bright it is."""
+    """A flat ground in front of the camera; its kinds define where it lies and how bright it is."""
 
     camera: Camera
     leds: tuple[Led, ...]
@@ -198,7 +198,7 @@ class GroundScene(ABC):
     def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w) at u and v (mm on the plane), averaged over a pixel."""
 
-    def share_lit(self, led: Led) -> Array | float:
+    def fraction_lit(self, led: Led) -> Array | float:
         """Fraction (H, W) of the LED that the ground sees past what stands on it."""
         return 1.0
 
@@ -230,7 +230,7 @@ class GroundScene(ABC):
         received = np.zeros(self.camera.image_size)
         x, y, z = self._points
         for led in leds:
-            received += irradiance(led, (x, y, z), self.plane.axes[:, 2]) * self.share_lit(led)
+            received += irradiance(led, (x, y, z), self.plane.axes[:, 2]) * self.fraction_lit(led)
         return np.asarray(self._albedo * (received / np.pi + self.room_light))
 
     @property
@@ -327,10 +327,10 @@ def disc_points(led: Led, radius_mm: float) -> NDArray[np.float64]:
     across /= np.linalg.norm(across)
     other = np.cross(axis, across)
     points = [middle]
-    for count, share, turn in ((6, 4.0 / 19.0, 0.1), (12, 13.0 / 19.0, 0.36)):
+    for count, fraction, turn in ((6, 4.0 / 19.0, 0.1), (12, 13.0 / 19.0, 0.36)):
         angle = turn + 2.0 * np.pi * np.arange(count) / count
         ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
-        points.extend(middle + radius_mm * np.sqrt(share) * ring)
+        points.extend(middle + radius_mm * np.sqrt(fraction) * ring)
     return np.array(points)
 
 

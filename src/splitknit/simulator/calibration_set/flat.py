@@ -38,7 +38,7 @@ class CardScene(GroundScene):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_share(self.reflectance, "card's reflectance")
+        _check_fraction(self.reflectance, "card's reflectance")
         require(
             -100.0 <= self.height_mm < self.camera.height_mm,
             f"the card's height_mm must lie below the camera (-100 to {self.camera.height_mm:g}), "
@@ -149,8 +149,8 @@ class DiscScene(GroundScene):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_share(self.white, "disc's white")
-        _check_share(self.black, "disc's black")
+        _check_fraction(self.white, "disc's white")
+        _check_fraction(self.black, "disc's black")
         require(
             0.0 < self.dot_mm < self.spacing_mm <= self.radius_mm,
             f"the disc's dots must be smaller than their spacing, and that no larger than the disc's radius, but they "
@@ -206,7 +206,7 @@ class _Axis:
         return inside(0.5 * width_mm - np.abs(self.along), self.step, blur)
 
 
-def _check_share(value: float, name: str) -> None:
+def _check_fraction(value: float, name: str) -> None:
     require(bool(np.isfinite(value)) and 0.0 <= value <= 1.0, f"the {name} must lie in [0, 1], but it is {value}.")
 
 

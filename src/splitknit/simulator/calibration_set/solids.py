@@ -98,19 +98,19 @@ class NailScene(GroundScene):
         """Reflectance (h, w) of the base."""
         return np.full(u.shape, self.ground)
 
-    def share_lit(self, led: Led) -> Array:
+    def fraction_lit(self, led: Led) -> Array:
         """Fraction (H, W) of the LED's face that the base sees past the nail: 0 in the core shadow, soft at its rim."""
-        share = np.ones(self.camera.image_size)
+        fraction = np.ones(self.camera.image_size)
         places = self.plane.own(disc_points(led, self.bench.led_radius_mm))
         casts = [self._cast(place) for place in places]
         window = self._window(casts)
         if window is None:
-            return share
-        hidden = np.zeros(share[window].shape)
+            return fraction
+        hidden = np.zeros(fraction[window].shape)
         for cast in casts:
             hidden += self._inside(window, cast)
-        share[window] -= hidden / len(casts)
-        return share
+        fraction[window] -= hidden / len(casts)
+        return fraction
 
     def _grey(self, leds: tuple[Led, ...]) -> Array:
         grey = super()._grey(leds)
@@ -118,13 +118,13 @@ class NailScene(GroundScene):
         window = self._window([outline])
         if window is None:
             return grey
-        share = self._inside(window, outline)
+        fraction = self._inside(window, outline)
         points, normal = self._surface(window)
-        received = np.zeros(share.shape)
+        received = np.zeros(fraction.shape)
         for led in leds:
             received += irradiance(led, np.moveaxis(points, -1, 0), np.moveaxis(normal, -1, 0))
         cone = self.reflectance * (received / np.pi + self.room_light)
-        grey[window] += share * (cone - grey[window])
+        grey[window] += fraction * (cone - grey[window])
         return grey
 
     @property
@@ -283,13 +283,13 @@ class SphereScene(GroundScene):
         """Reflectance (h, w) of the base."""
         return np.full(u.shape, self.ground)
 
-    def share_lit(self, led: Led) -> Array:
+    def fraction_lit(self, led: Led) -> Array:
         """Fraction (H, W) of the LED's face that the base sees past the ball."""
-        share = np.ones(self.camera.image_size)
+        fraction = np.ones(self.camera.image_size)
         places = disc_points(led, self.bench.led_radius_mm)
         window = self._shadow(places)
         if window is None:
-            return share
+            return fraction
         points = np.stack([axis[window] for axis in self._points], axis=-1).astype(np.float64)
         depth = self._depth_in_shadow(points, places[0])
         step = steps(depth)
@@ -300,8 +300,8 @@ class SphereScene(GroundScene):
         hidden = np.mean([inside(self._depth_in_shadow(points, place), step) for place in places], axis=0)
         part = np.where(depth > 0.0, 0.0, 1.0)
         part[rim] = 1.0 - hidden
-        share[window] = part
-        return share
+        fraction[window] = part
+        return fraction
 
     def _depth_in_shadow(self, points: Array, place: Array) -> Array:
         """By how much (mm) the lines from points (..., 3) of the base to the point `place` pass inside the ball."""

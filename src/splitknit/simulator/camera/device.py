@@ -1,4 +1,4 @@
-"""The simulated camera and LEDs: they do what :mod:`splitknit.devices` asks for, on a clock that costs no time.
+"""The simulated camera and LEDs: they implement :mod:`splitknit.devices`, on a clock that costs no time.
 
 The camera is timed like the Raspberry Pi's: it runs freely at its frame rate, a new exposure takes effect some frames
 after it was asked for, and a frame is there when it was read out and carried over. So the times that a capture session
@@ -191,10 +191,10 @@ class TwinCamera(Closing):
         if reduction > 1:
             size = (light.shape[1] // reduction, light.shape[0] // reduction)
             light = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        share = np.float32(self._exposure_s * self._gain * settings.sensitivity_per_s)
+        fraction = np.float32(self._exposure_s * self._gain * settings.sensitivity_per_s)
         sensor = replace(self._sensor, full_well_e=max(self._sensor.full_well_e / self._gain, 100.0))
         seed = np.random.SeedSequence([self._seed, 0xCA, self._exposed])
-        pixels = record(light * share, self._band, seed, sensor, self._scale / reduction)
+        pixels = record(light * fraction, self._band, seed, sensor, self._scale / reduction)
         self._exposed += 1
         ended_s = begins_s + self._exposure_s + _READOUT_S
         self._clock.advance(float(ended_s) + _TRANSFER_S - self._clock.now_s)
@@ -204,10 +204,10 @@ class TwinCamera(Closing):
         """(H, W, 3) light of the LEDs as bright as they are."""
         lit = sorted(self._lights.lit)
         light = self._scene.light(lit)
-        share = self._lights.brightness(at_s)
-        if share < 1.0:
+        fraction = self._lights.brightness(at_s)
+        if fraction < 1.0:
             dark = self._scene.light(())
-            light = dark + np.float32(share) * (light - dark)
+            light = dark + np.float32(fraction) * (light - dark)
         return light
 
 

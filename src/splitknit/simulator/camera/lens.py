@@ -73,10 +73,10 @@ def fall_off(camera: Camera) -> FloatArray:
     down = (np.arange(rows) - 0.5 * (rows - 1))[:, None]
     right = (np.arange(columns) - 0.5 * (columns - 1))[None, :]
     squared = (down * down + right * right) / (0.25 * (rows * rows + columns * columns))
-    share = np.zeros_like(squared)
+    fraction = np.zeros_like(squared)
     for coefficient in reversed(camera.shading):
-        share = (share + coefficient) * squared
-    return np.asarray(1.0 + share, dtype=np.float32)
+        fraction = (fraction + coefficient) * squared
+    return np.asarray(1.0 + fraction, dtype=np.float32)
 
 
 def pixels_of_points(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
@@ -148,7 +148,7 @@ def defocus(image: FloatArray, sigma_px: FloatArray) -> FloatArray:
         upper = np.asarray(blurred, dtype=np.float32).reshape(image.shape)
         high = float(sigma) ** 2
         inside = (variance >= low) & ((variance < high) | (sigma == ladder[-1]))
-        share = np.clip((variance - low) / (high - low), 0.0, 1.0).astype(np.float32)[..., None]
-        result = np.where(inside[..., None], lower + share * (upper - lower), result)
+        fraction = np.clip((variance - low) / (high - low), 0.0, 1.0).astype(np.float32)[..., None]
+        result = np.where(inside[..., None], lower + fraction * (upper - lower), result)
         lower, low = upper, high
     return np.asarray(result, dtype=np.float32)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 KERATIN = 1.55
 """Refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)."""
 
-MOST_PLATES = 4
+MAX_PLATES = 4
 """Horny plates with air between them in the thickest scale."""
 
 
@@ -41,7 +41,7 @@ class _Weathered:
 
     displacement: Array
     """(H, W) mm."""
-    share: Array
+    fraction: Array
     """(H, W) 0 to 1: how far a place is affected (in a scar; under a scale)."""
     reflectance: Array | None = None
     """(H, W) diffuse white reflectance of the scales."""
@@ -87,7 +87,7 @@ def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.ra
     threshold = float(np.quantile(field, 1.0 - 0.45 * severity))
     scale = np.clip((field - threshold) / 0.12, 0.0, 1.0) * (master.ridge > 0.35)
     scale = cv2.GaussianBlur(scale, (0, 0), 0.6)
-    plates = scale * np.clip(1.0 + 1.5 * (field - threshold), 1.0, MOST_PLATES)
+    plates = scale * np.clip(1.0 + 1.5 * (field - threshold), 1.0, MAX_PLATES)
     edge = np.abs(scale * (1.0 - scale)) * 4.0
     new = new + 1e-3 * (8.0 * scale + 6.0 * edge) * calm
     return _Weathered(new, scale, _scale_reflectance(plates))
@@ -128,7 +128,7 @@ def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.r
     """
     pitch = float(master.u_mm[1] - master.u_mm[0])
     u, v = master.u_mm[None, :], master.v_mm[:, None]
-    share = np.zeros(displacement.shape)
+    fraction = np.zeros(displacement.shape)
     lift = np.zeros(displacement.shape)
     places = rng.permutation(3)
     for number in range(3):
@@ -144,13 +144,13 @@ def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.r
         across = across - bend * along**2 - 0.15 * np.sin(1.3 * along + wave)
         half = half_mm * np.clip(1.0 - (2.0 * along / length) ** 4, 0.0, 1.0)
         inside = np.clip(0.5 + (half - np.abs(across)) / 0.12, 0.0, 1.0) * (half > 0.0)
-        share = np.maximum(share, inside * inside * (3.0 - 2.0 * inside))
+        fraction = np.maximum(fraction, inside * inside * (3.0 - 2.0 * inside))
         lift = lift + rise * np.exp(-0.5 * (across / max(half_mm, 0.1)) ** 2) * (half > 0.0) * np.clip(
             half / half_mm, 0, 1
         )
     level = cv2.GaussianBlur(displacement, (0, 0), 0.5 / pitch)
     smooth = cv2.GaussianBlur(lift, (0, 0), 0.1 / pitch)
-    return _Weathered((1.0 - share) * displacement + share * level + smooth, share)
+    return _Weathered((1.0 - fraction) * displacement + fraction * level + smooth, fraction)
 
 
 # Water on the skin: it fills the valleys, creeps up the ridges, and at last lies over them.
@@ -166,7 +166,7 @@ class _Water:
     """Thickness of the film over the ridges' tops."""
     levelled_mm: float
     """Standard deviation over which the film has levelled out; 0 where none closes over the ridges."""
-    share: float
+    fraction: float
     """Fraction of the skin that is wet."""
 
 
@@ -196,11 +196,11 @@ def _water_level(displacement: Array, pitch_mm: float, water: _Water, rng: np.ra
     if water.levelled_mm > 0.0:
         level = cv2.GaussianBlur(filled, (0, 0), water.levelled_mm / pitch_mm)
         filled = _closed(np.maximum(level + 1e-3 * water.over_ridges_um, displacement), pitch_mm, water.meniscus_mm)
-    if water.share >= 1.0:
+    if water.fraction >= 1.0:
         return filled
-    # patches of 2 mm with soft edges; a normal variable lies below the threshold over the wanted share
+    # patches of 2 mm with soft edges; a normal variable lies below the threshold over the wanted fraction
     noise = smooth_noise(rng, displacement.shape, 1.0 / pitch_mm)
-    threshold = float(np.quantile(noise, water.share))
+    threshold = float(np.quantile(noise, water.fraction))
     patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
     patch = patch * patch * (3.0 - 2.0 * patch)
     return np.asarray(displacement + patch * (filled - displacement))
@@ -381,8 +381,8 @@ def conditioned_surface(  # noqa: PLR0917
     elif condition.kind == "dusty":
         grains = draw_grains(rng, surface.mask, surface.shape_normals[..., 2], camera, severity)
         cover = stamp(surface.mask.shape, grains.column, grains.row, grains.radius_px)
-        share = np.where(surface.mask, np.clip(cover, 0.0, 1.0), 0.0).astype(np.float32)
-        coat = Coat("dusty", severity, share, grains=grains)
+        fraction = np.where(surface.mask, np.clip(cover, 0.0, 1.0), 0.0).astype(np.float32)
+        coat = Coat("dusty", severity, fraction, grains=grains)
     else:
         coat = _glossy(surface, master, skin, severity)
     return replace(surface, coat=coat, chart=None)
@@ -401,7 +401,7 @@ def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | Non
     """The map with another displacement; pores and creases of a scar are no darker than the rest."""
     pigment = skin.pigment
     if weathered is not None and weathered.reflectance is None:
-        pigment = (pigment + weathered.share * (1.0 - pigment)).astype(np.float32)
+        pigment = (pigment + weathered.fraction * (1.0 - pigment)).astype(np.float32)
     return replace(
         skin,
         coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"),
@@ -413,27 +413,27 @@ def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | Non
 def _wet(surface: Surface, water: Surface, skin: SkinSettings, severity: float) -> Coat:
     mask = surface.mask & water.mask
     thickness = np.where(mask, water.relief_um - surface.relief_um, 0.0)
-    share = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)  # a micrometre covers skin's own roughness
+    fraction = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)  # a micrometre covers skin's own roughness
     normals = np.where(mask[..., None], water.normals, surface.normals)
     bend = _bend_within_pixels(normals, mask)
     roughness = np.clip(np.sqrt(_WATER_ROUGHNESS**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
     moist = min(skin.roughness, _MOIST_ROUGHNESS)
     bare = np.full(mask.shape, skin.roughness + severity * (moist - skin.roughness), dtype=np.float32)
-    return Coat("wet", severity, share, roughness=bare, film=Film(share, normals, roughness))
+    return Coat("wet", severity, fraction, roughness=bare, film=Film(fraction, normals, roughness))
 
 
 def _weathered(
     surface: Surface, laid: SkinMap, weathered: _Weathered, skin: SkinSettings, condition: Condition
 ) -> Coat:
-    share = _on_chart(weathered.share, surface, laid)
+    fraction = _on_chart(weathered.fraction, surface, laid)
     if condition.kind == "dry":
         rough = max(skin.roughness, skin.roughness + condition.severity * (_DRY_ROUGHNESS - skin.roughness))
         assert weathered.reflectance is not None
         scales = _on_chart(weathered.reflectance, surface, laid)
-        return Coat("dry", condition.severity, share, np.full(share.shape, rough, np.float32), scales=scales)
-    smooth = skin.roughness + share * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
+        return Coat("dry", condition.severity, fraction, np.full(fraction.shape, rough, np.float32), scales=scales)
+    smooth = skin.roughness + fraction * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
     tint = _tint(skin, replace(skin, **{name: _bounded(skin, name, factor) for name, factor in _SCAR.items()}))
-    return Coat("scarred", condition.severity, share, smooth.astype(np.float32), tint=tint)
+    return Coat("scarred", condition.severity, fraction, smooth.astype(np.float32), tint=tint)
 
 
 def _bounded(skin: SkinSettings, name: str, factor: float) -> float:

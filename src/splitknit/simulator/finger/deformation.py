@@ -274,9 +274,9 @@ def press_finger(
     level = _LEVEL - _WIDENING * pressed + s.patches * smooth_noise(rng, u.shape, 2.5 * _FINER / step)
     touching = 1.0 / (1.0 + np.exp(np.clip((level - height) / _SOFTNESS, -50.0, 50.0)))
     touching /= 1.0 + np.exp(np.clip(-inside / 0.02, -50.0, 50.0))
-    share = cv2.resize(touching, (size[1], size[0]), interpolation=cv2.INTER_AREA)
-    share = cv2.GaussianBlur(share, (0, 0), _BLUR_PX)
-    grey = _BRIGHT_GREY - (_BRIGHT_GREY - _DARK_GREY) * share + s.noise_grey * rng.standard_normal(size)
+    fraction = cv2.resize(touching, (size[1], size[0]), interpolation=cv2.INTER_AREA)
+    fraction = cv2.GaussianBlur(fraction, (0, 0), _BLUR_PX)
+    grey = _BRIGHT_GREY - (_BRIGHT_GREY - _DARK_GREY) * fraction + s.noise_grey * rng.standard_normal(size)
     return PressedPrint(
         np.round(np.clip(grey, 0.0, 255.0)).astype(np.uint8),
         cv2.resize(inside, (size[1], size[0]), interpolation=cv2.INTER_AREA) > 0,

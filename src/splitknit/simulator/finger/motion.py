@@ -70,7 +70,7 @@ class _MotionPath:
     roll_rad: Array
     """(N,)"""
     slip: Array
-    """(N, 2): shares of two drawn fields of slip."""
+    """(N, 2): fractions of two drawn fields of slip."""
     reference: int
 
 

@@ -122,14 +122,14 @@ def _stem(
     for _ in range(int(rng.poisson(length / 9.0))):
         at = int(rng.uniform(0.12, 0.88) * count)
         aside = angle[at] + rng.choice((-1.0, 1.0)) * rng.uniform(0.25, 0.8) + (np.pi if rng.random() < 0.3 else 0.0)
-        share = rng.uniform(0.3, 0.75)
+        fraction = rng.uniform(0.3, 0.75)
         lines += _stem(
             rng,
             points[at],
             float(aside),
             length=length * rng.uniform(0.15, 0.4),
-            depth=float(line.depth_mm[at]) * share,
-            width=float(line.width_mm[at]) * (0.4 + 0.6 * share),
+            depth=float(line.depth_mm[at]) * fraction,
+            width=float(line.width_mm[at]) * (0.4 + 0.6 * fraction),
             generations=generations - 1,
             start=True,
         )

@@ -16,7 +16,7 @@ from splitknit.simulator.light.skin import (
 )
 from splitknit.simulator.surface import WATER, Coat, Film, Grains
 
-MOST_MG_PER_CM2 = 0.64
+MAX_MG_PER_CM2 = 0.64
 """Most outdoor dust that adheres to the skin of young adults (Changchun, China; indoor dust: 0.35)."""
 
 MEDIAN_UM = 20.0
@@ -46,11 +46,11 @@ def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camer
     mask, nz : (H, W)
         The finger, and the z component of its shape's normals: a pixel on a slant shows more skin.
     severity : 0 to 1
-        Fraction of `MOST_MG_PER_CM2`.
+        Fraction of `MAX_MG_PER_CM2`.
     """
     spread = float(np.log(SPREAD))
     volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
-    per_mm2 = severity * MOST_MG_PER_CM2 / 100.0 / (volume * DENSITY_MG_PER_MM3)
+    per_mm2 = severity * MAX_MG_PER_CM2 / 100.0 / (volume * DENSITY_MG_PER_MM3)
     rows, columns = mask.shape
     # drawn over the whole frame in mm and then thinned, so that every scale of the picture shows the same dust
     width, height = columns / camera.px_per_mm, rows / camera.px_per_mm
@@ -120,7 +120,7 @@ class CoatedPatch:
         """Cut the coat out; `body` (h, w, 3) are the normals of the finger without ridges."""
         window = patch.window
         self.patch = patch
-        self.share, self.tint = coat.share[window], coat.tint
+        self.fraction, self.tint = coat.fraction[window], coat.tint
         self.across: Values | float = roughness if coat.roughness is None else coat.roughness[window]
         self.lengthwise = None if coat.roughness_along is None else coat.roughness_along[window]
         self.along = None if coat.along is None else _apart(coat.along[window])
@@ -143,20 +143,20 @@ class CoatedPatch:
 
     def _leaving(self) -> FloatArray:
         """(h, w) fraction of the diffuse light that reaches the camera, over that of bare skin."""
-        share = 1.0 - self.hidden
+        fraction = 1.0 - self.hidden
         if self.scales is not None:
-            share = share * (1.0 - self.scales)
+            fraction = fraction * (1.0 - self.scales)
         if self.film is not None:
             through = (1.0 - fresnel(np.clip(_dot(_apart(self.film.normals), self.view), 0.05, 1.0), WATER)) / (
                 diffuse_transmittance(WATER)
             )
             bare = (1.0 - fresnel(np.clip(self.patch.nv, 0.05, 1.0))) / diffuse_transmittance()
-            share = share * (1.0 + self.film.share * (through / bare - 1.0))
-        return np.asarray(share, dtype=np.float32)
+            fraction = fraction * (1.0 + self.film.fraction * (through / bare - 1.0))
+        return np.asarray(fraction, dtype=np.float32)
 
     def over(self, gain: FloatArray, channel: str) -> FloatArray:
         """(h, w) factor of a channel's diffuse light, from that of bare skin."""
-        return gain * self.leaving * (1.0 + self.share * (self.tint.get(channel, 1.0) - 1.0))
+        return gain * self.leaving * (1.0 + self.fraction * (self.tint.get(channel, 1.0) - 1.0))
 
     def light_on(self, led: Led, glare: float, led_radius_mm: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Light that enters the skin, that the surface reflects, and that scales and grains scatter; (h, w) each."""
@@ -183,9 +183,9 @@ class CoatedPatch:
         extra = np.zeros_like(entering)
         if self.film is not None:
             film, normal = self.film, _apart(self.film.normals)
-            entering = entering + film.share * (self._under_water(light, strength, normal) - entering)
+            entering = entering + film.fraction * (self._under_water(light, strength, normal) - entering)
             water = _reflected(normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER)
-            gloss = gloss + film.share * (water - gloss)
+            gloss = gloss + film.fraction * (water - gloss)
         if self.scales is not None:
             extra = extra + self.scales * strength * cosine / np.pi
             entering = entering * (1.0 - self.scales)
@@ -232,7 +232,7 @@ class CoatedPatch:
 
 def _cut_film(film: Film, patch: Patch) -> Film:
     window = patch.window
-    return Film(film.share[window], film.normals[window], film.roughness[window])
+    return Film(film.fraction[window], film.normals[window], film.roughness[window])
 
 
 def _cut_grains(grains: Grains, patch: Patch) -> Grains:

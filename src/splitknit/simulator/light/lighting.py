@@ -109,11 +109,11 @@ def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> F
     at_columns = np.linspace(0, columns.size - 1, width)
     low_row = np.minimum(at_rows.astype(np.intp), rows.size - 2)
     low_column = np.minimum(at_columns.astype(np.intp), columns.size - 2)
-    share_row = (at_rows - low_row)[:, None]
-    share_column = (at_columns - low_column)[None, :]
-    tall = total[low_row] * (1.0 - share_row) + total[low_row + 1] * share_row
+    fraction_row = (at_rows - low_row)[:, None]
+    fraction_column = (at_columns - low_column)[None, :]
+    tall = total[low_row] * (1.0 - fraction_row) + total[low_row + 1] * fraction_row
     tall /= np.pi
-    card = tall[:, low_column] * (1.0 - share_column) + tall[:, low_column + 1] * share_column
+    card = tall[:, low_column] * (1.0 - fraction_column) + tall[:, low_column + 1] * fraction_column
     return np.asarray(card, dtype=np.float32)
 
 

@@ -167,11 +167,11 @@ class SkinRanges:
             ("relief_gain", True),
         ):
             low, high = getattr(self, name)
-            share = float(rng.random())
+            fraction = float(rng.random())
             if logarithmic and low > 0.0:
-                drawn[name] = float(low * (high / low) ** share)
+                drawn[name] = float(low * (high / low) ** fraction)
             else:
-                drawn[name] = float(low + (high - low) * share)
+                drawn[name] = float(low + (high - low) * fraction)
         return replace(self.base, **drawn)
 
 
@@ -248,10 +248,10 @@ class Profile:
         """Fraction of the light that entered which leaves again."""
         return float(np.sum(self.weights))
 
-    def radius_mm(self, share: float) -> float:
-        """Radius within which `share` of the leaving light leaves."""
+    def radius_mm(self, fraction: float) -> float:
+        """Radius within which `fraction` of the leaving light leaves."""
         inside = np.concatenate([[0.0], np.cumsum(self.weights)]) / self.albedo
-        return float(np.interp(share, inside, self.radii_mm))
+        return float(np.interp(fraction, inside, self.radii_mm))
 
     def transfer(self, cycles_per_mm: NDArray[np.floating]) -> NDArray[np.float64]:
         """Fourier (Hankel) transform of the profile at a frequency, evenly spread within each ring.
@@ -384,6 +384,6 @@ def _walk_batch(count: int, rng: np.random.Generator) -> tuple[NDArray[np.float6
 
 def _cosine_down(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """(3, count) directions into the medium, cosine-distributed."""
-    share, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
-    side = np.sqrt(share)
-    return np.stack([side * np.cos(turn), side * np.sin(turn), -np.sqrt(1.0 - share)])
+    fraction, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
+    side = np.sqrt(fraction)
+    return np.stack([side * np.cos(turn), side * np.sin(turn), -np.sqrt(1.0 - fraction)])

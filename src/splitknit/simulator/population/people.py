@@ -43,7 +43,7 @@ TENTED, TWIN = 0.44, 0.18
 # Classes of prints by digit and hand, in the frequencies that people have.
 
 
-def class_shares(side: str, digit: str) -> dict[str, float]:
+def class_fractions(side: str, digit: str) -> dict[str, float]:
     """Fraction of every class among the prints of a digit; they sum to one."""
     k = DIGITS.index(digit)
     arch, whorl = ARCHES[side][k], WHORLS[side][k]
@@ -200,7 +200,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
 
 
 class _Hand:
-    """Standard normal scores that say how a person's fingers differ from the mean, similar among themselves."""
+    """Standard normal scores that describe how a person's fingers differ from the mean, similar among themselves."""
 
     EXTRA = ("width", "length", "period", "pattern")
 

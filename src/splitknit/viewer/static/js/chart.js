@@ -24,7 +24,7 @@ export function ticks(low, high, count) {
  * @param {HTMLElement} box
  * @param {{name: string, cut: any}[]} curves one or two sections
  * @param {"relief" | "height"} kind
- * @param {(k: number | null) => void} [pointed] told which sample of the first curve the cursor is on
+ * @param {(k: number | null) => void} [pointed] receives which sample of the first curve the cursor is on
  */
 export function showChart(box, curves, kind, pointed = () => {}) {
   const TOP = curves.length > 1 ? 22 : 8; // room for names
@@ -86,8 +86,8 @@ export function showChart(box, curves, kind, pointed = () => {}) {
   };
   svg.addEventListener("pointermove", (event) => {
     const place = svg.getBoundingClientRect();
-    const share = (((event.clientX - place.left) / place.width) * WIDTH - LEFT) / (WIDTH - LEFT - RIGHT);
-    read(Math.round(share * (series[0].x.length - 1)));
+    const fraction = (((event.clientX - place.left) / place.width) * WIDTH - LEFT) / (WIDTH - LEFT - RIGHT);
+    read(Math.round(fraction * (series[0].x.length - 1)));
   });
   svg.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];

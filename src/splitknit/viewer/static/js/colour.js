@@ -1,4 +1,4 @@
-// Colour maps that colour-blind readers can tell apart; the same stops as the report's (io/pictures.py).
+// Colour maps that colour-blind readers can distinguish; the same stops as the report's (io/pictures.py).
 
 /** Cividis (Nunez, Anderton and Renslow 2018). */
 const CIVIDIS = [
@@ -31,7 +31,7 @@ export function ramp(name, count = 256) {
 }
 
 /**
- * Show what the colours mean; in words too, for those who do not see them.
+ * Show what the colours mean; as text too, for those who do not see them.
  * @param {HTMLElement} box
  * @param {string} colour
  * @param {{low_mm: number[], high_mm: number[], relief_range_um: number}} meta

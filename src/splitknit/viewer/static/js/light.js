@@ -1,4 +1,4 @@
-// Where the light comes from: two sliders, a pad, or the pointer over the surface; all say the same.
+// Where the light comes from: two sliders, a pad, or the pointer over the surface; all set the same direction.
 import { byId } from "./page.js";
 
 export class Light {
@@ -30,7 +30,7 @@ export class Light {
     this.changed();
   }
 
-  /** Let the pointer over `element` say where the lamp is: its middle is overhead, its rim is level with the skin. */
+  /** Let the pointer over `element` set where the lamp is: its middle is overhead, its rim is level with the skin. */
   follow(element, wanted) {
     const aim = (event) => {
       const box = element.getBoundingClientRect();

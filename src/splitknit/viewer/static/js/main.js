@@ -1,4 +1,4 @@
-// The page: which results are shown, and what is said about them. The address behind # says the same, so that it can be kept.
+// The page: which results are shown, and the text about them. The address behind # holds the same, so that it can be kept.
 import { address, getBytes, getJson } from "./api.js";
 import { showLegend } from "./colour.js";
 import { listen } from "./keys.js";
@@ -60,7 +60,7 @@ async function start() {
   await follow();
 }
 
-/** Show what the address says. */
+/** Show what the address names. */
 async function follow() {
   const want = wanted();
   const first = byId("tab-people").hidden ? "results" : "people";

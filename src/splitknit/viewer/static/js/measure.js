@@ -26,9 +26,9 @@ export class Measure {
     this.alignment = alignment;
     this.points = [];
     this.curves = [];
-    byId("cut").addEventListener("click", () => this.#told(this.#fromFields()));
-    byId("across").addEventListener("click", () => this.#told(this.#middle(0)));
-    byId("along").addEventListener("click", () => this.#told(this.#middle(1)));
+    byId("cut").addEventListener("click", () => this.#reported(this.#fromFields()));
+    byId("across").addEventListener("click", () => this.#reported(this.#middle(0)));
+    byId("along").addEventListener("click", () => this.#reported(this.#middle(1)));
     byId("clear").addEventListener("click", () => this.clear());
     byId("curve").addEventListener("change", () => this.#chart());
     byId("csv").addEventListener("click", () => this.#save());
@@ -36,7 +36,7 @@ export class Measure {
       byId(id).addEventListener("keydown", (event) => {
         if (event.key !== "Enter") return;
         event.preventDefault();
-        this.#told(this.#fromFields());
+        this.#reported(this.#fromFields());
       });
     }
   }
@@ -49,8 +49,8 @@ export class Measure {
     this.#show();
   }
 
-  /** Say what goes wrong. @param {Promise<void>} work */
-  #told(work) {
+  /** Report what goes wrong. @param {Promise<void>} work */
+  #reported(work) {
     work.catch((error) => trouble(error.message));
   }
 

@@ -3,7 +3,7 @@
 /** @param {string} id @returns {any} */
 export const byId = (id) => document.getElementById(id);
 
-/** Tell those who listen instead of looking. @param {string} words */
+/** Announce to screen readers. @param {string} words */
 export function say(words) {
   byId("said").textContent = words;
   const hint = byId("measure-hint");

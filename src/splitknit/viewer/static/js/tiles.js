@@ -4,7 +4,7 @@ import { getBytes } from "./api.js";
 
 const HEAD = 32;
 const AT_ONCE = 6;
-const MOST_KEPT = 260;
+const MAX_KEPT = 260;
 
 /** @typedef {{stride: number, row: number, column: number, rows: number, columns: number, first: number[],
  *   fields: Float32Array[]}} Tile x, y, z, relief with a rim of one value */
@@ -253,9 +253,9 @@ export class Tiles {
   #forget() {
     const root = this.meta.strides[0];
     const kept = [...this.nodes.values()].filter((node) => node.mesh && node.stride !== root && node.used !== this.clock);
-    if (kept.length <= MOST_KEPT) return;
+    if (kept.length <= MAX_KEPT) return;
     kept.sort((a, b) => a.used - b.used);
-    for (const node of kept.slice(0, kept.length - MOST_KEPT)) {
+    for (const node of kept.slice(0, kept.length - MAX_KEPT)) {
       this.group.remove(node.mesh);
       node.mesh.geometry.dispose();
       node.mesh = null;
