@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from splitknit.io.fmr_bytes import ANSI_2004, ANSI_2009, ANSI_2009_AM1, ISO_2005
 from splitknit.io.iso19794 import encode_iso19794
-from splitknit.io.minutiae_files import _encode_ansi378, encode_ansi378_2009
+from splitknit.io.minutiae_files import encode_ansi378, encode_ansi378_2009
 from splitknit.io.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     ANSI_2009_IMPRESSIONS,
@@ -131,7 +131,7 @@ def encode(record: MinutiaeRecord) -> bytes:
     if record.standard == ISO_2005:
         return encode_iso19794(record)
     if record.standard == ANSI_2004:
-        return _encode_ansi378(record)
+        return encode_ansi378(record)
     return encode_ansi378_2009(record, amendment=record.standard == ANSI_2009_AM1)
 
 

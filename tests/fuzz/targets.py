@@ -60,11 +60,11 @@ from splitknit.io.float_tiff import read_height_tiff, read_light_tiff, write_hei
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
 from splitknit.io.itl_reading import _TransactionFacts, _TransactionPrint, encode_transaction, read_transaction
-from splitknit.io.mesh import _write_glb, read_glb, surface_mesh
+from splitknit.io.mesh import read_glb, surface_mesh, write_glb
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
-    _decode_ansi378,
-    _decode_ansi378_2009,
+    decode_ansi378,
+    decode_ansi378_2009,
     decode_minutiae_record,
     read_ansi378,
     read_minutiae_record,
@@ -405,8 +405,8 @@ def _record(folder: Path, files: Files) -> object:
 
     return _any(
         lambda: same(decode_iso19794(data)),
-        lambda: same(_decode_ansi378(data)),
-        lambda: same(_decode_ansi378_2009(data)),
+        lambda: same(decode_ansi378(data)),
+        lambda: same(decode_ansi378_2009(data)),
         lambda: same(decode_minutiae_record(data)),
         lambda: same(read_minutiae_record(path)),
         lambda: same(read_iso19794(path)),
@@ -849,7 +849,7 @@ def _prints() -> list[Files]:
 
 def _glbs() -> list[Files]:
     vertices, normals, shade, faces = _meshes()
-    return _written("x.glb", lambda path: _write_glb(path, vertices, normals, shade, faces, {"a": 1}))
+    return _written("x.glb", lambda path: write_glb(path, vertices, normals, shade, faces, {"a": 1}))
 
 
 def _plys() -> list[Files]:

@@ -12,9 +12,9 @@ from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, three_minutiae
 from splitknit.errors import BadInput
 from splitknit.io.fmr_bytes import ANSI_2004, ANSI_2009, ANSI_2009_AM1
 from splitknit.io.minutiae_files import (
-    _decode_ansi378,
-    _decode_ansi378_2009,
-    _encode_ansi378,
+    decode_ansi378,
+    decode_ansi378_2009,
+    encode_ansi378,
     encode_ansi378_2009,
     read_ansi378,
     read_minutiae_record,
@@ -36,47 +36,47 @@ def contactless_thumb() -> MinutiaeRecord:
 
 
 def test_bytes_are_those_of_the_standard() -> None:
-    assert _encode_ansi378(contactless_thumb()).hex(" ") == ANSI_BYTES.hex(" ")
+    assert encode_ansi378(contactless_thumb()).hex(" ") == ANSI_BYTES.hex(" ")
 
 
 def test_fields_are_where_the_standard_has_them() -> None:
-    record = _decode_ansi378(ANSI_BYTES)
+    record = decode_ansi378(ANSI_BYTES)
     assert (record.device, record.certification, record.product, record.standard) == (5, 1, (0x0103, 7), ANSI_2004)
     (view,) = record.views
     np.testing.assert_allclose(np.rad2deg(view.direction_rad), [90, 270, 358])
     assert (view.finger, view.impression, view.view, view.finger_quality) == ("right_thumb", "contactless", 3, 100)
     assert (view.size, view.resolution_ppcm) == ((500, 350), (197, 198))
-    assert _encode_ansi378(record) == ANSI_BYTES
+    assert encode_ansi378(record) == ANSI_BYTES
 
 
 def test_a_file_is_written_and_read(tmp_path: Path) -> None:
     write_ansi378(tmp_path / "a.fmr", contactless_thumb())
-    assert _encode_ansi378(read_ansi378(tmp_path / "a.fmr")) == ANSI_BYTES
+    assert encode_ansi378(read_ansi378(tmp_path / "a.fmr")) == ANSI_BYTES
 
 
 def test_directions_are_rounded_to_two_degrees() -> None:
     view = three_minutiae(direction_rad=np.deg2rad([359.5, -3.0, 0.9]))
-    read = _decode_ansi378(_encode_ansi378(MinutiaeRecord((view,)))).views[0]
+    read = decode_ansi378(encode_ansi378(MinutiaeRecord((view,)))).views[0]
     np.testing.assert_allclose(np.rad2deg(read.direction_rad), [0, 356, 0], atol=1e-9)
 
 
 def test_long_records_have_a_length_of_six_bytes() -> None:
     views = [three_minutiae(view=k, extended=bytes(40_000)) for k in range(2)]
     record = MinutiaeRecord(tuple(views), standard=ANSI_2004)
-    data = _encode_ansi378(record)
+    data = encode_ansi378(record)
     assert data[8:10] == b"\0\0"
     assert int.from_bytes(data[10:14], "big") == len(data) == 30 + 2 * (6 + 18 + 40_000)
-    assert _encode_ansi378(_decode_ansi378(data)) == data
+    assert encode_ansi378(decode_ansi378(data)) == data
     fitting = MinutiaeRecord((three_minutiae(extended=bytes(65535 - 50)),), standard=ANSI_2004)
-    assert _encode_ansi378(fitting)[8:10] == b"\xff\xff"
+    assert encode_ansi378(fitting)[8:10] == b"\xff\xff"
     with pytest.raises(BadInput, match="truncated"):
-        _decode_ansi378(data[:5000])
+        decode_ansi378(data[:5000])
 
 
 def test_every_truncation_is_named() -> None:
     for length in range(1, len(ANSI_BYTES)):
         with pytest.raises(BadInput, match="truncated"):
-            _decode_ansi378(ANSI_BYTES[:length])
+            decode_ansi378(ANSI_BYTES[:length])
 
 
 def changed(place: int, *values: int, of: bytes = ANSI_BYTES) -> bytes:
@@ -100,7 +100,7 @@ def changed(place: int, *values: int, of: bytes = ANSI_BYTES) -> bytes:
 )
 def test_what_the_standard_does_not_allow_is_named(data: bytes, words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        _decode_ansi378(data)
+        decode_ansi378(data)
 
 
 def little_finger() -> MinutiaeRecord:
@@ -120,7 +120,7 @@ def little_finger() -> MinutiaeRecord:
 
 def test_2009_bytes_are_those_of_the_standard() -> None:
     assert encode_ansi378_2009(little_finger()).hex(" ") == ANSI_2009_BYTES.hex(" ")
-    record = _decode_ansi378_2009(ANSI_2009_BYTES)
+    record = decode_ansi378_2009(ANSI_2009_BYTES)
     (view,) = record.views
     assert (record.device, record.certification, record.product) == (0xABCD, 0x80, (0x1B, 0))
     assert (view.finger, view.impression, view.finger_quality) == ("left_little", "contactless", 254)
@@ -132,14 +132,14 @@ def test_2009_bytes_are_those_of_the_standard() -> None:
 def test_the_amendment_differs_in_its_version() -> None:
     data = encode_ansi378_2009(little_finger(), amendment=True)
     assert data == ANSI_2009_BYTES[:6] + b"5" + ANSI_2009_BYTES[7:]
-    assert _decode_ansi378_2009(data).standard == ANSI_2009_AM1
-    assert _decode_ansi378_2009(ANSI_2009_BYTES).standard == ANSI_2009
+    assert decode_ansi378_2009(data).standard == ANSI_2009_AM1
+    assert decode_ansi378_2009(ANSI_2009_BYTES).standard == ANSI_2009
 
 
 def test_views_of_2009_may_differ_in_size() -> None:
     first = little_finger().views[0]
     second = dataclasses.replace(first, size=(90, 70), resolution_ppcm=(197, 197), finger="left_ring")
-    read = _decode_ansi378_2009(encode_ansi378_2009(MinutiaeRecord((first, second))))
+    read = decode_ansi378_2009(encode_ansi378_2009(MinutiaeRecord((first, second))))
     assert [view.size for view in read.views] == [(80, 64), (90, 70)]
 
 
@@ -159,7 +159,7 @@ def test_views_of_2009_may_differ_in_size() -> None:
 )
 def test_what_2009_does_not_allow_is_named(data: bytes, words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        _decode_ansi378_2009(data)
+        decode_ansi378_2009(data)
 
 
 def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
         read_minutiae_record(tmp_path / "minutiae.any")
 
 
-@pytest.mark.parametrize("encode", [_encode_ansi378, encode_ansi378_2009])
+@pytest.mark.parametrize("encode", [encode_ansi378, encode_ansi378_2009])
 def test_products_need_an_owner(encode) -> None:
     with pytest.raises(BadInput, match="owner must lie between 1 and 65535"):
         encode(dataclasses.replace(contactless_thumb(), product=(0, 0)))

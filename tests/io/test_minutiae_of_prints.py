@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.io.iso19794 import decode_iso19794, encode_iso19794
-from splitknit.io.minutiae_files import _encode_ansi378
+from splitknit.io.minutiae_files import encode_ansi378
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae
@@ -34,7 +34,7 @@ def test_an_ending_points_along_its_ridge() -> None:
     assert abs(x - 140) <= 4
     assert abs(y - 150) <= 4
     assert data[32] == 192
-    assert _encode_ansi378(record)[34] == 135
+    assert encode_ansi378(record)[34] == 135
 
 
 def test_minutiae_come_back_as_they_were() -> None:

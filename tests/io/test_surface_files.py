@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.mesh import _write_glb, glb_chunks, read_glb, stl_chunks, stl_size, surface_mesh, write_mesh_stl
+from splitknit.io.mesh import glb_chunks, read_glb, stl_chunks, stl_size, surface_mesh, write_glb, write_mesh_stl
 from splitknit.rig.assembly import read_stl, unit_normals
 
 
@@ -47,7 +47,7 @@ def test_stl_comes_in_pieces(mesh, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_glb_is_read_back(mesh, tmp_path: Path) -> None:
     vertices, normals, intensity, faces = mesh
-    _write_glb(tmp_path / "a.glb", vertices, normals, intensity, faces, {"preset": "metric"})
+    write_glb(tmp_path / "a.glb", vertices, normals, intensity, faces, {"preset": "metric"})
     back = read_glb(tmp_path / "a.glb")
     np.testing.assert_array_equal(back.vertices_mm, vertices)
     np.testing.assert_array_equal(back.normals, normals)
@@ -77,7 +77,7 @@ def test_glb_is_laid_out_as_the_standard_asks(mesh) -> None:
 
 @pytest.mark.parametrize("cut", [3, 30, 400, 5000])
 def test_a_truncated_glb_is_refused(mesh, tmp_path: Path, cut: int) -> None:
-    _write_glb(tmp_path / "a.glb", *mesh)
+    write_glb(tmp_path / "a.glb", *mesh)
     (tmp_path / "b.glb").write_bytes((tmp_path / "a.glb").read_bytes()[:cut])
     with pytest.raises(BadInput):
         read_glb(tmp_path / "b.glb")
@@ -89,8 +89,8 @@ def test_faces_that_lead_nowhere_are_refused(mesh, tmp_path: Path) -> None:
     wrong[0, 0] = len(vertices)
     for write in (
         lambda: write_mesh_stl(tmp_path / "a.stl", vertices, wrong),
-        lambda: _write_glb(tmp_path / "a.glb", vertices, normals, intensity, wrong),
-        lambda: _write_glb(tmp_path / "a.glb", vertices, normals, intensity, faces[:0]),
+        lambda: write_glb(tmp_path / "a.glb", vertices, normals, intensity, wrong),
+        lambda: write_glb(tmp_path / "a.glb", vertices, normals, intensity, faces[:0]),
     ):
         with pytest.raises(BadInput):
             write()
@@ -99,7 +99,7 @@ def test_faces_that_lead_nowhere_are_refused(mesh, tmp_path: Path) -> None:
 
 def glb_with(mesh, tmp_path: Path, change) -> Path:
     """A file whose document was changed."""
-    _write_glb(tmp_path / "a.glb", *mesh)
+    write_glb(tmp_path / "a.glb", *mesh)
     data = (tmp_path / "a.glb").read_bytes()
     length = int.from_bytes(data[12:16], "little")
     text = data[20 : 20 + length].decode()

@@ -13,15 +13,15 @@ from hypothesis import HealthCheck, given, settings
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, STANDARDS, encode, records
 from splitknit.errors import BadInput
 from splitknit.io.iso19794 import decode_iso19794
-from splitknit.io.minutiae_files import _decode_ansi378, _decode_ansi378_2009, decode_minutiae_record
+from splitknit.io.minutiae_files import decode_ansi378, decode_ansi378_2009, decode_minutiae_record
 from splitknit.io.minutiae_record import MinutiaeRecord
 
 FUZZ = settings(max_examples=200, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 SAMPLES = (ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES)
 READERS: tuple[Callable[[bytes], MinutiaeRecord], ...] = (
     decode_iso19794,
-    _decode_ansi378,
-    _decode_ansi378_2009,
+    decode_ansi378,
+    decode_ansi378_2009,
     decode_minutiae_record,
 )
 

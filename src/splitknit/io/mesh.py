@@ -249,7 +249,7 @@ def _document(blocks: list[Any], extras: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _write_glb(  # noqa: PLR0917 - a mesh is these arrays
+def write_glb(  # noqa: PLR0917 - a mesh is these arrays
     path: str | os.PathLike[str],
     vertices_mm: FloatArray,
     normals: FloatArray,
@@ -265,7 +265,7 @@ def _write_glb(  # noqa: PLR0917 - a mesh is these arrays
 
 
 def read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
-    """Read a file that :func:`_write_glb` wrote.
+    """Read a file that :func:`write_glb` wrote.
 
     Raises BadInput if it is missing, damaged, or laid out differently.
     """

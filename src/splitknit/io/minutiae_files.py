@@ -82,7 +82,7 @@ def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byte
     return _HEADER.pack(magic, length, owner, kind, record.certification, record.device, len(record.views), 0) + body
 
 
-def _decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
+def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes.
 
     `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
@@ -168,7 +168,7 @@ _SHORT_LIMIT = 65535
 _CODES = ViewCodes(ANSI_2004, ANSI_STEPS, ANSI_2004_IMPRESSIONS, {"contactless_rolled": "contactless"})
 
 
-def _encode_ansi378(record: MinutiaeRecord) -> bytes:
+def encode_ansi378(record: MinutiaeRecord) -> bytes:
     """Bytes of a record; directions are rounded to 2 deg. Raises BadInput if the standard has no way to say what the
     record holds.
     """
@@ -184,7 +184,7 @@ def _encode_ansi378(record: MinutiaeRecord) -> bytes:
     return _START.pack(MAGIC_20, 0) + _LONG.pack(length + _LONG.size) + rest + body
 
 
-def _decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
+def decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record; writing it again gives the same bytes. `data`: the whole file; `name`: of the file,
     for messages. Raises BadInput if it is truncated, of another standard, or says what the standard does not allow.
     """
@@ -210,22 +210,22 @@ def _decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
 
 
 def write_ansi378(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
-    """Write a record to a file, whole or not at all; see :func:`_encode_ansi378`."""
-    data = _encode_ansi378(record)
+    """Write a record to a file, whole or not at all; see :func:`encode_ansi378`."""
+    data = encode_ansi378(record)
     with atomic_file(path) as stream:
         stream.write(data)
 
 
 def read_ansi378(path: str | os.PathLike[str]) -> MinutiaeRecord:
-    """Read a record's file; see :func:`_decode_ansi378`."""
-    return _decode_ansi378(read_record_bytes(path), os.fspath(path))
+    """Read a record's file; see :func:`decode_ansi378`."""
+    return decode_ansi378(read_record_bytes(path), os.fspath(path))
 
 
 _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
     ISO_2005: decode_iso19794,
-    ANSI_2004: _decode_ansi378,
-    ANSI_2009: _decode_ansi378_2009,
-    ANSI_2009_AM1: _decode_ansi378_2009,
+    ANSI_2004: decode_ansi378,
+    ANSI_2009: decode_ansi378_2009,
+    ANSI_2009_AM1: decode_ansi378_2009,
 }
 
 
