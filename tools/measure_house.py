@@ -23,7 +23,7 @@ import time
 from collections import deque
 from pathlib import Path
 
-VERB = ("splitknit.cli.reconstruct", "splitknit.apps.finger_verbs")
+VERB = ("splitknit.cli.reconstruct",)
 EQUATIONS = ("splitknit.photometric.lambertian", "splitknit.photometric.lambertian")
 MESH = ("splitknit.io.ply",)
 

@@ -130,9 +130,9 @@ def _add_calibrate(verbs: Any) -> None:
 
 
 def _add_rig(verbs: Any) -> None:
-    from splitknit.apps.building.rig_optimise_verb import add_optimise  # noqa: PLC0415
     from splitknit.cli.rig_cad import add_cad  # noqa: PLC0415
     from splitknit.cli.rig_circuit import add_circuit  # noqa: PLC0415
+    from splitknit.cli.rig_optimise import add_optimise  # noqa: PLC0415
     from splitknit.cli.rig_target import add_target  # noqa: PLC0415
     from splitknit.cli.verb import group  # noqa: PLC0415
 

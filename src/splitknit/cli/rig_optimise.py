@@ -79,9 +79,9 @@ def add_optimise(kinds: Any) -> None:
 
 def run(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and say what came out."""
-    from splitknit.apps.building.optimise_page import describe, verdict, write_all  # noqa: PLC0415
     from splitknit.io.atomic import atomic_file  # noqa: PLC0415
     from splitknit.io.provenance import plain_json  # noqa: PLC0415
+    from splitknit.report.rig_optimise import describe, verdict, write_all  # noqa: PLC0415
     from splitknit.rig.candidates import grid  # noqa: PLC0415
     from splitknit.rig.optimise import summarise, sweep  # noqa: PLC0415
 

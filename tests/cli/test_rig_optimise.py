@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 import pytest
 
 import splitknit.rig.optimise as module
-from splitknit.apps.building.optimise_page import Cell, Dot, heat_map, scatter, standalone
 from splitknit.cli.main import main
+from splitknit.report.rig_optimise import Cell, Dot, heat_map, scatter, standalone
 
 Captured = pytest.CaptureFixture[str]
 SMALL = ["--heights-mm", "100,140", "--radii-mm", "52.5,80", "--powers-w", "1", "--resolutions", "6", "--fingers", "2"]

@@ -1,1 +1,0 @@
-"""What builds a rig, from the command line: parts, board, targets, dimensions."""
