@@ -30,7 +30,6 @@ from splitknit.training.fields import (
     cut_out,
     mean_figures,
     one_scale,
-    packed_fields,
     patch_with_skin,
     rounded,
     runner_of,
@@ -312,7 +311,7 @@ def train_relief(
         },
         "metrics": network_metrics(trainer.network.state_dict(), judges),
     }
-    written = write_network(out, trainer.network.state_dict(), facts)
+    written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
 
 
@@ -323,16 +322,6 @@ def _numbers(data: ReliefData) -> tuple[range, range, range]:
         range(data.first_whole, data.first_whole + data.whole_fingers),
         range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out),
     )
-
-
-def packed(state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """ONNX file and card of a finished network, see :func:`splitknit.training.fields.packed_fields`."""
-    return packed_fields(NAME, WHAT, state, facts)
-
-
-def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write network and card of a training's ``state_dict``, see :func:`splitknit.training.fields.write_fields`."""
-    return write_fields(out, NAME, WHAT, state, facts)
 
 
 def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:

@@ -30,7 +30,6 @@ from splitknit.training.fields import (
     cut_out,
     mean_figures,
     one_scale,
-    packed_fields,
     patch_with_skin,
     rounded,
     runner_of,
@@ -302,18 +301,8 @@ def train_shape(
         "data": {**asdict(data), "fingers_used": len(fingers), "fingers_refused": len(refused)},
         "metrics": network_metrics(trainer.network.state_dict(), judges),
     }
-    written = write_network(out, trainer.network.state_dict(), facts)
+    written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
-
-
-def packed(state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """ONNX file and card of a finished network, see :func:`splitknit.training.fields.packed_fields`."""
-    return packed_fields(NAME, WHAT, state, facts)
-
-
-def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write network and card of a training's ``state_dict``, see :func:`splitknit.training.fields.write_fields`."""
-    return write_fields(out, NAME, WHAT, state, facts)
 
 
 def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
