@@ -253,11 +253,12 @@ def train_relief(
 ) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
 
-    `out`: folder to write into; it must be new, unless `resume`; `data`, `settings`: what to train on, and how;
-    `resume`: go on with the training in `out`; `command`: the command line that does this again, for the card;
-    `progress`: called with what is being done and the fraction of the whole that is done; `chart`: draws the learning
-    curve as SVG; without it there is only the table. Raises BadInput if torch is missing, `out` is in use, what is
-    there does not fit the settings, or no finger can be used.
+    Parameters are those of :func:`splitknit.training.separation.train_separation`.
+
+    Raises
+    ------
+    BadInput
+        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)
