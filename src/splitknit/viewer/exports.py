@@ -1,6 +1,7 @@
 """What leaves the viewer as a file: a result's surface, and photographs.
 
-A surface is PLY, STL or GLB, of all values or every 2nd, 4th or 8th; photographs are for people: 8 bits, sRGB, straight from the capture's folder.
+A surface is PLY, STL or GLB, of all values or every 2nd, 4th or 8th; photographs are for people: 8 bits, sRGB,
+straight from the capture's folder.
 """
 
 from __future__ import annotations
