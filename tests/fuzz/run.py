@@ -55,7 +55,7 @@ GUARD_MB = 2500
 """Address space beyond what a process begins with: nothing takes the whole machine."""
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
-    "imaging.image.decode_table": "makes a table, reads nothing",
+    "imaging.band.decode_table": "makes a table, reads nothing",
     "capture.pi.open_pi": "opens devices",
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
