@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.evaluation.facts import cmc, rank_one_interval
+from splitknit.evaluation.facts import _rank_one_interval, cmc
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores, ids_of
 
@@ -87,9 +87,9 @@ def test_interval_of_rank_one() -> None:
     values = generator.normal(size=(40, 40)) + 2.5 * np.eye(40)
     found = cmc(matrix(values.tolist()))
     assert found is not None
-    low, high = rank_one_interval(found, replicates=500)
+    low, high = _rank_one_interval(found, replicates=500)
     fraction = found.rate[0]
     assert low < fraction < high
     assert high - low == pytest.approx(2 * 1.96 * np.sqrt(fraction * (1 - fraction) / 40), rel=0.2)
     sure = cmc(matrix((9 * np.eye(30)).tolist()))
-    assert sure is not None and rank_one_interval(sure) == (pytest.approx(0.9), 1.0)
+    assert sure is not None and _rank_one_interval(sure) == (pytest.approx(0.9), 1.0)

@@ -11,7 +11,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.finger.registration import RegistrationSettings, register_shots, without_glare
 from splitknit.finger.registration_flow import details_of, finger_family, places_of, still
-from splitknit.finger.steady import Seen, register_band
+from splitknit.finger.steady import Seen, _register_band
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)
@@ -160,7 +160,7 @@ def test_another_band_is_brought_onto_the_first(scene, motion, found, centre):
     place = {k: (0.05 * k, 0.3 - 0.1 * k) for k in range(7)}
     stack = np.stack([moved(image, place[k], 0.0, centre) for k, image in enumerate(other.stack)])
     seen = Seen(motion, scene.lights, found.flow, np.arange(7))
-    band = register_band(seen, stack, other.lights, scene.mask, PX, QUICK)
+    band = _register_band(seen, stack, other.lights, scene.mask, PX, QUICK)
     mean = band.flow.at(*core(scene)).mean(axis=2)
     np.testing.assert_allclose(mean, np.array(list(place.values())), atol=0.05)
     assert (band.likeness > band.likeness_before).all()

@@ -28,10 +28,10 @@ from splitknit.rig.circuit_files import (
     GROUND_PINS,
     HEADER_OF_GPIO,
     Circuit,
-    bill_of_materials,
+    _bill_of_materials,
+    _kicad_netlist,
+    _ohm_text,
     design_circuit,
-    kicad_netlist,
-    ohm_text,
 )
 
 
@@ -170,7 +170,7 @@ def test_preferred_values() -> None:
         _rating_for(5.0, 0.6)
     with pytest.raises(BadInput, match="positive"):
         _preferred(0.0)
-    assert [ohm_text(v) for v in (27.0, 4700.0, 100_000.0, 1.5, 0.47)] == ["27R", "4k7", "100k", "1R5", "0R47"]
+    assert [_ohm_text(v) for v in (27.0, 4700.0, 100_000.0, 1.5, 0.47)] == ["27R", "4k7", "100k", "1R5", "0R47"]
 
 
 def nets_of(text: str) -> dict[str, set[tuple[str, str]]]:
@@ -184,7 +184,7 @@ def nets_of(text: str) -> dict[str, set[tuple[str, str]]]:
 
 
 def test_every_led_hangs_on_its_line(board: Circuit) -> None:
-    nets = nets_of(kicad_netlist(board, "1"))
+    nets = nets_of(_kicad_netlist(board, "1"))
     values = {c.ref: c.value for c in board.components}
 
     def other_end(ref: str, net: str) -> str:
@@ -207,7 +207,7 @@ def test_every_led_hangs_on_its_line(board: Circuit) -> None:
 
 
 def test_every_pin_is_on_one_net_and_every_part_is_connected(board: Circuit) -> None:
-    nets = nets_of(kicad_netlist(board, "1"))
+    nets = nets_of(_kicad_netlist(board, "1"))
     nodes = [node for net in nets.values() for node in net]
     assert len(nodes) == len(set(nodes)) == sum(len(net) for net in board.nets.values())
     for part in board.components:
@@ -218,8 +218,8 @@ def test_every_pin_is_on_one_net_and_every_part_is_connected(board: Circuit) -> 
 
 
 def test_the_netlist_is_balanced_and_the_same_every_time(board: Circuit) -> None:
-    text = kicad_netlist(board, "1")
-    assert text == kicad_netlist(design_circuit(default_rig()), "1")
+    text = _kicad_netlist(board, "1")
+    assert text == _kicad_netlist(design_circuit(default_rig()), "1")
     depth = 0
     for character in re.sub(r'"[^"]*"', "", text):
         depth += {"(": 1, ")": -1}.get(character, 0)
@@ -229,7 +229,7 @@ def test_the_netlist_is_balanced_and_the_same_every_time(board: Circuit) -> None
 
 
 def test_parts_add_up(board: Circuit) -> None:
-    bill = bill_of_materials(board)
+    bill = _bill_of_materials(board)
     assert sum(quantity for quantity, *_ in bill) == len(board.components)
     assert (14, "BC337-40") in [(q, value) for q, value, *_ in bill]
     assert [value for q, value, *_ in bill if q == 7 and value.endswith("LED")] == ["white, 0.5 W LED", "850 nm LED"]
@@ -241,7 +241,7 @@ def test_other_rigs_get_other_boards() -> None:
     board = design_circuit(few, CircuitSettings(topology="switch"))
     assert [c.gpio for c in board.channels] == [5, 6, 13]
     assert not any(name.startswith("EMITTER") for name in board.nets)
-    assert ("Q1", "3") in nets_of(kicad_netlist(board, "1"))["GND"]
+    assert ("Q1", "3") in nets_of(_kicad_netlist(board, "1"))["GND"]
     with pytest.raises(BadInput, match="band 'uv'"):
         design_circuit(replace(rig, leds=(Led("uv", (0.0, 0.0, 100.0)),)))
     with pytest.raises(BadInput, match="GPIO 13 to two LEDs"):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig, default_rig
+from splitknit.rig.assembly import KINDS
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import (
     _mirror_front,
@@ -217,3 +220,11 @@ def test_the_table_names_every_led():
     assert table["hardware"]["leds_white"] == table["hardware"]["leds_nir"] == 7
     heights = list(table["heights_over_finger_plane_mm"].values())
     assert heights == sorted(heights)
+
+
+def test_every_part_has_its_maker():
+    """Read from the source: the module itself needs build123d."""
+    tree = ast.parse((resources.files("splitknit.rig") / "parts.py").read_text(encoding="utf-8"))
+    tables = {node.target.id: node.value for node in tree.body if isinstance(node, ast.AnnAssign)}
+    makers = [key.value for key in tables["MAKERS"].keys]
+    assert sorted(makers) == sorted(kind.name for kind in KINDS)

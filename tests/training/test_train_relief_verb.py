@@ -13,8 +13,9 @@ from splitknit.cli.train import _curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import relief as app
+from splitknit.training.fields import write_fields
 from splitknit.training.networks import fields_network
-from splitknit.training.relief import ReliefSettings, network_metrics, train_relief, write_network
+from splitknit.training.relief import NAME, WHAT, ReliefSettings, network_metrics, train_relief
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData
 from splitknit.training.trainer import HELD_OUT_FROM
 
@@ -167,7 +168,7 @@ def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers
 def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:
     torch.manual_seed(0)
     state = fields_network((4, 5, 6), 32, 9).state_dict()
-    facts = write_network(tmp_path, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
+    facts = write_fields(tmp_path, NAME, WHAT, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
     assert facts["stride"] == 4 and facts["metrics"] == {"correlation": 0.5}
     assert load_network(tmp_path / "relief.onnx").card.facts["command"] == "by hand"
     assert (tmp_path / "relief.onnx").stat().st_size == facts["bytes"]

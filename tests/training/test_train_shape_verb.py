@@ -13,15 +13,17 @@ from splitknit.cli.train import _curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import shape as app
+from splitknit.training.fields import write_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
+    NAME,
     SLOPES,
     WEIGHT,
+    WHAT,
     ShapeSettings,
     network_metrics,
     train_shape,
-    write_network,
 )
 from splitknit.training.shape_data import ShapeData
 from splitknit.training.trainer import HELD_OUT_FROM
@@ -193,5 +195,5 @@ def test_the_cards_figures_are_of_what_the_network_draws(tmp_path) -> None:
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["before"] == pytest.approx(0.1 * np.sqrt(2.5), abs=1e-4)
     assert found["mean"]["after"] == pytest.approx(0.1, abs=1e-4) == found["mean"]["wide_after"]
-    facts = write_network(tmp_path, state, {"command": "by hand", "metrics": found})
+    facts = write_fields(tmp_path, NAME, WHAT, state, {"command": "by hand", "metrics": found})
     assert facts["stride"] == 2 and load_network(tmp_path / "shape.onnx").card.facts["command"] == "by hand"

@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.viewer.catalogue import open_below, read_below
-from splitknit.viewer.server import POLICY, new_token, refusal
+from splitknit.viewer.server import POLICY, _new_token, refusal
 
 TOKEN, PORT = "t0ken", 8123
 
@@ -84,8 +84,8 @@ def test_nothing_can_be_written(method: str) -> None:
 
 
 def test_tokens_are_of_chance() -> None:
-    assert new_token() != new_token()
-    assert len(new_token()) >= 32
+    assert _new_token() != _new_token()
+    assert len(_new_token()) >= 32
 
 
 def test_the_policy_lets_nothing_in_from_elsewhere() -> None:

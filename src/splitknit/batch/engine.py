@@ -34,11 +34,18 @@ from splitknit.batch.population import (
     missing_pairs,
     read_population,
 )
-from splitknit.batch.prints import MinutiaeDone, MinutiaeTask, extract_minutiae, write_minutiae
 from splitknit.batch.reading import Place, forget, places_of
 from splitknit.batch.scores import ScoreTask, score_block
 from splitknit.batch.settings import BatchSettings, Case
-from splitknit.batch.solids import SOLIDS, SolidTask, extract_solids
+from splitknit.batch.solids import (
+    SOLIDS,
+    MinutiaeDone,
+    MinutiaeTask,
+    SolidTask,
+    extract_minutiae,
+    extract_solids,
+    write_minutiae,
+)
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.scores import Ids, Scores, ids_of

@@ -81,7 +81,7 @@ def add_simulate(verbs: Any) -> None:
 def _run(options: argparse.Namespace) -> Outcome:
     """Write a simulated capture."""
     from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.simulator.folder import simulate_to_folder  # noqa: PLC0415
+    from splitknit.simulator.twin import simulate_to_folder  # noqa: PLC0415
 
     if options.what == "population":
         return _run_population(options)

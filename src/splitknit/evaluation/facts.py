@@ -17,7 +17,7 @@ from splitknit.evaluation.scores import Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cmc:
+class _Cmc:
     """How often the right finger is among the best."""
 
     rate: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Cmc:
     """Probes that were not compared with their whole gallery, or have no finger in it."""
 
 
-def cmc(scores: Scores) -> Cmc | None:
+def cmc(scores: Scores) -> _Cmc | None:
     """Cumulative match characteristic, closed set; None where the scores are not those of probes with galleries.
 
     Side b of a comparison is the gallery, one for each session b (the fingers seen there); side a is the
@@ -71,7 +71,7 @@ def cmc(scores: Scores) -> Cmc | None:
     rank = np.where(np.isfinite(genuine), 1 + ahead, 0)[used]
     smallest = int(sizes[gallery_of[starts]][used].min())
     found = np.bincount(rank[(rank > 0) & (rank <= smallest)], minlength=smallest + 1)[1:]
-    return Cmc(
+    return _Cmc(
         rate=np.cumsum(found) / rank.size,
         rank=rank,
         probe_finger=finger[order, 0][starts][used],
@@ -80,8 +80,8 @@ def cmc(scores: Scores) -> Cmc | None:
     )
 
 
-def rank_one_interval(
-    result: Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
+def _rank_one_interval(
+    result: _Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
     """Percentile interval of the fraction found at rank one; the probes' fingers are drawn, the gallery stays."""
     _, finger = np.unique(result.probe_finger, return_inverse=True)
@@ -177,11 +177,11 @@ def difference_facts(one: Any, settings: BootstrapSettings) -> dict[str, Any]:
     }
 
 
-def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
+def _cmc_facts(found: _Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
     """Rank one and the curve, up to rank 100."""
     if found is None:
         return None
-    low, high = rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
+    low, high = _rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
     return {
         "gallery": found.gallery,
         "probes": found.rank.size,

@@ -78,7 +78,7 @@ class BandRegistration:
     """(L,) the same as they are."""
 
 
-def register_band(  # noqa: PLR0917
+def _register_band(  # noqa: PLR0917
     seen: Seen,
     stack: FloatArray,
     lights: NDArray[np.float64],
@@ -88,19 +88,10 @@ def register_band(  # noqa: PLR0917
 ) -> BandRegistration:
     """Find where the skin that `seen` shows lies in every image of another band.
 
-    Parameters
-    ----------
-    seen : the registered band
-    stack : (L, H, W) float32 linear grey of the other band, each image a shot
-    lights : (L, 3) towards the light, or (L, 3, h, w) if those of `seen` are such
-    mask : (H, W) bool
-    px_per_mm : float
-    settings : RegistrationSettings, optional
-
-    Raises
-    ------
-    BadInput
-        If the two bands' images differ in size, or lights and images in number.
+    `seen`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
+    (L, 3) towards the light, or (L, 3, h, w) if those of `seen` are such; `mask`: (H, W) bool; `settings`:
+    RegistrationSettings, optional. Raises BadInput if the two bands' images differ in size, or lights and images in
+    number.
     """
     settings = settings or RegistrationSettings()
     stack = check_stack(stack)
@@ -278,7 +269,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
             continue
         stack = linear_stack(band, capture.encoding, "grey", window, binning)
         vectors = _lights_over(capture, band, window, BLOCK_MM)
-        other = register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
+        other = _register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
         reported = _motion_facts(flows[name], mask, px)
         reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}

@@ -163,7 +163,7 @@ def _directions(picture: FloatArray, block: int) -> Spectra:
     return np.asarray((xx - yy + 2j * xy) / np.maximum(total, 0.3 * typical), dtype=np.complex64)
 
 
-def band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
+def _band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
     """Ridge band with the steps of its levels smoothed away, zero outside."""
     return np.where(valid, blur(value, 0.6), np.float32(0.0)).astype(np.float32)
 
@@ -221,7 +221,7 @@ class Prepared:
     @cached_property
     def value(self) -> FloatArray:
         """(H, W) smooth ridge band."""
-        return band_of(self.template.value(), self.template.valid)
+        return _band_of(self.template.value(), self.template.valid)
 
     @cached_property
     def rotated(self) -> Views:

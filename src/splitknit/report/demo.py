@@ -15,8 +15,7 @@ from splitknit.model import Progress, no_progress
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print
 from splitknit.report.result import PRINT_PPI, make_report, write_report, write_results
-from splitknit.simulator.folder import twin_settings
-from splitknit.simulator.twin import simulate_capture
+from splitknit.simulator.twin import simulate_capture, twin_settings
 
 PRESETS = ("metric", "ea")
 WRITTEN = {

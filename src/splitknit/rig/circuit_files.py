@@ -166,7 +166,7 @@ def _add_stage(
     refs = {role: f"R{100 * (k + 1) + n}" for k, role in enumerate(("base", "emitter", "series", "pull_down"))}
     for resistor in stage.resistors:
         footprint = _RESISTOR_FOOTPRINTS[resistor.rating_w]
-        value = f"{ohm_text(resistor.ohm)} {resistor.rating_w:g} W"
+        value = f"{_ohm_text(resistor.ohm)} {resistor.rating_w:g} W"
         components.append(_Component(refs[resistor.role], value, "Device", "R", footprint))
     components.append(
         _Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline")
@@ -197,7 +197,7 @@ def _add_stage(
         nets["V_LED"].append(_Node(f"D{n}", "2", "A"))
 
 
-def ohm_text(ohm: float) -> str:
+def _ohm_text(ohm: float) -> str:
     """Return a resistance as it is written on a drawing: 27R, 4k7, 100k."""
     for size, letter in ((1e6, "M"), (1e3, "k"), (1.0, "R")):
         if ohm >= size:
@@ -206,7 +206,7 @@ def ohm_text(ohm: float) -> str:
     return f"0R{f'{ohm:.2f}'.partition('.')[2]}"
 
 
-def kicad_netlist(circuit: Circuit, version: str) -> str:
+def _kicad_netlist(circuit: Circuit, version: str) -> str:
     """Return KiCad's netlist (its S-expression format, version E), to import into the board editor.
 
     The same circuit gives the same text: there is no date in it, and the parts' identifiers follow from their names.
@@ -244,7 +244,7 @@ def _quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def bill_of_materials(circuit: Circuit) -> list[tuple[int, str, str, Sequence[str]]]:
+def _bill_of_materials(circuit: Circuit) -> list[tuple[int, str, str, Sequence[str]]]:
     """Return (quantity, value, footprint, references) of every kind of part, in the order of the first reference."""
     kinds: dict[tuple[str, str], list[str]] = {}
     for part in circuit.components:
@@ -278,7 +278,7 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     pinned = replace(rig, provenance={**rig.provenance, "pins": {band: lines for band, lines in pins.items() if lines}})
     facts = _facts(circuit, out)
     with atomic_folder(out) as folder:
-        (folder / "circuit.net").write_text(kicad_netlist(circuit, __version__), encoding="utf-8")
+        (folder / "circuit.net").write_text(_kicad_netlist(circuit, __version__), encoding="utf-8")
         (folder / "schematic.svg").write_text(_schematic_svg(circuit) + "\n", encoding="utf-8")
         (folder / "parts.csv").write_text(_parts_csv(circuit), encoding="utf-8")
         (folder / "circuit.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
@@ -396,10 +396,10 @@ def _stage(left: float, top: float, channel: Channel, transistor: str) -> list[s
     parts += [
         _line(x - 56, base, x - 16, base),
         _box(x - 104, base - 7, 48, 14),
-        _text(x - 80, base - 12, f"R{100 + n}  {ohm_text(stage.ohm('base'))}", "middle"),
+        _text(x - 80, base - 12, f"R{100 + n}  {_ohm_text(stage.ohm('base'))}", "middle"),
     ]
     parts += [_line(left + 30, base, x - 104, base), f'<circle cx="{left + 50}" cy="{base}" r="2.5" fill="{INK}"/>']
-    parts += _resistor_down(left + 50, base, base + 52, f"R{400 + n}", ohm_text(stage.ohm("pull_down")))
+    parts += _resistor_down(left + 50, base, base + 52, f"R{400 + n}", _ohm_text(stage.ohm("pull_down")))
     parts += [_line(left + 50, base + 52, left + 50, base + 60), _ground(left + 50, base + 60)]
     parts += [
         _text(left + 12, base - 26, f"GPIO {channel.gpio}"),
@@ -412,7 +412,7 @@ def _stage(left: float, top: float, channel: Channel, transistor: str) -> list[s
 
 def _value(stage: Stage, role: str) -> str:
     rating = next(r.rating_w for r in stage.resistors if r.role == role)
-    return f"{ohm_text(stage.ohm(role))} {rating:g} W"
+    return f"{_ohm_text(stage.ohm(role))} {rating:g} W"
 
 
 def _resistor_down(x: float, first: float, last: float, ref: str, value: str) -> list[str]:
@@ -506,6 +506,6 @@ def _parts_csv(circuit: Circuit) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["quantity", "value", "footprint", "references"])
-    for quantity, value, footprint, references in bill_of_materials(circuit):
+    for quantity, value, footprint, references in _bill_of_materials(circuit):
         writer.writerow([quantity, value, footprint, " ".join(references)])
     return stream.getvalue()

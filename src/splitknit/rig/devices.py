@@ -20,9 +20,8 @@ from splitknit.settings import flatten, override
 from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit.simulator.camera.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
-from splitknit.simulator.folder import twin_settings
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import FingerScene
+from splitknit.simulator.twin import FingerScene, twin_settings
 
 TARGETS = ("card", "disc", "nail", "board", "sphere")
 NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by --rig"

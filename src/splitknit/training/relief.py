@@ -30,7 +30,6 @@ from splitknit.training.fields import (
     cut_out,
     mean_figures,
     one_scale,
-    packed_fields,
     patch_with_skin,
     rounded,
     runner_of,
@@ -254,11 +253,12 @@ def train_relief(
 ) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
 
-    `out`: folder to write into; it must be new, unless `resume`; `data`, `settings`: what to train on, and how;
-    `resume`: go on with the training in `out`; `command`: the command line that does this again, for the card;
-    `progress`: called with what is being done and the fraction of the whole that is done; `chart`: draws the learning
-    curve as SVG; without it there is only the table. Raises BadInput if torch is missing, `out` is in use, what is
-    there does not fit the settings, or no finger can be used.
+    Parameters are those of :func:`splitknit.training.separation.train_separation`.
+
+    Raises
+    ------
+    BadInput
+        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)
@@ -312,7 +312,7 @@ def train_relief(
         },
         "metrics": network_metrics(trainer.network.state_dict(), judges),
     }
-    written = write_network(out, trainer.network.state_dict(), facts)
+    written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
 
 
@@ -323,16 +323,6 @@ def _numbers(data: ReliefData) -> tuple[range, range, range]:
         range(data.first_whole, data.first_whole + data.whole_fingers),
         range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out),
     )
-
-
-def packed(state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """ONNX file and card of a finished network, see :func:`splitknit.training.fields.packed_fields`."""
-    return packed_fields(NAME, WHAT, state, facts)
-
-
-def write_network(out: Path, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write network and card of a training's ``state_dict``, see :func:`splitknit.training.fields.write_fields`."""
-    return write_fields(out, NAME, WHAT, state, facts)
 
 
 def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:

@@ -57,7 +57,7 @@ HEADERS = {
 """Sent with every answer."""
 
 
-def new_token() -> str:
+def _new_token() -> str:
     """Return 192 random bits, as they may stand in an address."""
     return secrets.token_urlsafe(24)
 
@@ -148,7 +148,7 @@ def start(service: Service, port: int) -> ViewerServer:
         If the port is in use or may not be used.
     """
     try:
-        return ViewerServer(service, new_token(), port)
+        return ViewerServer(service, _new_token(), port)
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInput(

@@ -135,7 +135,7 @@ class Service:
             case ["thumb"]:
                 return _bytes(_thumb(entry.folder), "image/jpeg")
             case ["photo", number]:
-                from splitknit.viewer.photos import photo_jpeg  # noqa: PLC0415
+                from splitknit.viewer.exports import photo_jpeg  # noqa: PLC0415
 
                 width = _whole(query.get("width", "1200"))
                 return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
@@ -334,7 +334,7 @@ def _print(entry: Entry) -> dict[str, Any] | None:
 def _photos(entry: Entry) -> list[dict[str, Any]]:
     if entry.capture is None:
         return []
-    from splitknit.viewer.photos import photos_of  # noqa: PLC0415 - the first view waits for no image library
+    from splitknit.viewer.exports import photos_of  # noqa: PLC0415 - the first view waits for no image library
 
     try:
         return [{"name": shown(p.name), "band": p.band, "number": p.number} for p in photos_of(entry.capture)]

@@ -45,7 +45,7 @@ UNKNOWN_MM = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewRelief:
+class _ViewRelief:
     """Ridges in one view, on a window of the image's pixels (or blocks of them)."""
 
     sight: Sight
@@ -77,7 +77,7 @@ class ViewRelief:
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
 
 
-def view_relief(  # noqa: PLR0917
+def _view_relief(  # noqa: PLR0917
     capture: Capture,
     sight: Sight,
     mask: BoolArray,
@@ -86,17 +86,12 @@ def view_relief(  # noqa: PLR0917
     radius_mm: Array,
     settings: PipelineSettings,
     prior: float = 0.0,
-) -> ViewRelief:
+) -> _ViewRelief:
     """Ridges of the finger as one view shows them.
 
-    Parameters
-    ----------
-    capture : its white band is used
-    sight, mask : the view, and where (H, W) it shows the finger
-    glasses : all mirrors of the rig
-    chart, radius_mm : the finger without its ridges
-    settings : of the pipeline
-    prior : see :func:`splitknit.mirrors.rolled.work._held_normals`
+    `capture`: its white band is used; `sight`, `mask`: the view, and where (H, W) it shows the finger; `glasses`: all
+    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges; `settings`: of the pipeline; `prior`: see
+    :func:`splitknit.mirrors.rolled.work._held_normals`.
     """
     white = capture.bands["white"]
     camera = capture.rig.camera
@@ -143,7 +138,7 @@ def view_relief(  # noqa: PLR0917
     def placed(field: FloatArray) -> FloatArray:
         return np.where(inside, field, np.float32(np.nan)).astype(np.float32)
 
-    return ViewRelief(sight, window, binning, placed(relief * facing), placed(deviation * facing), placed(trust), how)
+    return _ViewRelief(sight, window, binning, placed(relief * facing), placed(deviation * facing), placed(trust), how)
 
 
 def _ridges(  # noqa: PLR0917
@@ -346,7 +341,7 @@ class Work:
         self.cut = {view.name for view in views if view.cut}
         self.lamps = [glass for name, glass in used.items() if name not in self.masks]
         self.shape: Shape = shape_of(views.body)
-        self.reliefs: dict[str, ViewRelief] = {}
+        self.reliefs: dict[str, _ViewRelief] = {}
         self.correlation: dict[str, list[float]] = {}
         self.met: dict[str, bool] = {}
 
@@ -362,7 +357,7 @@ class Work:
         """Photometric stereo of every view on the surface as it is by now."""
         glasses = (*self.glasses.values(), *self.lamps)
         for name, sight in self.sights().items():
-            self.reliefs[name] = view_relief(
+            self.reliefs[name] = _view_relief(
                 self.capture,
                 sight,
                 self.masks[name],
