@@ -35,7 +35,7 @@ Tree = Mapping[str, Any]
 
 
 def in_order(presets: Tree) -> list[str]:
-    """Ours first."""
+    """`metric` first."""
     return sorted(presets, key=ORDER.index)
 
 

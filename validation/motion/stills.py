@@ -29,8 +29,8 @@ def measured(folder: Path) -> dict[str, float]:
     capture = read_capture(folder)
     finger = find_finger(capture, settings)
     found = register(capture, finger, settings)
-    told = {"seen_mm": seen_motion_mm(finger), "registered_mm": found.most_mm}
-    return {name: round(value, 4) for name, value in {**told, "left_over_before": found.after / found.before}.items()}
+    motion = {"seen_mm": seen_motion_mm(finger), "registered_mm": found.most_mm}
+    return {name: round(value, 4) for name, value in {**motion, "left_over_before": found.after / found.before}.items()}
 
 
 def summary(captures: dict[str, dict[str, float]]) -> dict[str, float]:

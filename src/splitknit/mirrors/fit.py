@@ -1,8 +1,8 @@
 """A body and mirrors that agree with all outlines: Gauss-Newton on planes that touch the finger.
 
 Every point of every outline implies that a plane touches the body: the support of the section where it touches, along
-the plane's normal, equals the plane's offset. These equations are linear in centre lines, nearly linear in the half axes,
-and hold for any pose of the mirrors; the poses, the tip, the sections' squareness and shear are found with them.
+the plane's normal, equals the plane's offset. These equations are linear in centre lines, nearly linear in the half
+axes, and hold for any pose of the mirrors; the poses, the tip, the sections' squareness and shear are found with them.
 """
 
 from __future__ import annotations
