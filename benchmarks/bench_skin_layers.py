@@ -44,7 +44,7 @@ def skin_case() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def by_scipy(stack: np.ndarray, lights: np.ndarray, mask: np.ndarray, pixels: int) -> tuple[float, float, float]:
-    """Seconds a pixel of scipy's Levenberg-Marquardt, how much its costs lie below those of `Pixels` (mean, largest part)."""
+    """Seconds per pixel of scipy's Levenberg-Marquardt, and how far its costs lie below `Pixels` (mean, max)."""
     chosen = np.random.default_rng(1).choice(np.flatnonzero(mask), pixels, replace=False)
     images = stack.reshape(len(stack), -1)[:, chosen].astype(np.float64)
     g = np.linalg.pinv(lights) @ images
