@@ -30,7 +30,7 @@ CHUNK = 500
 
 @lru_cache(maxsize=1)
 def frequency_of_period() -> tuple[FloatArray, FloatArray]:
-    """Periods (mm) and what the frequency channel says of straight ridges of that period."""
+    """Periods (mm) and the frequency channel of straight ridges of that period."""
     periods = np.linspace(0.28, 0.9, 26)
     found = []
     for period in periods:

@@ -1,4 +1,4 @@
-"""Whether still fingers are taken for moving ones: what the two tests of motion say of captures in which none moved.
+"""Whether still fingers are taken for moving ones: what the two tests of motion report of captures in which none moved.
 
     python validation/motion/stills.py POPULATION [--count 80]     # a folder of `splitknit simulate population`
 
