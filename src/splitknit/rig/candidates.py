@@ -257,11 +257,8 @@ def examine(
 
 
 def _glare_lobe_rad(roughness: float) -> float:
-    """Angle between normal and half vector at which a GGX surface's specular reflection has fallen to half.
-
-    References
-    ----------
-    Walter et al. 2007, equation (33): D is half its largest value where tan^2 = a^2 (sqrt 2 - 1) / (1 - sqrt 2 a^2).
+    """Angle between normal and half vector at which a GGX surface's glare has fallen to half. Source: Walter et al.
+    2007, equation (33): D is half its largest value where tan^2 = a^2 (sqrt 2 - 1) / (1 - sqrt 2 a^2).
     """
     squared = min(roughness**2, 0.6)
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
