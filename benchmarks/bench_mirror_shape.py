@@ -2,9 +2,9 @@
 
     python benchmarks/bench_mirror_shape.py [--rounds 5]
 
-One simulated finger is drawn flat: its views' masks as a picture of skin colour on a dark backdrop, with noise. On a
-busy machine the processor's seconds say more than those on the wall; given are the least of the rounds, and the middle
-one of the processor's.
+One simulated finger is drawn flat: its views' masks as a picture of skin colour on a dark background, with noise. On a
+busy machine the processor's seconds show more than those on the wall; given are the minimum of the rounds, and the
+median of the processor's.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 The phalange is a drawn finger's true surface (nothing is reconstructed). `--prints` names a folder of 500-ppi PNG files
 (default: the ten first of ../shared/data/fvc2002_db1b); `--peers` an interpreter in an environment of its own with
 `fingerprint-enhancer` and `pyfing` (neither is needed by this project). Quality is NFIQ 2 of the enhanced prints. On a
-busy machine the processor's seconds say more than those on the wall; both are given.
+busy machine the processor's seconds show more than those on the wall; both are given.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def skin_case() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def by_scipy(stack: np.ndarray, lights: np.ndarray, mask: np.ndarray, pixels: int) -> tuple[float, float, float]:
-    """Seconds a pixel of scipy's Levenberg-Marquardt, and how much its costs lie below ours (mean, largest part)."""
+    """Seconds per pixel of scipy's Levenberg-Marquardt, and how far its costs lie below `Pixels` (mean, max)."""
     chosen = np.random.default_rng(1).choice(np.flatnonzero(mask), pixels, replace=False)
     images = stack.reshape(len(stack), -1)[:, chosen].astype(np.float64)
     g = np.linalg.pinv(lights) @ images
@@ -58,12 +58,12 @@ def by_scipy(stack: np.ndarray, lights: np.ndarray, mask: np.ndarray, pixels: in
     median = float(np.median(albedo))
     exposure = np.pi * median / (EQUAL.base_reflectance * EQUAL.layers.refractive_index**2)
     trust = np.ones_like(images) / (EQUAL.noise * albedo)
-    ours = Pixels(images, trust, (lights / strength)[..., None], strength, albedo, exposure, EQUAL)
-    start, costs = ours.start(g / albedo), fitted(ours, g)[1].cost
-    prior = ours.start(g / albedo)[3:, 0]
+    own = Pixels(images, trust, (lights / strength)[..., None], strength, albedo, exposure, EQUAL)
+    start, costs = own.start(g / albedo), fitted(own, g)[1].cost
+    prior = own.start(g / albedo)[3:, 0]
     began, below = time.perf_counter(), []
     for i in range(pixels):
-        one = ours.take(np.array([i]))
+        one = own.take(np.array([i]))
 
         def residual(theta: np.ndarray, one: Pixels = one) -> np.ndarray:
             normal = directions(theta[:, None])[0]

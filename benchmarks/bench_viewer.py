@@ -4,7 +4,7 @@ python benchmarks/bench_viewer.py [--result FOLDER] [--rounds N]
 
 Without ``--result`` a result of full resolution is made once in benchmarks/out (a finger of the twin, `ea`: what is
 shown costs the same whatever made it). Page times need Chromium, its driver and the extra `browser`; the page is drawn
-by the processor there, as on a machine without a graphics card. On a busy machine the processor's seconds tell more
+by the processor there, as on a machine without a graphics card. On a busy machine the processor's seconds show more
 than the clock's: they are what the work needs where nobody else is at work, if it runs on one core.
 """
 
@@ -97,7 +97,7 @@ def start(result: Path) -> tuple[subprocess.Popen[str], str, float]:
 
 
 def processor_seconds(pid: int) -> float:
-    """Seconds that a process and those it started have computed; 0 where the system does not tell (Linux does)."""
+    """Seconds that a process and those it started have computed; 0 where the system does not report it (Linux does)."""
     times: dict[int, float] = {}
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):

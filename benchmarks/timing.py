@@ -1,4 +1,4 @@
-"""Time several ways of doing one thing, in turns, so that a busy machine slows all of them alike."""
+"""Time several methods of doing one thing, in turns, so that a busy machine slows all of them equally."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def _words(name: str) -> list[str]:
 
 
 def describe(folder: Path) -> None:
-    """Read a capture folder back and say what it holds."""
+    """Read a capture folder back and report what it holds."""
     capture = read_capture(folder)
     for name, band in capture.bands.items():
         light = linear_stack(band, capture.encoding)

@@ -3,7 +3,7 @@
     python examples/plot_evaluate.py --out pictures
 
 Ten fingers, each laid down twice, known exactly (no camera between): what remains is pose alone. Twenty captures are
-far too few for a false match rate of a hundredth, and the intervals say so; ``splitknit simulate population`` and
+far too few for a false match rate of a hundredth, and the intervals show it; ``splitknit simulate population`` and
 ``splitknit batch`` do the same with hundreds.
 """
 
@@ -55,10 +55,10 @@ def main(arguments: list[str] | None = None) -> int:
     pairs = comparisons(finger, session)
     similarity = np.array([ridge_match(sides[a], sides[b]).similarity for a, b in zip(pairs.a, pairs.b, strict=True)])
     scores = scores_of_comparisons(pairs, similarity, finger, session)
-    print(f"{int(pairs.genuine.sum())} genuine pairs, {int((~pairs.genuine).sum())} of strangers")
+    print(f"{int(pairs.genuine.sum())} genuine pairs, {int((~pairs.genuine).sum())} of impostors")
     print(
         f"similarity: genuine {similarity[pairs.genuine].min():.2f} to {similarity[pairs.genuine].max():.2f}, "
-        f"strangers {similarity[~pairs.genuine].min():.2f} to {similarity[~pairs.genuine].max():.2f}"
+        f"impostors {similarity[~pairs.genuine].min():.2f} to {similarity[~pairs.genuine].max():.2f}"
     )
     found = bootstrap(scores, "finger", BootstrapSettings(seed=1))
     for name, words in (("eer", "equal error rate"), ("gar@0.01", "GAR at FAR 1 %")):

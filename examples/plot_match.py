@@ -3,7 +3,7 @@
     python examples/plot_match.py --out pictures
 
 Two captures are of one finger, laid down twice (another roll, yaw and insertion, other noise); the third is another
-person's. Higher similarity is more alike; the false match rate says how often strangers reach as much.
+person's. Higher similarity means more similar; the false match rate gives how often impostors reach as much.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
         often = "always" if rate is None or rate >= 0.999 else f"in at most {100 * rate:.2g} % of comparisons"
         print(
             f"  by ridges {found.similarity:.2f} (turned by {found.rotation_deg:+.1f} deg, {found.overlap_mm2:.0f} mm2 "
-            f"in common); strangers reach that {often}"
+            f"in common); impostors reach that {often}"
         )
         print(f"  by minutiae (bozorth3) {score:.0f}")
     if options.out is not None:

@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"surface rms {figures['surface_rms_mm']:.2f} mm"
         )
         for warning in result.warnings:
-            print(f"  the software says: {warning}")
+            print(f"  the software reports: {warning}")
         prints.append(surface_print(surface_of(result)))
     if options.out is not None:
         tall = max(image.shape[0] for image in prints)

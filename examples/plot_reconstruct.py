@@ -24,7 +24,7 @@ from splitknit.simulator.twin import simulate_capture
 
 
 def describe(result: splitknit.Reconstruction) -> None:
-    """Say what was reconstructed, in the units it comes in."""
+    """Report what was reconstructed, in the units it comes in."""
     area = float(result.mask.sum()) * result.pitch_mm**2
     depth = float(np.nanmax(result.height_mm) - np.nanmin(result.height_mm))
     facing = result.mask & (result.normals[..., 2] > 0.7)

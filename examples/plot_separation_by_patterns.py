@@ -1,7 +1,7 @@
 """Direct and global light by measurement: a simulated palm under 25 shifted checkerboards.
 
 The twin photographs a patch of palm under a projector's checkerboards, knows the direct light at that check size, and
-we separate the images in four ways, without and with noise. Maximum minus minimum (the thesis's way) is best without
+the images are separated by four methods, without and with noise. Maximum minus minimum (the thesis's) is best without
 noise; in noisy images it invents direct light, and the known places of the checks help::
 
     python examples/plot_separation_by_patterns.py --out pictures
@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows: dict[str, list[str]] = {}
     for sigma in (0.0, 0.01, 0.03):
         noisy = stack + np.random.default_rng(1).normal(0, sigma, stack.shape)
-        ways = {
+        methods = {
             "maximum - minimum": checkerboard(noisy, settings=UNBOUNDED),
             "known states": checkerboard(noisy, patterns=states, settings=UNBOUNDED),
             "known states, middle of the checks": checkerboard(
@@ -72,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
             ),
             "one image, blocks": single_image(noisy[0], BLOCK, check_px=check_px, settings=UNBOUNDED),
         }
-        for name, parts in ways.items():
+        for name, parts in methods.items():
             target = blocks(truth.direct) if parts.direct.shape != truth.direct.shape else truth.direct
             gain = parts.direct.mean() / target.mean()
             rows.setdefault(name, []).append(f"{decibels(parts.direct, target):.1f} dB, x {gain:.2f}")

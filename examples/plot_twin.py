@@ -3,7 +3,7 @@
     python examples/plot_twin.py --out pictures
 
 Seven white and seven near-infrared images of one simulated finger. Ridges show in white light and nearly vanish in
-near-infrared, where light travels further under the skin; what the surface alone reflects (glare) is known apart.
+near-infrared, where light travels further under the skin; the specular reflection of the surface is known separately.
 """
 
 from __future__ import annotations

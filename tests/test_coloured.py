@@ -1,4 +1,4 @@
-"""Coloured LEDs in a capture: told apart, written and read, and refused where they cannot be told apart."""
+"""Coloured LEDs in a capture: separated, written and read, and refused where they cannot be separated."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def band_of(light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: 
     )  # fmt: skip
 
 
-def test_mixed_colours_are_told_apart_in_the_order_of_the_lights() -> None:
+def test_mixed_colours_are_separated_in_the_order_of_the_lights() -> None:
     rng = np.random.default_rng(0)
     own = rng.uniform(0.05, 0.4, (2, 5, 6, 3))
     band = band_of(own @ MIXING.T, (("blue", "red", "green"), ("green", "blue", "red")), MIXING)
@@ -125,7 +125,7 @@ def test_a_plain_rig_says_nothing_of_colours(tmp_path: Path) -> None:
         ("capture.json", lambda d: d["bands"]["white"].update(leds=[[0], [3]]), "at least 3 lights"),
     ],
 )
-def test_what_cannot_be_told_apart_is_refused(  # noqa: PLR0917
+def test_what_cannot_be_separated_is_refused(  # noqa: PLR0917
     twin: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, change, words: str
 ) -> None:
     write_capture(twin, tmp_path / "c")

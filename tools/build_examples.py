@@ -2,7 +2,7 @@
 
     make examples
 
-Each example of ``examples/`` runs with ``--out FOLDER`` where it draws pictures. The page says from which source each
+Each example of ``examples/`` runs with ``--out FOLDER`` where it draws pictures. The page states from which source each
 section was made (SHA-256), so that ``tests/test_examples.py`` notices an example that was changed and not run again.
 """
 
@@ -29,7 +29,7 @@ WIDEST_PX, MAX_BYTES = 1200, 200_000
 HEAD = """# Examples, executed
 
 Every section was made by running the file it names (`make examples` runs all of them again and rewrites this page):
-what it is about, what it printed, and the pictures it drew. Each runs without arguments; `--help` says what can be
+what it is about, what it printed, and the pictures it drew. Each runs without arguments; `--help` lists what can be
 changed.
 """
 

@@ -47,7 +47,7 @@ def resized(document: Any, shape: tuple[int, int]) -> None:
 
 
 def too_close(folder: Path) -> None:
-    """The finger goes on to the left, to the right and below; only around its tip the backdrop shows."""
+    """The finger goes on to the left, to the right and below; only around its tip the background shows."""
     of_all(lambda pixels: pixels[:, 175:285])(folder)
     of_rig(lambda document: resized(document, (330, 110)))(folder)
 

@@ -130,7 +130,7 @@ def test_srgb_files_must_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run(folder, "--out", tmp_path / "rig.json") == 0
     edit(folder / "capture.json", lambda document: document.update(encoding="linear"))
     said = refusal(capsys, folder, "--out", tmp_path / "other.json")
-    assert 'are sRGB, but capture.json says "encoding": "linear"; write "encoding": "srgb"' in said
+    assert 'are sRGB, but capture.json states "encoding": "linear"; write "encoding": "srgb"' in said
     assert not (tmp_path / "other.json").exists()
 
 

@@ -200,7 +200,7 @@ def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -
     assert any("did not score the same pairs" in note for note in facts["notes"])
 
 
-def test_files_of_one_name_are_told_apart(folder: Path, tmp_path: Path) -> None:
+def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "hand.csv").write_text(HAND.replace("0.3", "0.6"))
     files = [str(folder / "hand.csv"), str(tmp_path / "hand.csv")]
     assert main(["evaluate", "--scores", files[0], "--scores", files[1], "--out", str(tmp_path / "o"), *QUICK]) == 0

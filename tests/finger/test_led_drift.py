@@ -1,4 +1,4 @@
-"""Gains of LEDs from any matt surface: what can be told is, what cannot is left out, and skin does not mislead."""
+"""Gains of LEDs from any matt surface: what can be detected is, what cannot is left out, and skin does not mislead."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def changed(place: int, *values: int, of: bytes = ANSI_BYTES) -> bytes:
         (changed(25, 7), "reserved byte of its header is 7"),
         (changed(34, 180), "not one of 180 steps"),
         (changed(27, 0x30 | 7), "impression type of view 1 of .* 7 is not one"),
-        (ANSI_BYTES + b"\0", "51 bytes, but its header says 50"),
+        (ANSI_BYTES + b"\0", "51 bytes, but its header states 50"),
     ],
 )
 def test_what_the_standard_does_not_allow_is_named(data: bytes, words: str) -> None:

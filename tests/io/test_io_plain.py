@@ -100,7 +100,7 @@ def test_light_files(text: str, tmp_path: Path) -> None:
     ("text", "words"),
     [
         (b"", "holds no lights"),
-        (b"3\n1 0 1\n", "says 3 lights .* but 1 follow"),
+        (b"3\n1 0 1\n", "states 3 lights .* but 1 follow"),
         (b"1 0 1\n0 1\n", "line 2: three finite numbers"),
         (b"1 0 nan\n", "line 1"),
         (b"1 0 one\n", "line 1"),

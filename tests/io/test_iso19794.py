@@ -94,8 +94,8 @@ def changed(place: int, *values: int) -> bytes:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (ISO_BYTES + b"x", "62 bytes, but its header says 61"),
-        (changed(11, 0x44), "header says 68 bytes, but it has 61"),
+        (ISO_BYTES + b"x", "62 bytes, but its header states 61"),
+        (changed(11, 0x44), "header states 68 bytes, but it has 61"),
         (changed(22, 1), "9 bytes behind its 1 views"),
         (changed(22, 3), "within the header of view 3"),
         (changed(22, 0), "37 bytes behind its 0 views"),

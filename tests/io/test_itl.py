@@ -112,7 +112,7 @@ def replaced(old: bytes, new: bytes, wide: bool = False) -> bytes:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (replaced(b"14.006", b"13"), "holds 120 pixels, but its record says 10 x 13"),
+        (replaced(b"14.006", b"13"), "holds 120 pixels, but its record states 10 x 13"),
         (replaced(b"14.006", b"-1"), "whole number of at most 5 digits"),
         (replaced(b"14.006", b"123456"), "whole number"),
         (replaced(b"14.007", b"99999", wide=True), "99999 x 99999 pixels; no print"),

@@ -54,7 +54,7 @@ def test_the_same_kind_may_be_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", json.dumps({"format": "another"})])
-def test_a_report_of_another_kind_is_told_apart(text: str, tmp_path: Path) -> None:
+def test_a_report_of_another_kind_is_distinguished(text: str, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     report.write_text(json.dumps({"format": "ours"}))
     check_target(tmp_path, "report.json", "an earlier one", form="ours")

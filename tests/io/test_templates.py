@@ -33,7 +33,7 @@ def test_a_failure_to_acquire_is_a_file_of_no_bytes(tmp_path: Path) -> None:
         (lambda data: b"\x89PNG" + data[4:], "not a template"),
         (lambda data: data.replace(b"\r\n", b"\n", 1), "not a template"),
         (lambda data: data[:20], "within its header"),
-        (lambda data: data[:-1], "the header says 6"),
+        (lambda data: data[:-1], "the header states 6"),
         (lambda data: data + b"x", "holds 7 bytes"),
         (lambda data: data[:-1] + b"x", "damaged"),
         (lambda data: data[:8] + b"\x02" + data[9:], "version 2, but this program reads version 1"),

@@ -56,7 +56,7 @@ def test_seven_sets_of_four_pictures_in_the_frame_of_the_print(capture: Capture)
         assert one.print_image.dtype == np.uint8
         assert abs((one.print_image < 255).mean() - inked) < 0.1
     albedo = {one.image: one.print_image.astype(float) for one in found if one.picture == "albedo"}
-    assert 0 < np.abs(albedo[0] - albedo[3]).mean() < 40  # alike, and not the same
+    assert 0 < np.abs(albedo[0] - albedo[3]).mean() < 40  # similar, and not the same
 
 
 def test_pictures_of_a_turned_finger_are_turned_back(capture: Capture) -> None:

@@ -17,7 +17,7 @@ from splitknit.matching.ridge_band import RidgeBand, RidgeBandSettings, ridge_ba
 from splitknit.matching.template import Template, _failed_template, make_template
 
 
-def test_same_fingers_are_more_alike_than_any_others(impressions, templates) -> None:
+def test_same_fingers_are_more_similar_than_any_others(impressions, templates) -> None:
     ready = [Prepared(template) for template in templates]
     genuine, impostor = [], []
     for i, j in itertools.combinations(range(len(ready)), 2):
@@ -114,7 +114,7 @@ def test_a_failure_to_acquire_is_compared_with_nothing(templates) -> None:
     assert found.similarity == -1.0
 
 
-def test_sides_must_be_alike(templates) -> None:
+def test_sides_must_have_the_same_settings(templates) -> None:
     coarse = replace(templates[0], pitch_mm=0.2)
     with pytest.raises(BadInput, match="pitches"):
         ridge_match(coarse, templates[1])

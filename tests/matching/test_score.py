@@ -29,7 +29,7 @@ def test_the_thesis_score_by_hand() -> None:
     further=st.floats(0.001, 100.0),
     gated=st.floats(0.0, 0.8999),
 )
-def test_higher_means_more_alike(ratio: float, near: float, further: float, gated: float) -> None:
+def test_higher_means_more_similar(ratio: float, near: float, further: float, gated: float) -> None:
     closer = similarity_of(dissimilarity(ratio, [near]))
     wider = similarity_of(dissimilarity(ratio, [near + further]))
     assert closer >= wider

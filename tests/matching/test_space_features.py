@@ -107,7 +107,7 @@ def test_minutiae_on_one_spot_or_one_line_are_no_trouble(match: Match) -> None:
         assert 0 <= match(odd, odd).similarity <= 1
 
 
-def test_sides_must_be_prepared_alike() -> None:
+def test_sides_must_be_prepared_with_the_same_settings() -> None:
     one = PreparedMinutiae3D(finger(1), Minutiae3DSettings(neighbours=4))
     with pytest.raises(BadInput, match="different settings"):
         minutiae3d_match(one, PreparedMinutiae3D(finger(1)))

@@ -62,7 +62,7 @@ def test_the_gate_keeps_unlike_outlines_apart() -> None:
 
 
 @pytest.mark.parametrize("feature", FEATURES)
-def test_same_fingers_are_more_alike(impressions, feature: str) -> None:
+def test_same_fingers_are_more_similar(impressions, feature: str) -> None:
     """Poses that differ little: that is what this matcher can take."""
     chosen = ThesisSettings(gate=0.0, feature=feature)
     fingers = [impressions[k].images() for k in (0, 3, 6)]
@@ -107,7 +107,7 @@ def test_upright_images_turn_their_normals() -> None:
     assert middle == pytest.approx((0.0, 0.6, 0.8), abs=1e-5)
 
 
-def test_boxes_are_made_alike() -> None:
+def test_boxes_are_made_equal_in_size() -> None:
     ramp = np.broadcast_to(np.arange(20, dtype=np.float32), (10, 20))
     assert to_box(ramp, (10, 20)) is ramp
     wide = to_box(ramp, (15, 40))

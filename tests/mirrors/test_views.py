@@ -44,7 +44,7 @@ def picture(*fingers: tuple[int, int]) -> FloatArray:
 FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
 
 
-def test_front_and_mirrors_are_told_apart() -> None:
+def test_front_and_mirrors_are_distinguished() -> None:
     views = find_views(picture(FRONT, *BESIDE), CAMERA, MIRRORS, bright, 1)
     assert set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(

@@ -21,7 +21,7 @@ def test_the_window_scales() -> None:
 
 @pytest.mark.parametrize("degree", [2, 3])
 def test_a_quadric_is_exact_even_at_the_mask(degree: int) -> None:
-    """At its middle the curvatures are the coefficients; z is told from x and y, also by windows that the mask cuts."""
+    """At its middle the curvatures are the coefficients; z follows from x and y, also by windows that the mask cuts."""
     x, y = plane_points((61, 61))
     angle = 0.5
     p, q = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)

@@ -36,7 +36,7 @@ def test_one_more_ridge_begins_at_a_known_place(turn: float, sign: int) -> None:
     assert abs(np.angle(np.exp(1j * (found.direction_rad[0] - expected)))) < np.deg2rad(12)
 
 
-def test_endings_and_forks_are_told_apart() -> None:
+def test_endings_and_forks_are_distinguished() -> None:
     """The pattern with ridges and valleys exchanged has the other kind at the same place, and the same direction."""
     for shift in (0.0, np.pi):
         image = with_dislocations([(130.0, 128.0)], [1], shift)

@@ -1,4 +1,4 @@
-"""The rig as drawn and as built: what calibration is told, and what it has to find."""
+"""The rig as drawn and as built: what calibration is given, and what it has to find."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def test_the_twin_takes_the_networks_place(script: Script, bench: Any, monkeypat
     plain = bench.reconstructed(rows["snk_plain_all"])
     ones = np.ones((7, *bench.twin.capture.shape), dtype=np.float32)
     fractions = {"direct": ones, "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None]}
-    monkeypatch.setitem(bench.__dict__, "_shares", fractions)
+    monkeypatch.setitem(bench.__dict__, "_fractions", fractions)
     same, other = (bench.reconstructed(rows[name]) for name in ("snk_plain_direct", "snk_plain_matt"))
     np.testing.assert_array_equal(same.height_mm, plain.height_mm)
     np.testing.assert_array_equal(same.mask, plain.mask)
@@ -104,7 +104,7 @@ def test_share_that_the_network_finds_in_colours(script: Script, bench: Any, mon
         fraction = type(bench)._coloured.func(bench)
     np.testing.assert_allclose(fraction[:, 0, 0], 1)
     monkeypatch.setitem(bench.__dict__, "_coloured", fraction)
-    monkeypatch.setitem(bench.__dict__, "_shares", {"all but glare": fraction})
+    monkeypatch.setitem(bench.__dict__, "_fractions", {"all but glare": fraction})
     by_network, by_truth = (bench.reconstructed(rows.ROWS[f"snk_plain_{name}"]) for name in ("colours", "matt"))
     np.testing.assert_array_equal(by_network.height_mm, by_truth.height_mm)
 

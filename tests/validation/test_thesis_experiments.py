@@ -175,11 +175,11 @@ def test_averages_over_unlike_numbers_of_sessions_are_not_given(thesis: Script) 
     finger, session = np.array([name[0] for name in names]), np.array([name[2] for name in names])
     a, b = np.nonzero(session[:, None] < session[None, :])
     pairs = trials.Pairs(trials.Captures(names, finger, finger, session), a, b)
-    assert variants.averages_are_alike(pairs)
+    assert variants.averages_agree(pairs)
     drawn_one_by_one = pairs.taken(pairs.genuine | ((a + b) % 3 == 0))
-    assert not variants.averages_are_alike(drawn_one_by_one)
+    assert not variants.averages_agree(drawn_one_by_one)
     drawn_by_fingers = pairs.taken(pairs.genuine | (finger[a] == "A"))
-    assert variants.averages_are_alike(drawn_by_fingers)
+    assert variants.averages_agree(drawn_by_fingers)
 
 
 def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None:

@@ -1,4 +1,4 @@
-"""The server as a stranger on the same machine meets it, and as the page does."""
+"""The server as another user of the same machine meets it, and as the page does."""
 
 from __future__ import annotations
 

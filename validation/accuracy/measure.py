@@ -22,7 +22,7 @@ CREASE_TOLERANCE_MM = 1.0
 SIDE_LINES_MM = 3.4
 """Lines beside the crease belong to the same joint; where a finger has any, a cut at the uppermost is right as well."""
 IN_VIEW_MM = 1.5
-"""A crease nearer to the lower border than this is too close to tell."""
+"""A crease nearer to the lower border than this is too close to judge."""
 
 
 def source_hash() -> str:
@@ -63,7 +63,7 @@ def _attempt(capture: Any, truth: Truth, preset: str, side_lines: bool) -> dict[
         comparison = compare(result, truth)
     except splitknit.BadInput as error:  # a refusal is a result: it is counted
         return {"refused": str(error)}
-    except Exception as error:  # so is a failure of ours
+    except Exception as error:  # so is an internal error
         return {"refused": f"{type(error).__name__}: {error}"}
     figures = {**comparison.figures, **_pose_figures(result, truth, side_lines), **_honesty(result, comparison)}
     return {"figures": figures, "seconds": seconds, "warnings": list(result.warnings)}

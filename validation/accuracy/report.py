@@ -35,7 +35,7 @@ Tree = Mapping[str, Any]
 
 
 def in_order(presets: Tree) -> list[str]:
-    """Ours first."""
+    """`metric` first."""
     return sorted(presets, key=ORDER.index)
 
 
@@ -50,7 +50,7 @@ def _preset_table(name: str, preset: Tree) -> str:
         f"**`{name}`**, {preset['captures']} captures, {len(preset['refused'])} refused, "
         f"{preset['seconds_median']:.1f} s each (median, one core of a busy machine):",
         "",
-        "| figure | mean [95 % interval] | median (quartiles) | worst | at least: share | aim: share |",
+        "| figure | mean [95 % interval] | median (quartiles) | worst | minimum: fraction met | aim: fraction met |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for key, row in ROWS.items():

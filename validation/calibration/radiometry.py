@@ -223,7 +223,7 @@ def _directions(rig: Any, height_mm: float) -> Any:
 
 
 def _directions_weight(rig: Any, height_mm: float) -> Any:
-    """(14, N) inverse squares of the true distances: LEDs all alike, without beams, and no lens."""
+    """(14, N) inverse squares of the true distances: LEDs all equal, without beams, and no lens."""
     import numpy as np  # noqa: PLC0415
 
     from splitknit.calibration.card_model import CardPlane, rays_to_led  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Whom the check for specks speaks to: ``python validation/conditions/specks.py SCRATCH POPULATION``.
+"""When the check for specks warns: ``python validation/conditions/specks.py SCRATCH POPULATION``.
 
 On clean captures drawn from a population, on three of the reported fingers at other scales, on all six in every
 condition and severity (captures that ``run.py --keep`` left in SCRATCH, else made anew), and on six with other faults:
@@ -104,12 +104,12 @@ def wilson(passed: int, trials: int, z: float = 1.959964) -> list[float]:
     return [round(max(0.0, middle - half), 4), round(min(1.0, middle + half), 4)]
 
 
-def told(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many heard of dust and of dry skin, with intervals, and the range of the fractions."""
+def reports_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """How many were warned of dust and of dry skin, with intervals, and the range of the fractions."""
     result: dict[str, Any] = {"captures": len(rows)}
     for name, words in (("dust", DARK), ("dry", BRIGHT)):
-        heard = sum(any(words in text for text in row["said"]) for row in rows)
-        result[name] = {"told": heard, "interval": wilson(heard, len(rows))}
+        warned = sum(any(words in text for text in row["said"]) for row in rows)
+        result[name] = {"told": warned, "interval": wilson(warned, len(rows))}
     for band in sorted(rows[0]["shares"]):
         for column, name in enumerate(("dark", "bright")):
             values = [row["shares"][band][column] for row in rows if row["shares"][band][column] is not None]
@@ -126,17 +126,17 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         name = "clean" if row["set"] == "population" else f"{row['kind']} {row['severity']:g}"
         name += f" at scale {row['scale']:g}" if row["set"] == "scales" else ""
         groups.setdefault(row["set"], {}).setdefault(name, []).append(row)
-    return {part: {name: told(some) for name, some in named.items()} for part, named in groups.items()}
+    return {part: {name: reports_of(some) for name, some in named.items()} for part, named in groups.items()}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown for docs/experiments/conditions.md."""
-    lines = ["| captures | told of dust | told of dry skin | dark specks, % | bright specks, % |", "| --- " * 5 + "|"]
+    lines = ["| captures | dust reported | dry skin reported | dark specks, % | bright specks, % |", "| --- " * 5 + "|"]
 
     def line(name: str, some: list[dict[str, Any]]) -> None:
         if not some:
             return
-        found = told(some)
+        found = reports_of(some)
         n = len(some)
         cells = []
         for what in ("dust", "dry"):

@@ -215,9 +215,9 @@ def labelled(heard: dict[str, int]) -> str:
 
 
 def first_table(document: dict[str, Any], preset: str) -> str:
-    """Markdown: what leaves its clean range first, and what the software then says."""
+    """Markdown: what leaves its clean range first, and what the software then reports."""
     lines = [
-        "| condition | first at severity | what leaves its clean range | what the software then says | at severity 1 |"
+        "| condition | first at severity | what leaves its clean range | what the software reports | at severity 1 |"
     ]
     lines.append("| --- " * 5 + "|")
     for kind, found in document["first"][preset].items():

@@ -1,4 +1,4 @@
-"""How well the features in space of Kumar and of Lin tell fingers apart, on simulated people, and what they cost.
+"""How well the features in space of Kumar and of Lin separate fingers, on simulated people, and what they cost.
 
     python validation/family/features.py make --population people --work work --part tuned
     python validation/family/features.py make --population people --work work --part reported

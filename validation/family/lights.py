@@ -1,4 +1,4 @@
-"""Accuracy under coloured LEDs (Lin) and of Zheng's photometric stereo, beside the thesis's baseline and ours.
+"""Accuracy under coloured LEDs (Lin) and of Zheng's photometric stereo, beside the thesis's baseline and `metric`.
 
     python validation/family/lights.py --work DIR [--fingers 6] [--scale 0.4] [--out validation/family/lights.json]
 
@@ -38,7 +38,7 @@ Truth = Mapping[str, NDArray[Any]]
 
 
 def without_crosstalk(capture: Capture) -> Capture:
-    """The capture as a rig file reads it that says nothing of crosstalk."""
+    """The capture as a rig file reads it without crosstalk."""
     bands = {name: replace(band, crosstalk=None) for name, band in capture.bands.items()}
     rig = replace(capture.rig, camera=replace(capture.rig.camera, crosstalk=None))
     return replace(capture, rig=rig, bands=bands)

@@ -25,12 +25,12 @@ COLUMNS = {
     "shape_rms_mm": ("shape rms, mm", 3),
 }
 PAIRS = (
-    ("distant lights, all alike", "lambertian", "layers"),
+    ("distant lights, equal weights", "lambertian", "layers"),
     ("the same without layers: a surface alone (Fresnel)", "lambertian", "fresnel"),
     ("layers against the surface alone", "fresnel", "layers"),
     ("layers that nothing holds, against held ones", "layers", "layers free"),
     ("distant lights, shadow and gloss left out", "lambertian robust", "layers robust"),
-    ("near lights, all alike", "lambertian near", "layers near"),
+    ("near lights, equal weights", "lambertian near", "layers near"),
 )
 Tree = Mapping[str, Any]
 

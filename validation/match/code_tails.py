@@ -7,20 +7,20 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 FRACTION = 0.02
-"""Of the strangers' scores, the highest, that the tail is fitted to."""
+"""Of the impostors' scores, the highest, that the tail is fitted to."""
 
 
-def tail_probability(strangers: NDArray[np.float32], score: float) -> float:
-    """Chance that one more stranger scores at least `score`, given the scores (N,) of many with the same probe.
+def tail_probability(impostors: NDArray[np.float32], score: float) -> float:
+    """Chance that one more impostor scores at least `score`, given the scores (N,) of many with the same probe.
 
     Below the highest `FRACTION` it is counted; above, exceedances are taken as exponential (the tail of a normal
     distribution falls faster, so that the chance is rather too high than too low).
     """
-    edge = float(np.quantile(strangers, 1.0 - FRACTION))
+    edge = float(np.quantile(impostors, 1.0 - FRACTION))
     if score <= edge:
-        return float(np.mean(strangers >= score))
-    beyond = strangers[strangers > edge] - edge
-    return float(len(beyond) / len(strangers) * np.exp(-(score - edge) / max(float(beyond.mean()), 1e-6)))
+        return float(np.mean(impostors >= score))
+    beyond = impostors[impostors > edge] - edge
+    return float(len(beyond) / len(impostors) * np.exp(-(score - edge) / max(float(beyond.mean()), 1e-6)))
 
 
 def hit_rates(
@@ -30,7 +30,7 @@ def hit_rates(
 
     Parameters
     ----------
-    chances : (N,) for each probe, that one stranger is before the right finger
+    chances : (N,) for each probe, that one impostor is before the right finger
     owners : (N,) fingers; the bootstrap draws fingers with all their probes
     size : of the gallery
     ranks : k

@@ -7,7 +7,7 @@
 `learn` writes ``src/splitknit/matching/code_model.npz`` and its card ``code_model.json``; `test` (codes alone, and what
 follows for larger galleries) and `stages` (the whole search) write their parts of ``codes.json`` here. FOLDER keeps
 simulated fingers, made where they are not there yet (half an hour of one core). Seeds: 7001 for outlines and for
-choices, 7100 and 7300 to learn, 7400 for strangers, the population's own (680) to test: its true surfaces, the first
+choices, 7100 and 7300 to learn, 7400 for impostors, the population's own (680) to test: its true surfaces, the first
 20 mm of each finger; the first session is the gallery, the later ones are probes.
 """
 
@@ -47,7 +47,7 @@ from splitknit.model import FloatArray, Surface
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "code_model.npz"
 RESULT = Path(__file__).with_name("codes.json")
-OUTLINES, FLAT, FIELDS, STRANGERS = 7001, 7100, 7300, 7400
+OUTLINES, FLAT, FIELDS, IMPOSTORS = 7001, 7100, 7300, 7400
 SIZE, TEMPER = 192, 4.0
 PHALANGE_MM = 20.0
 RANKS = (1, 5, 10, 20, 50, 100)
@@ -128,7 +128,7 @@ def split(templates: dict[str, Template]) -> tuple[dict[str, Template], dict[str
     return gallery, probes
 
 
-def stranger_codes(channels: FloatArray, outlines: list[Template]) -> NDArray[np.int8]:
+def impostor_codes(channels: FloatArray, outlines: list[Template]) -> NDArray[np.int8]:
     """(N, K) codes of complete fields, each seen through one of the outlines in turn."""
     still = np.zeros(1)
     weights = np.concatenate([sampled(ridge_field(template), still, still, still)[1] for template in outlines])
@@ -142,20 +142,20 @@ def stranger_codes(channels: FloatArray, outlines: list[Template]) -> NDArray[np
 
 def test(work: Path, folder: Path, subjects: int) -> dict[str, Any]:
     """Codes alone: hits among all that were simulated, and what follows for larger galleries."""
-    make_fields(work, STRANGERS, 5000)
+    make_fields(work, IMPOSTORS, 5000)
     gallery, probes = split(population(folder, work, subjects))
     outlines = [template for template in load(work, OUTLINES, 100)[0][::3] if not template.empty]
     names = list(gallery)
     own = np.stack([code_of(gallery[name]) for name in names])
     grown = [laid.template for laid in load_flat(work, FLAT, 1000)[0][600:1200:2]]
-    # fields as drawn differ from those of surfaces, on average: strangers are to be like surfaces
+    # fields as drawn differ from those of surfaces, on average: impostors are to be like surfaces
     difference = offset(load(work, OUTLINES, 100)[0], load_fields(work, FIELDS, 4000))
-    strangers = {
-        "fields": stranger_codes(load_fields(work, STRANGERS, 10_000) + difference, outlines),
+    impostors = {
+        "fields": impostor_codes(load_fields(work, IMPOSTORS, 10_000) + difference, outlines),
         "grown": np.stack([code_of(template) for template in grown]),
         "surfaces": np.stack([code_of(template) for template in outlines]),
     }
-    seen: dict[str, list[NDArray[np.float32]]] = {"population": [], **{kind: [] for kind in strangers}}
+    seen: dict[str, list[NDArray[np.float32]]] = {"population": [], **{kind: [] for kind in impostors}}
     chances, owners, ranks, failed = [], [], [], []
     for name, template in probes.items():
         if template.empty:
@@ -165,7 +165,7 @@ def test(work: Path, folder: Path, subjects: int) -> dict[str, Any]:
         mine = names.index(finger_of(name))
         scores = (variants @ own.T.astype(np.float32)).max(axis=0)
         others = np.delete(scores, mine)
-        far = {kind: (variants @ codes.T.astype(np.float32)).max(axis=0) for kind, codes in strangers.items()}
+        far = {kind: (variants @ codes.T.astype(np.float32)).max(axis=0) for kind, codes in impostors.items()}
         for kind, values in (far | {"population": others}).items():
             seen[kind].append(values)
         everyone = np.concatenate([others, far["fields"]])
@@ -176,11 +176,11 @@ def test(work: Path, folder: Path, subjects: int) -> dict[str, Any]:
             failed.append(
                 f"{name}: rank {ranks[-1]}, {template.area_mm2:.0f} mm² against {gallery[owners[-1]].area_mm2:.0f}"
             )
-    size = len(names) + len(strangers["fields"])
+    size = len(names) + len(impostors["fields"])
     counted = {str(k): rate(np.array(ranks) <= k) for k in RANKS}
     return {
         "probes": len(ranks), "fingers": len(set(owners)), "gallery": size,
-        "strangers_of": {kind: len(codes) for kind, codes in strangers.items()},
+        "strangers_of": {kind: len(codes) for kind, codes in impostors.items()},
         "hit_within_rank": counted,
         "expected_within_rank": {
             str(n): hit_rates(np.array(chances), owners, n, RANKS) for n in (size, 10_000, 100_000, 1_000_000)

@@ -1,7 +1,7 @@
 """Ridge fields of very many simulated fingers, cheapest of all: directions and periods as drawn, no ridges grown.
 
-From them codes are learned, and they are the strangers of galleries of ten thousand and more. That strangers made this
-way score like strangers whose ridges were grown or seen on true surfaces is checked by ``codes.py``.
+From them codes are learned, and they are the impostors of galleries of ten thousand and more. That impostors made by
+this method score like impostors whose ridges were grown or seen on true surfaces is checked by ``codes.py``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CHUNK = 500
 
 @lru_cache(maxsize=1)
 def frequency_of_period() -> tuple[FloatArray, FloatArray]:
-    """Periods (mm) and what the frequency channel says of straight ridges of that period."""
+    """Periods (mm) and the frequency channel of straight ridges of that period."""
     periods = np.linspace(0.28, 0.9, 26)
     found = []
     for period in periods:

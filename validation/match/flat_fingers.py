@@ -1,7 +1,7 @@
 """Very many simulated fingers as ridge templates, cheaply: ridges grown flat, seen through other fingers' outlines.
 
 Codes are learned on them (the same finger laid down several times, with the true alignment known), and they are the
-strangers of large galleries. No body is rolled or unrolled: an impression is a shifted, turned and slightly deformed
+impostors of large galleries. No body is rolled or unrolled: an impression is a shifted, turned and slightly deformed
 piece of a flat wave, cut to the outline (valid skin) of a finger that was simulated in full (``code_fingers.py``).
 """
 

@@ -72,11 +72,11 @@ SYSTEMS = {"nbis-py": nbis_py, "minutiae": minutiae, "ridge": ridges}
 def measured(images: Sequence[Image], owner: Sequence[int], impostors: int | None, seed: int) -> list[Scores]:
     """Scores of all systems: all genuine pairs, and all impostor ones or some."""
     pairs = list(itertools.combinations(range(len(images)), 2))
-    strangers = [pair for pair in pairs if owner[pair[0]] != owner[pair[1]]]
-    if impostors is not None and impostors < len(strangers):
-        chosen = np.random.default_rng([seed, 3]).permutation(len(strangers))[:impostors]
-        strangers = [strangers[k] for k in sorted(chosen)]
-    pairs = [pair for pair in pairs if owner[pair[0]] == owner[pair[1]]] + strangers
+    others = [pair for pair in pairs if owner[pair[0]] != owner[pair[1]]]
+    if impostors is not None and impostors < len(others):
+        chosen = np.random.default_rng([seed, 3]).permutation(len(others))[:impostors]
+        others = [others[k] for k in sorted(chosen)]
+    pairs = [pair for pair in pairs if owner[pair[0]] == owner[pair[1]]] + others
     ids = ids_of([owner[i] for i, _ in pairs], [owner[j] for _, j in pairs])
     found = []
     for name, system in SYSTEMS.items():

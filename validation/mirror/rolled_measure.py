@@ -133,7 +133,7 @@ def _truth_of(rolled: Rolled, view: int, truth: dict[str, Any]) -> NDArray[np.fl
 
 def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | None]:
     """How far apart (rms, um) the skin lies that the front and each mirror show at one place of the print, where both
-    count: the skin's own coordinates tell."""
+    count: by the skin's own coordinates."""
     skin = []
     for view, name in enumerate(rolled.names):
         place, mask = ("chart_mm", "mask") if name == "front" else (f"view_{name}_chart_mm", f"view_{name}_mask")

@@ -1,4 +1,4 @@
-"""The shape from mirrors on simulated fingers: the thesis's method beside ours, and mirrors off their place.
+"""The shape from mirrors on simulated fingers: the thesis's method beside `metric`, and mirrors off their place.
 
     python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25]    # measure (resumes), then sum up
     python validation/mirror/shape.py --summary                                 # sum up what there is

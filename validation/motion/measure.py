@@ -143,18 +143,18 @@ def undone(capture: Capture, truth: Truth) -> Capture:
 def flow_error_um(result: Reconstruction, truth: Truth, name: str) -> float:
     """Root mean square of the error of a band's shifts, over the finger's core and all its shots.
 
-    The shifts are those that the report tells: mean and turn of every shot, which is all that the default undoes.
+    The shifts are those that the report gives: mean and turn of every shot, which is all that the default undoes.
     """
-    told = result.facts[f"motion_{name}"]
+    reported = result.facts[f"motion_{name}"]
     rows, columns = truth["motion_rows"], truth["motion_columns"]
     core = cv2.erode(result.mask.astype(np.uint8), np.ones((3, 3)), iterations=round(MARGIN_MM / result.pitch_mm)) > 0
     inside = core[np.ix_(rows, columns)] & np.isfinite(truth["motion_flow_px"][0, 0])
     first = 0 if name == "white" else 7
     total = []
-    for k, (shift, turn) in enumerate(zip(told["shift_mm"], told["turn_deg"], strict=True)):
+    for k, (shift, turn) in enumerate(zip(reported["shift_mm"], reported["turn_deg"], strict=True)):
         true_x, true_y = (part[inside] * result.pitch_mm for part in truth["motion_flow_px"][first + k])
         x, y = (part[inside] * result.pitch_mm for part in np.meshgrid(columns, rows))
-        centre = told["centre_mm"]
+        centre = reported["centre_mm"]
         angle = -np.deg2rad(turn)  # rows run downwards
         across, down = x - centre[0], y - centre[1]
         total.append((shift[0] - angle * down - true_x) ** 2 + (-shift[1] + angle * across - true_y) ** 2)

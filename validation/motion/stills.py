@@ -1,4 +1,4 @@
-"""Whether still fingers are taken for moving ones: what the two tests of motion say of captures in which none moved.
+"""Whether still fingers are taken for moving ones: what the two tests of motion report of captures in which none moved.
 
     python validation/motion/stills.py POPULATION [--count 80]     # a folder of `splitknit simulate population`
 
@@ -29,8 +29,8 @@ def measured(folder: Path) -> dict[str, float]:
     capture = read_capture(folder)
     finger = find_finger(capture, settings)
     found = register(capture, finger, settings)
-    told = {"seen_mm": seen_motion_mm(finger), "registered_mm": found.most_mm}
-    return {name: round(value, 4) for name, value in {**told, "left_over_before": found.after / found.before}.items()}
+    motion = {"seen_mm": seen_motion_mm(finger), "registered_mm": found.most_mm}
+    return {name: round(value, 4) for name, value in {**motion, "left_over_before": found.after / found.before}.items()}
 
 
 def summary(captures: dict[str, dict[str, float]]) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Is the simulated population like people? Classes and sizes as drawn, prints as strangers, outlines as alike.
+"""Is the simulated population like people? Classes and sizes as drawn, prints as impostors, outlines as similar.
 
     pip install nbis-py==0.1.3
     python validation/population/run.py                 # all parts, ten minutes of one core
@@ -95,8 +95,8 @@ def impostors(draws: int) -> dict[str, Any]:
     result: dict[str, Any] = {"matcher": "mindtct + bozorth3 (nbis-py 0.1.3), 500 ppi, all minutiae"}
     for seed in range(draws):
         families = [own for person in people(seed, 4) for own in person.fingers.values()]
-        strangers = [person.fingers[FINGERS[person.number % len(FINGERS)]] for person in people(seed, 40)]
-        for name, fingers in (("four_people", families), ("forty_people", strangers)):
+        impostors = [person.fingers[FINGERS[person.number % len(FINGERS)]] for person in people(seed, 40)]
+        for name, fingers in (("four_people", families), ("forty_people", impostors)):
             images = [np.pad(ink_print(own.finger.master()), 20, constant_values=255) for own in fingers]
             files = [cv2.imencode(".png", image)[1].tobytes() for image in images]
             result[f"{name}_{seed}"] = matcher.matched(files, [str(k) for k in range(len(files))])
@@ -104,7 +104,7 @@ def impostors(draws: int) -> dict[str, Any]:
 
 
 def outlines(subjects: int, sessions: int) -> dict[str, Any]:
-    """How well breadth, length of the tip and whole outline alone tell fingers apart."""
+    """How well breadth, length of the tip and whole outline alone distinguish fingers."""
     settings = PopulationSettings(scale=0.2)
     fingers, edges = [], []
     for person in people(0, subjects):

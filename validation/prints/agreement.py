@@ -1,4 +1,4 @@
-"""How far prints can be trusted: true minutiae in our prints, their quality, and how bozorth3 tells fingers apart.
+"""How far prints can be trusted: true minutiae in the prints, their quality, and how bozorth3 separates fingers.
 
     python validation/prints/agreement.py POPULATION STORE --scratch FOLDER      # measure (resumes), then sum up
     python validation/prints/agreement.py --summary --scratch FOLDER             # sum up what there is

@@ -1,6 +1,6 @@
 """Where the true minutiae of a simulated capture lie, and the capture's true surface, as prints need them.
 
-A pixel of the truth is a point of the finger's body, whose chart says which point of the skin it is: that gives each
+A pixel of the truth is a point of the finger's body, whose chart gives which point of the skin it is: that gives each
 ``landmark_minutiae_px`` its minutia of the master (moved by the deformation), and its direction in the picture.
 """
 
@@ -29,7 +29,7 @@ SAME_MM = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What a capture's truth says about its minutiae."""
+    """A capture's true minutiae."""
 
     places_px: Array
     """(N, 2) column, row in the picture; all that are in view."""

@@ -1,4 +1,4 @@
-"""Minutiae by the phase of the ridges against mindtct's: how many of the true ones, and how fingers are told apart.
+"""Minutiae by the phase of the ridges against mindtct's: how many of the true ones, and how fingers are separated.
 
     python validation/prints/phase.py POPULATION STORE      # writes phase.json beside this file
 

@@ -1,4 +1,4 @@
-"""Which rig would the thesis's own experiment choose? Sweeps of ``splitknit rig optimise`` and what they say.
+"""Which rig would the thesis's own experiment choose? Sweeps of ``splitknit rig optimise`` and what they found.
 
     python validation/rig/optimise.py                    # all sweeps: 15 minutes of one core; may be interrupted
     python validation/rig/optimise.py --report           # the tables of docs/experiments/rig-optimise.md and its

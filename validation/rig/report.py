@@ -86,7 +86,7 @@ def _axis(results: Mapping[str, Any], axis: str) -> str:
     if any(one not in results for one in names):
         return ""
     pair = [results[one] for one in names]
-    thesis, ours = ({_value(row, axis): row for row in sweep["rows"]} for sweep in pair)
+    thesis, swept = ({_value(row, axis): row for row in sweep["rows"]} for sweep in pair)
     lines = [
         f"At 140 mm and 52.5 mm, {AXES[axis].split(' (')[0]} ({pair[0]['fingers']} and {pair[1]['fingers']} fingers):",
         "",
@@ -96,7 +96,7 @@ def _axis(results: Mapping[str, Any], axis: str) -> str:
     ]
     for value, row in thesis.items():
         cells = [value, _exposure(row)]
-        for one in (row, ours.get(value)):
+        for one in (row, swept.get(value)):
             if one is None or one["status"] != "done":
                 cells += ["-" if one is None else "/".join(SHORT[rule] for rule in one["broken"]), "", ""]
             else:

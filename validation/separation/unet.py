@@ -13,7 +13,7 @@ the skin. Red, green, blue: the linear photograph. Enhanced: the grey image afte
 Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
 
 *Single image* is Nayar's separation from one photograph under the checkerboard, by the same camera, in blocks of two
-checks; *pattern known*: told where the checks lie. It needs a projector. It is judged in a box that is all skin, and
+checks; *pattern known*: given where the checks lie. It needs a projector. It is judged in a box that is all skin, and
 the network there too.
 """
 
@@ -247,10 +247,10 @@ def summarised(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     keys = list(dict.fromkeys((row["kind"], row["method"], row["channel"]) for row in rows))
     result = []
     for key in keys:
-        ours = [row for row in rows if (row["kind"], row["method"], row["channel"]) == key]
+        mine = [row for row in rows if (row["kind"], row["method"], row["channel"]) == key]
         entry: dict[str, Any] = dict(zip(("kind", "method", "channel"), key, strict=True))
         for figure in ("psnr_db", "psnr_own_peak_db", "ssim", "ssim_own_peak"):
-            values = np.array([row[figure] for row in ours])
+            values = np.array([row[figure] for row in mine])
             means = values[rng.integers(0, len(values), (2000, len(values)))].mean(axis=1)
             low, high = np.percentile(means, [2.5, 97.5])
             entry[figure] = {"mean": float(values.mean()), "low": float(low), "high": float(high)}
@@ -271,8 +271,8 @@ def markdown(result: dict[str, Any]) -> str:
         for method in dict.fromkeys(entry["method"] for entry in entries):
             cells = {entry["channel"]: _cell(entry) for entry in entries if entry["method"] == method}
             lines.append(f"| {method} | " + " | ".join(cells.get(channel, "") for channel in CHANNELS) + " |")
-        ours = [entry for entry in entries if entry["method"] == "network"]
-        cells = [f"{entry['psnr_own_peak_db']['mean']:.1f}, {entry['ssim_own_peak']['mean']:.3f}" for entry in ours]
+        mine = [entry for entry in entries if entry["method"] == "network"]
+        cells = [f"{entry['psnr_own_peak_db']['mean']:.1f}, {entry['ssim_own_peak']['mean']:.3f}" for entry in mine]
         lines.append("| network, for the direct light's own peak | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from splitknit.evaluation.scores import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
-KEPT_SHARE = 0.2
+KEPT_FRACTION = 0.2
 """A case that has less than this fraction of the largest one's comparisons is left out of a table, and named."""
 
 Values = NDArray[np.float64]
@@ -137,7 +137,7 @@ def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], match
     asked = dict.fromkeys([*wanted, *((case, "thesis") for case in overlaps.values() if case is not None)])
     raw = {key: _columns(store, captures, *key) for key in asked}
     longest = max((len(columns["key"]) for key in wanted if (columns := raw[key])), default=0)
-    used = {key: columns for key, columns in raw.items() if columns and len(columns["key"]) >= KEPT_SHARE * longest}
+    used = {key: columns for key, columns in raw.items() if columns and len(columns["key"]) >= KEPT_FRACTION * longest}
     missing = [f"{case} by {matcher}" for case, matcher in wanted if (case, matcher) not in used]
     if not any(key in used for key in wanted):
         raise SystemExit(f"the store holds no scores of {', '.join(cases)} by {', '.join(matchers)}.")
@@ -160,7 +160,7 @@ def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], match
 
 
 def _overlap_case(store: StoreLike, captures: Captures, case: str, cases: Sequence[str]) -> str | None:
-    """Of which case the thesis's matcher tells the overlaps of `case`: its own, or one with the same masks.
+    """The case whose overlaps under the thesis's matcher are those of `case`: its own, or one with the same masks.
 
     A store that is being filled may have more of another case. Masks are taken to be the same where all captures have
     the same area to the last bit.

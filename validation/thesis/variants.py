@@ -21,7 +21,7 @@ PAIR_LIMIT_DEG = 10.0
 """A genuine comparison is discarded if its two rolls differ by more."""
 
 
-ALIKE_SHARE = 0.75
+SIMILAR_FRACTION = 0.75
 """Comparisons of a pair of two fingers over those of one finger with itself, at least, for averages to be given."""
 
 
@@ -55,7 +55,7 @@ THESIS_WHOLE = Variant("gate", "averaged", "whole")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What the truth of the captures tells of each comparison."""
+    """The truth of the captures on each comparison."""
 
     roll_difference_deg: Values
     """(N,) of the two captures."""
@@ -114,13 +114,13 @@ def judged(pairs: Pairs, trial: Trial, variant: Variant, known: Known, passing: 
     if not (kept & made & genuine).any() or not (kept & made & ~genuine).any():
         return None
     if variant.sessions == "averaged":
-        if not averages_are_alike(pairs):
+        if not averages_agree(pairs):
             return None
         return average_sessions(scores_of(pairs.taken(kept), similarity[kept], trial.name))
     return scores_of(pairs.taken(kept), similarity[kept], trial.name)
 
 
-def averages_are_alike(pairs: Pairs) -> bool:
+def averages_agree(pairs: Pairs) -> bool:
     """Whether a pair of two fingers was compared in about as many pairs of sessions as one finger with itself.
 
     A mean over one or two comparisons scatters more than one over six: where single comparisons of impostors were drawn
@@ -130,4 +130,4 @@ def averages_are_alike(pairs: Pairs) -> bool:
     key = finger[pairs.a] * pairs.captures.names.size + finger[pairs.b]
     genuine = pairs.genuine
     own, other = (np.sum(side) / max(1, np.unique(key[side]).size) for side in (genuine, ~genuine))
-    return bool(other >= ALIKE_SHARE * own)
+    return bool(other >= SIMILAR_FRACTION * own)

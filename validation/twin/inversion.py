@@ -4,10 +4,10 @@
     python validation/twin/inversion.py --smoke    # one tiny crop
 
 Ridged crops under the seven white LEDs are rendered by the reference (diffuse boundary) and kept, with their height,
-in ``validation/out/twin/inversion``. Each channel then goes the simple way: near-light photometric stereo with known
+in ``validation/out/twin/inversion``. Each channel then goes the simple route: near-light photometric stereo with known
 lights, slopes divided by the transfer function of :mod:`splitknit.skin.diffusion`, integration; the ridge band is
-compared with the truth, for the reference's light without and with glare and, to tell what the way itself leaves, for
-the fast twin's. Results go to ``validation/twin/inversion.json``.
+compared with the truth, for the reference's light without and with glare and, to find the error of the method itself,
+for the fast twin's. Results go to ``validation/twin/inversion.json``.
 """
 
 from __future__ import annotations

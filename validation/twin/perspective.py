@@ -1,10 +1,10 @@
 """Light on a finger under a perspective camera against an orthographic one, at the same points of the skin.
 
 Run ``python validation/twin/perspective.py``: half a minute. Both cameras stand 140 mm above a finger in the middle of
-the picture. Light that came through the skin leaves it alike in all directions but for the Fresnel transmittance, which
-is divided out: what remains is the error of a convolution in the image, with one pitch for the whole finger, of a
-perspective picture. Printed for slants of the smooth skin and for each channel: median, and 5th to 95th percentile, of
-the relative difference over seven white LEDs, where there is at least a tenth of the brightest light.
+the picture. Light that came through the skin leaves it equally in all directions but for the Fresnel transmittance,
+which is divided out: what remains is the error of a convolution in the image, with one pitch for the whole finger, of
+a perspective picture. Printed for slants of the smooth skin and for each channel: median, and 5th to 95th percentile,
+of the relative difference over seven white LEDs, where there is at least a tenth of the brightest light.
 """
 
 from __future__ import annotations

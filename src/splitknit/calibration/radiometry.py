@@ -70,7 +70,7 @@ def calibrate_radiometry(
 
     Parameters
     ----------
-    capture : of the card; an ambient image a band takes room light and black level off
+    capture : of the card; an ambient image a band takes ambient light and black level off
     rig : camera and LEDs' places, calibrated
     card : where the card lies; on the finger plane by default
     black_level : stored value of no light, for images where the capture does not state it
@@ -177,7 +177,7 @@ def _warnings(
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words.append(
-                f"there is no ambient image of the band {band}: room light"
+                f"there is no ambient image of the band {band}: ambient light"
                 f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
             )
         elif fraction > _AMBIENT_PERCENT:

@@ -56,7 +56,7 @@ class Response:
     span: tuple[float, float]
     """Least and greatest values that were seen, as parts of full scale: the answer holds between them."""
     curve: tuple[Array, Array]
-    """Values from the least to the greatest, and the light that each stands for, its line through the ends one."""
+    """Values from the smallest to the largest, and the light that each stands for, its line through the ends one."""
 
 
 def fit_response(

@@ -273,7 +273,7 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
         return Focus(0.0, 0.0)
     detail = cv2.Laplacian(cv2.GaussianBlur(relative, (0, 0), sigma), cv2.CV_32F) * np.float32(sigma**2)
     finest = cv2.filter2D(relative, cv2.CV_32F, _NOISE_MASK)
-    # robust, because glare and hairs are sharp at every scale
+    # robust, because specular reflections and hairs are sharp at every scale
     noise = (1.4826 * float(np.median(np.abs(finest[inside])))) ** 2 / float((_NOISE_MASK**2).sum())
     of_noise = noise * _response_to_noise(sigma)
     total = (1.4826 * float(np.median(np.abs(detail[inside] - np.median(detail[inside]))))) ** 2

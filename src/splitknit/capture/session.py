@@ -297,7 +297,7 @@ def _region(seen: Survey, room: Frame, px_per_mm: float, full_columns: int, *, f
 
 
 def _check_light(band: str, seen: Survey, room: Frame) -> None:
-    """Refuse a band whose LEDs, all of them, add nothing to the room's light."""
+    """Refuse a band whose LEDs, all of them, add nothing to the ambient light."""
     full = float(np.iinfo(room.pixels.dtype).max)
     brighter = max(
         float(np.percentile(frame.pixels.astype(np.float32) - room.pixels, 99.9)) for frame in seen.frames.values()

@@ -6,9 +6,8 @@ they show. Not all of them: a common factor is the albedo, and on a flat surface
 runs as the cosine or sine of the LEDs' azimuth looks exactly like a tilt of the surface. Curvature separates it from a
 tilt, but only by the square of the slopes, where cast shadows, gloss and light that is scattered in skin matter more
 than the gains do. How much of its information a pattern of gains keeps when every pixel may choose its own b is an
-eigenvalue
-between 0 and 1 (on a finger 0, 0.01, 0.02, and four above 0.7); patterns that keep too little are left out, and the
-answer is only about the others.
+eigenvalue between 0 and 1 (on a finger 0, 0.01, 0.02, and four above 0.7); patterns that keep too little are left out,
+and the answer is only about the others.
 """
 
 from __future__ import annotations

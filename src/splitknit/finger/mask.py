@@ -40,7 +40,7 @@ SAMPLES = 8000
 def _chromaticity(image: FloatArray) -> FloatArray:
     """Chromaticity of the modified specular-free image, (H, W, 3) in [0, 1].
 
-    I_MSF = I - I_min + mean(I_min) with I_min the least channel of each pixel. Adding the mean back, as the sources of
+    I_MSF = I - I_min + mean(I_min) with I_min the minimum channel of a pixel. Adding the mean back, as the sources of
     the dichromatic model do, also settles the colour of the unlit background: where there is next to no light the three
     channels of I_MSF are equal and noise does not turn into colour. Source: the thesis, eqs. 3.58-3.63, with (3.61)
     corrected (``I - I_min + I_min_avg``).
@@ -54,7 +54,7 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 def _signals(image: FloatArray) -> list[FloatArray]:
     """The two quantities that separate skin from a dark neutral background: brightness and the coloured light.
 
-    The coloured part, the sum of I - I_min, ignores neutral light: glare, white dust, leaked infra-red.
+    The coloured part, the sum of I - I_min, ignores neutral light: specular reflection, white dust, leaked infra-red.
     """
     if image.ndim == 2:
         return [image]
@@ -217,7 +217,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     separates better (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's
     border: a finger enters through a part of one side, the background surrounds it. Then the background is fitted
     outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut,
-    the largest component kept and its holes (glare) filled.
+    the largest component kept and its holes (specular reflection) filled.
 
     Parameters
     ----------

@@ -33,9 +33,9 @@ from splitknit.settings import Checked, Limits
 # Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
 #
 # A speck is dark, or bright, under every light, and short in every direction. Valleys, wrinkles, hairs and scars are
-# long in one direction; shading and glare change from light to light; pores are too small and too weak to count much.
-# Everything is measured on a copy of one scale, 12 px/mm, so that finer cameras see no other specks; lines are laid
-# over it at twice that scale, so that a thin hair does not fall into beads.
+# long in one direction; shading and specular reflection change from light to light; pores are too small and too weak
+# to count much. Everything is measured on a copy of one scale, 12 px/mm, so that finer cameras see no other specks;
+# lines are laid over it at twice that scale, so that a thin hair does not fall into beads.
 
 DIRECTIONS = 16
 _FINER = 2

@@ -151,7 +151,7 @@ def register_shots(
 
 
 def without_glare(colours: FloatArray) -> FloatArray:
-    """(L, H, W) light that came through the skin, from linear red, green and blue (3, L, H, W): glare is white."""
+    """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light is white."""
     return np.asarray(colours[0] - colours[2], dtype=np.float32)
 
 

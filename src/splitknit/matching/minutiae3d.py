@@ -256,7 +256,7 @@ def tetrahedra_match(
 def _similar_tetrahedra(a: PreparedTetrahedra, b: PreparedTetrahedra) -> tuple[Index, Index]:
     """Corners (K, 4) of both sides' tetrahedra that are similar, each corner beside the one that it corresponds to.
 
-    Where several orders of the corners are similar, the one with the least difference of angles is taken.
+    Where several orders of the corners are similar, the one with the smallest difference of angles is taken.
     """
     i, j = close_points(a.tree, b.tree)
     order, good = _best_order(a, b, i, j)

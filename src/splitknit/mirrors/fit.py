@@ -47,7 +47,7 @@ _SLOPE_ERROR = 0.1
 SHEAR_SD = 0.05
 """Standard deviation of the shear: a roll by 8 deg gives about 0.045."""
 INDEPENDENT_SLOPES = 20.0
-"""Slopes err together: at glare, and where light by way of a mirror ends."""
+"""Slopes err together: at specular reflections, and where light by way of a mirror ends."""
 TIP_SD_MM = 0.05
 """Standard deviation of the tip's place as the front view's outline has it."""
 

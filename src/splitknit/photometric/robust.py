@@ -174,7 +174,7 @@ def robust(
     ----------
     P. W. Holland and R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Communications in
     Statistics A6 (1977), for the weights; S. Ikehata, D. Wipf, Y. Matsushita and K. Aizawa, "Robust photometric stereo
-    using sparse regression", CVPR 2012, for the view of shadow and glare as sparse errors.
+    using sparse regression", CVPR 2012, for the view of shadow and specular reflection as sparse errors.
     """
     return _run(stack, lights, mask, settings, None)
 

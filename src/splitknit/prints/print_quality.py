@@ -229,7 +229,7 @@ class PrintQualitySettings:
     ridge_length_mm: Part = field(default_factory=lambda: Part(6.0, 20.0, 0.3))
     """From the tip to the last ridges in mm."""
     gap_share: Part = field(default_factory=lambda: Part(0.4, 0.0, 0.15))
-    """Fraction without ridges of what ridges surround: creases, scars, glare, shadows."""
+    """Fraction without ridges of what ridges surround: creases, scars, specular reflection, shadows."""
     centre_offset_mm: Part = field(default_factory=lambda: Part(8.0, 1.0, 0.1))
     """How far the ridges' centre lies beside the finger's middle, in mm."""
 

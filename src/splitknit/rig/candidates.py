@@ -182,9 +182,9 @@ _WALL_MM = 8.0
 _BED_MM = (220.0, 250.0)
 """Side of the printer's bed, and its height."""
 _ROUGHNESS = 0.25
-"""GGX alpha of the skin whose glare is evaluated."""
+"""GGX alpha of the skin whose specular reflection is evaluated."""
 _MAX_BLIND = 0.05
-"""Largest fraction of the print where fewer than three LEDs are free of glare: three is what a normal needs."""
+"""Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal needs."""
 _BLUR_MM = 0.11
 """Disc of defocus that is allowed: a quarter of a ridge period."""
 _ALBEDO = 0.6
@@ -208,7 +208,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print:
-    """Where on a finger glare is looked for."""
+    """Where on a finger specular reflection is looked for."""
 
     points_mm: Array
     """(N, 3)."""

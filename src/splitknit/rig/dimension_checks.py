@@ -80,7 +80,7 @@ def _check_height(dimensions: RigDimensions) -> None:
     require(
         dimensions.lens_hole_mm <= room,
         f"the lens's opening of {2 * dimensions.lens_hole_mm:.1f} mm leaves no wall beside the screws of the camera's "
-        f"board, {2 * room:.1f} mm is the most; set camera.barrel_mm smaller"
+        f"board, {2 * room:.1f} mm is the maximum; set camera.barrel_mm smaller"
         + (" or bring the camera nearer to the LEDs' height." if behind else "."),
     )
     roof = dimensions.floor_z_mm + dimensions.niche_roof_mm + dimensions.settings.joint.wall_mm

@@ -240,7 +240,7 @@ def photograph(
 def _frames(
     surface: Surface, leds: list[Led], name: str, skin: SkinSettings | None, walks: WalkTable
 ) -> tuple[list[FloatArray], float]:
-    """(H, W, 3) radiance of the whole frame under each LED, and the radiance of the brightest skin without glare."""
+    """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without specular light."""
     if skin is None:
         window, matt = render_opaque(surface, leds, OPAQUE_ALBEDO)
         diffuse, glare = matt[:, None], np.zeros_like(matt)

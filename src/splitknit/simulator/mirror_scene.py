@@ -28,10 +28,10 @@ from splitknit.simulator.scene import (
     Scene,
     Taken,
     TwinSettings,
+    ambient_level,
     background_albedo,
     brightest,
     finger_depth,
-    room_level,
     take_band,
 )
 from splitknit.simulator.surface import Surface
@@ -208,7 +208,7 @@ class MirrorScene:
     def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
         """(H, W, 3) radiance of the picture with all LEDs off."""
         frame = self.front.ambient(name, leds)
-        level = room_level(self.rig.camera, leds, self.settings.background.ambient)
+        level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
         if level <= 0.0:
             return frame
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]

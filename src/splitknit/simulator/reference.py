@@ -276,9 +276,9 @@ class ReferenceSettings(Checked):
     spread_rad: Annotated[float, Limits(0.01, 0.3)] = 0.08
     """Standard deviation of a light's direction under a smooth boundary, through which a point is never found."""
     led_radius_mm: float = 1.5
-    """Radius of an LED's emitting face; it widens the glare."""
+    """Radius of an LED's emitting face; it widens the specular reflection."""
     bounces: Annotated[int, Limits(1)] = 2
-    """Reflections off the surface that glare counts: 1 is no inter-reflection."""
+    """Reflections off the surface that count as specular: 1 is no inter-reflection."""
     threads: Annotated[int, Limits(1)] = 1
     """The result does not depend on it."""
 
@@ -419,7 +419,7 @@ def _load(threads: int) -> tuple[Any, Any]:
     return mi, dr
 
 
-# Light that the skin's surface alone reflects, ray by ray: the glare of the reference.
+# Light that the skin's surface alone reflects, ray by ray: the specular reflection of the reference.
 
 
 def _reflect(

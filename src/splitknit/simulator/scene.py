@@ -310,7 +310,7 @@ class Scene:
 
     def ambient(self, name: str, leds: Sequence[Led]) -> FloatArray:
         """(H, W, 3) radiance of finger and background with all LEDs off."""
-        level = room_level(self.rig.camera, leds, self.settings.background.ambient)
+        level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
         frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
         if level > 0.0:
             optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
@@ -340,7 +340,7 @@ class Scene:
         return record(self.through_lens(frame), name, seed, self.settings.sensor, self.scale)
 
 
-def room_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:
+def ambient_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:
     """Radiance of a white card under ambient light: `fraction` of that under one LED (mean of all)."""
     return fraction * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
 

@@ -2,7 +2,7 @@
 
 A finger is photographed by the simulator, found and cut out as in any reconstruction, and its smooth shape taken from
 the first round. The network shall find the relief on any smooth shape, so that the shape is mixed for each finger from
-that one and the true one. What it shall find, relief and glare, is the simulator's truth.
+that one and the true one. What it shall find, relief and specular reflection, is the simulator's truth.
 
 A piece of a finger takes a tenth of the time of a whole one, so that a network sees ten times as many kinds of skin. A
 piece is not reconstructed: its smooth shape is the true one with a random smooth error.

@@ -109,7 +109,7 @@ def test_the_cone_hides_what_lies_behind_it(position):
     things = drawn(0.2)
     scene = NailScene(**things, position_mm=position, nail_mm=13.0)
     image = grey(scene, [])
-    cone = (0.85 - image / scene.room_light) / (0.85 - 0.15)
+    cone = (0.85 - image / scene.ambient_light) / (0.85 - 0.15)
     assert cone.min() == pytest.approx(0, abs=1e-5)
     assert cone.max() == pytest.approx(1, abs=1e-5)
     # what the camera sees of it, cast on the base: the hull of its foot and of its tip, which leans outwards

@@ -101,7 +101,7 @@ def test_the_outline_bounds_the_ball(make, chrome):
     things = make(scale=0.2)
     changes = {"surround": 0.0, "ground": 0.9, "reflectance": 0.1, "position_mm": (4.0, 3.0), "tilt_deg": (0.3, 0.1)}
     scene = SphereScene(**things, chrome=chrome, **changes)
-    image = grey(scene, []) / scene.room_light
+    image = grey(scene, []) / scene.ambient_light
     outline = scene.outline_px().astype(np.float32)
     row, column = np.indices(image.shape)
     signed = np.array(

@@ -1,4 +1,4 @@
-"""People whose fingers are alike, sessions that differ, and captures that follow from their place alone."""
+"""People whose fingers are similar, sessions that differ, and captures that follow from their place alone."""
 
 from __future__ import annotations
 

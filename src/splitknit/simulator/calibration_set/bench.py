@@ -231,10 +231,10 @@ class GroundScene(ABC):
         x, y, z = self._points
         for led in leds:
             received += irradiance(led, (x, y, z), self.plane.axes[:, 2]) * self.fraction_lit(led)
-        return np.asarray(self._albedo * (received / np.pi + self.room_light))
+        return np.asarray(self._albedo * (received / np.pi + self.ambient_light))
 
     @property
-    def room_light(self) -> float:
+    def ambient_light(self) -> float:
         """Radiance of a white surface with all LEDs off."""
         return self.bench.ambient * float(np.mean([card_radiance(led) for led in self.leds]))
 

@@ -123,7 +123,7 @@ class NailScene(GroundScene):
         received = np.zeros(fraction.shape)
         for led in leds:
             received += irradiance(led, np.moveaxis(points, -1, 0), np.moveaxis(normal, -1, 0))
-        cone = self.reflectance * (received / np.pi + self.room_light)
+        cone = self.reflectance * (received / np.pi + self.ambient_light)
         grey[window] += fraction * (cone - grey[window])
         return grey
 
@@ -380,12 +380,12 @@ class SphereScene(GroundScene):
         received = np.zeros(points.shape[:2])
         for led in leds:
             received += irradiance(led, np.moveaxis(points, -1, 0), np.moveaxis(normals, -1, 0))
-        return np.asarray(self._reflectance * (received / np.pi + self.room_light))
+        return np.asarray(self._reflectance * (received / np.pi + self.ambient_light))
 
     def _mirrored(self, leds: tuple[Led, ...], lines: Sight, seen: Lines) -> Array:
         """Radiance (h, w) of the chrome ball: the base, the walls and the LEDs in it."""
         rays = _mirrored(lines, seen)
-        walls = self.surround * sum(card_radiance(led) for led in leds) + self.room_light
+        walls = self.surround * sum(card_radiance(led) for led in leds) + self.ambient_light
         start, way = self.plane.own(rays[0]), rays[1] @ self.plane.axes
         falls = way[..., 2] < -1e-3
         reach = np.where(falls, -start[..., 2] / np.where(falls, way[..., 2], -1.0), 0.0)
@@ -393,7 +393,7 @@ class SphereScene(GroundScene):
         received = np.zeros(lines.x.shape)
         for led in leds:
             received += irradiance(led, np.moveaxis(ground, -1, 0), self.plane.axes[:, 2])
-        scene = np.where(falls, self.ground * (received / np.pi + self.room_light), walls)
+        scene = np.where(falls, self.ground * (received / np.pi + self.ambient_light), walls)
         for led in leds:
             scene = scene + self._led_in_mirror(led, lines, rays)
         return np.asarray(self._reflectance * scene)

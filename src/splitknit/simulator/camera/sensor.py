@@ -37,7 +37,7 @@ class SensorSettings(Checked):
     """How light becomes stored integers."""
 
     exposure: Annotated[float, Limits(0.05, 1.0)] = 0.7
-    """Fraction of full scale that the brightest diffusely lit skin reaches; glare may clip."""
+    """Fraction of full scale that the brightest diffusely lit skin reaches; specular reflection may clip."""
     full_well_e: Annotated[float, Limits(100.0)] = 4700.0
     """Electrons at full scale, a pixel of the full frame."""
     read_noise_e: Annotated[float, Limits(0.0)] = 2.5

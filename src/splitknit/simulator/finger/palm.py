@@ -463,5 +463,5 @@ class PalmSettings(Checked):
             require(low <= high, f"palm.{name} must be (low, high), but it is ({low}, {high}).")
         require(
             0 < self.pitch_mm <= self.period_mm[0] / 8,
-            f"palm.pitch_mm must be an eighth of the least ridge period or less, but it is {self.pitch_mm}.",
+            f"palm.pitch_mm must be an eighth of the smallest ridge period or less, but it is {self.pitch_mm}.",
         )

@@ -32,7 +32,7 @@ from splitknit.simulator.light.skin import (
 from splitknit.simulator.surface import Surface
 
 LED_RADIUS_MM = 1.5
-"""Radius of an LED's emitting face; it widens the glare."""
+"""Radius of an LED's emitting face; it widens the specular reflection."""
 _RELIEF_LOW_MM, _RELIEF_HIGH_MM = 0.03, 0.32
 """Standard deviations of the smoothing and of the high-pass of the relief in the relief term."""
 

@@ -172,7 +172,7 @@ class Separated:
     window: tuple[slice, slice]
     """Rows and columns of the frame."""
     direct: FloatArray
-    """(C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, glare included."""
+    """(C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light included."""
     global_: FloatArray
     """(C, h, w) white minus direct."""
     glare: FloatArray
@@ -200,7 +200,7 @@ def separate_truth(
     ----------
     surface : on the camera's pixels
     led : where the projector stands
-    skin : optics, roughness and glare
+    skin : optics, roughness and specular reflection
     check_mm : side of the checks on the finger plane, at least two pixels
     walks : table of random walks; None loads the shipped one
     settings : what of the light is modelled (defocus is not)
@@ -343,7 +343,7 @@ class _Scene:
         return largest
 
     def centred_difference(self, check_mm: float) -> FloatArray:
-        """(C, h, w) response to the checkerboard that is centred on each pixel, all of the glare included."""
+        """(C, h, w) response to the checkerboard that is centred on each pixel, all specular reflection included."""
         transfers = [self._checked(transfer, check_mm) for transfer in self.diffusion.transfers]
         lit = zip(self.diffusion.spread(self.entering, transfers), self.out, strict=True)
         return np.stack([np.maximum(light, 0.0) * out + self.glare for light, out in lit])
