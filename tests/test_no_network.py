@@ -64,6 +64,7 @@ import sys
 from pathlib import Path
 from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.engine import run_batch
+from splitknit.cli.main import main
 people = sys.argv[1]
 assert main(["enroll", "all.skg", "--population", people, "--workers", "2", "--preset", "snk"]) == 0
 settings = BatchSettings(cases=preset_cases(("snk",)), matchers=(), chunk_captures=1)

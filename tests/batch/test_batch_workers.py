@@ -258,6 +258,8 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path
 RUN = """
 import sys
 from pathlib import Path
+from splitknit.batch.engine import run_batch
+from splitknit.batch.settings import BatchSettings, preset_cases
 settings = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=1)
 try:
     run_batch(Path(sys.argv[1]), Path(sys.argv[2]), settings, jobs=2)

@@ -57,6 +57,7 @@ def recording_line(world: World):
 class TestPiLights(LightContract):
     making = """
 from test_contract_pi import PINS, mock_pins
+from splitknit.capture.pi import PiLightBank
 import gpiozero
 factory = mock_pins()
 bank = PiLightBank(PINS, gpiozero.DigitalOutputDevice)

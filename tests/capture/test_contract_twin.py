@@ -35,6 +35,7 @@ class Watched(TwinLightBank):
 class TestTwinLights(LightContract):
     making = """
 from test_contract_twin import DarkRoom, Watched
+from splitknit.simulator.camera.device import Clock
 bank = Watched(DarkRoom(), Clock())
 burning = lambda: bank.burns
 """

@@ -175,6 +175,7 @@ def interrupt(event, arguments):
             os.kill(os.getpid(), number)
 
 sys.addaudithook(interrupt)
+from splitknit.cli.main import main
 sys.exit(main())
 """
 

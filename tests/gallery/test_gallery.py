@@ -391,6 +391,7 @@ KILLED = """
 import sys
 sys.path.insert(0, sys.argv[2])
 from test_gallery import KEY, SETTINGS, new
+from splitknit.gallery.gallery import Gallery
 gallery = Gallery.open(sys.argv[1], KEY if sys.argv[3] == "encrypted" else None)
 def captures():
     for k in range(400):
@@ -429,6 +430,7 @@ MANY_KILLED = """
 import os, pathlib, random, signal, sys, time
 sys.path.insert(0, sys.argv[2])
 from test_gallery import KEY, new
+from splitknit.gallery.gallery import Gallery
 path, key = sys.argv[1], KEY if sys.argv[3] == "encrypted" else None
 random.seed(int(sys.argv[4]))
 

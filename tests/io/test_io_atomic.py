@@ -203,6 +203,7 @@ def test_what_is_written_is_private(
 KILLED = """
 import os, signal, sys
 from pathlib import Path
+from splitknit.io.atomic import atomic_file, atomic_folder
 out, where = Path(sys.argv[1]), sys.argv[2]
 if where == "file":
     with atomic_file(out) as stream:
