@@ -300,8 +300,8 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     """SIGTERM in the middle of the work: code 130 and an empty folder."""
     code = (
         "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
-        "from splitknit.cli import main as cli; from splitknit.simulator import folder; "
-        "folder.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
+        "from splitknit.cli import main as cli; from splitknit.simulator import twin; "
+        "twin.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
         "sys.exit(cli.main())"
     )
     run = subprocess.run(
