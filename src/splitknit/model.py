@@ -251,7 +251,7 @@ class Rig:
         return colours if any(any(names) for names in colours) else ()
 
     def lights_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[int, ...], ...]:
-        """LEDs of every image of :func:`splitknit.imaging.linear_stack`: colours that share an exposure apart."""
+        """LEDs of every image of :func:`splitknit.imaging.band.linear_stack`: colours that share an exposure apart."""
         return _lights(groups, self.colours_of(groups))
 
     def select(self, groups: Sequence[Sequence[int]]) -> Rig:
@@ -296,7 +296,7 @@ def _lights(groups: Sequence[Sequence[int]], colours: Sequence[Sequence[str]]) -
 class Band:
     """The images of one spectral band, as stored: integers, not yet linear.
 
-    :func:`splitknit.imaging.linear_stack` turns them into linear light.
+    :func:`splitknit.imaging.band.linear_stack` turns them into linear light.
     """
 
     name: str
@@ -327,8 +327,8 @@ class Band:
 
     @property
     def lights(self) -> tuple[tuple[int, ...], ...]:
-        """LEDs of every image of :func:`splitknit.imaging.linear_stack`: `leds` but for coloured ones, each of whose
-        colours has an image of its own."""
+        """LEDs of every image of :func:`splitknit.imaging.band.linear_stack`: `leds` but for coloured ones, each of
+        whose colours has an image of its own."""
         return _lights(self.leds, self.colours)
 
 

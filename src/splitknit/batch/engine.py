@@ -64,7 +64,7 @@ def to_scores(table: Any, column: str = "similarity", name: str | None = None) -
 
     Parameters
     ----------
-    table : ``pyarrow.Table`` of :meth:`splitknit.batch.Store.scores`
+    table : ``pyarrow.Table`` of :meth:`splitknit.batch.store.Store.scores`
     column : what is the score; of a ``dissimilarity...``, 1 - its value, as everywhere in the library
     name : of the scores; that of the column where it is missing
 

@@ -75,7 +75,7 @@ class Session:
         return self.shots[-1].at_s - self.shots[0].at_s
 
     def capture(self, rig: Rig, *, material: str = "skin") -> Capture:
-        """Return the capture that :func:`splitknit.io.write_capture` writes."""
+        """Return the capture that :func:`splitknit.write_capture` writes."""
         return Capture(rig=rig, bands=self.bands, encoding="linear", material=material)
 
 

@@ -81,7 +81,7 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
 
     What a side keeps for many comparisons is large where it is turned (7 MB) and small where it is not (2 MB): pairs go
     in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
-    (:func:`splitknit.matching.ridge_match`), so that the order changes nothing.
+    (:func:`splitknit.matching.ridge.ridge_match`), so that the order changes nothing.
     """
     templates = [unpack(payload) for payload in payloads]
     keys = [Prepared(one).key for one in templates]

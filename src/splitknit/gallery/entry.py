@@ -78,7 +78,7 @@ class NewCapture:
 
     entry: Entry
     template: bytes
-    """Payload (:func:`splitknit.matching.pack`), empty for a failure to acquire."""
+    """Payload (:func:`splitknit.matching.template.pack`), empty for a failure to acquire."""
     code: bytes | None = None
     code_version: int | None = None
     images: bytes | None = None

@@ -46,7 +46,8 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
     Returns
     -------
     Capture
-        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.imaging.linear_stack` makes light of them.
+        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.imaging.band.linear_stack` makes light of
+        them.
 
     Raises
     ------

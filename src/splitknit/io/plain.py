@@ -87,7 +87,7 @@ def capture_from_plain_images(
     Returns
     -------
     Capture
-        Write it with :func:`splitknit.io.write_capture`.
+        Write it with :func:`splitknit.write_capture`.
 
     Raises
     ------

@@ -19,8 +19,8 @@ _MAX_BYTES = 1_000_000_000
 def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:
     """Refuse to replace a folder that is not empty and not of this kind, or that is read from (`keep`).
 
-    :func:`splitknit.io.atomic_folder` refuses files of other programs; this keeps one kind of folder from replacing
-    another, such as a result a capture.
+    :func:`splitknit.io.atomic.atomic_folder` refuses files of other programs; this keeps one kind of folder from
+    replacing another, such as a result a capture.
 
     Parameters
     ----------

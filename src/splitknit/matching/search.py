@@ -44,7 +44,7 @@ class Candidate:
 
     id: str
     similarity: float
-    """Of the ridges (:func:`splitknit.matching.ridge_match`)."""
+    """Of the ridges (:func:`splitknit.matching.ridge.ridge_match`)."""
     code_similarity: float
     """Of the codes, -1 to 1; NaN where all fingers were compared and none left out by codes."""
 

@@ -331,7 +331,8 @@ def _extractor(settings: ThesisSettings, px_per_mm: float) -> Callable[[FloatArr
     return lambda image: others[settings.feature](image, px_per_mm)
 
 
-# The thesis's matcher for many pairs: what :func:`splitknit.matching.thesis_match` gives, to the last bit, sooner.
+# The thesis's matcher for many pairs: what :func:`splitknit.matching.thesis.thesis_match` gives, to the last bit,
+# sooner.
 #
 # The features of the database's finger are kept without its images, and local binary patterns are counted for all cells
 # of a channel at once.

@@ -156,7 +156,7 @@ def found_views(capture: Capture, mask: MaskSettings, settings: MirrorShapeSetti
     Raises
     ------
     BadInput
-        See :func:`splitknit.mirrors.find_views`.
+        See :func:`splitknit.mirrors.views.find_views`.
     """
     return _views_and_images(capture, mask, settings)[0]
 

@@ -65,9 +65,9 @@ def find_views(  # noqa: PLR0917
         Linear, in blocks of `binning` pixels a side of the camera's image.
     camera : Camera
     mirrors : by name, where they nominally are
-    find_finger : segmentation mask of an image, such as :func:`splitknit.finger.finger_mask`
+    find_finger : segmentation mask of an image, such as :func:`splitknit.finger.mask.finger_mask`
     binning : int
-    find_outline : outline of a finger roughly known, such as :func:`splitknit.finger.finger_outline`, optional
+    find_outline : outline of a finger roughly known, such as :func:`splitknit.finger.mask.finger_outline`, optional
 
     Raises
     ------

@@ -67,8 +67,8 @@ class ShapeData(SceneRanges):
     scale: Annotated[Range, Limits(0, 1, above=True)] = (0.36, 0.5)
     """Size of the images relative to the full frame of 2200 x 3200 pixels."""
     rim_exponent: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
-    """Of the light at the finger's outline, see :class:`splitknit.simulator.renderer.RenderSettings`: the least certain
-    part of the simulator's physics."""
+    """Of the light at the finger's outline, see :class:`splitknit.simulator.light.renderer.RenderSettings`: the
+    least certain part of the simulator's physics."""
     gain: Annotated[float, Limits(0, 2, above=True)] = 0.93
     """Mean height of the relief that the reconstruction is given, over the true one."""
     gain_spread: Annotated[float, Limits(0, 0.2)] = 0.06
@@ -168,7 +168,7 @@ def _assembled_shape(
 ) -> NDArray[np.float16]:
     """The sample (35, h, w) of one finger.
 
-    `fields`: (32, h, w) of :func:`splitknit.skin.learned.shape_features`; `true_mm`: (H, W) true shape on the fine
+    `fields`: (32, h, w) of :func:`splitknit.skin.learned`; `true_mm`: (H, W) true shape on the fine
     grid; `known`: (H, W) where it is known; `low`: coarse grid; `factor`: pixels of the fine grid along one of the
     coarse grid.
     """

@@ -218,7 +218,7 @@ def moving_finger(  # noqa: PLR0917
     motion : how far and how it moves
     shots : taken one after the other
     workers : threads; the result does not depend on them
-    reference : see :func:`splitknit.simulator.finger.motion.draw_path`
+    reference : see :func:`splitknit.simulator.finger.motion`
     """
     master = finger.master()
     path_seed, slip_seed = seed.spawn(2)
