@@ -96,7 +96,7 @@ def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.experiment
 def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
     made = ["simulate", "--out", str(tmp_path / "capture"), "--seed", "105", "--scale", "0.6", "--no-nir"]
     assert main([*made, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0

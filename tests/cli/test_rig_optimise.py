@@ -146,7 +146,7 @@ def test_scatter_places_points_where_they_belong() -> None:
     assert 'r="8"' in drawn
 
 
-@pytest.mark.slow
+@pytest.mark.experiment
 def test_an_interrupt_keeps_what_is_finished_and_the_next_run_completes_it(swept: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "splitknit.cli.main", "rig", "optimise", "--out", str(out), *SMALL]

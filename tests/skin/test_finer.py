@@ -42,6 +42,7 @@ def test_images_lie_where_they_lay() -> None:
             np.testing.assert_allclose(coarser(fine.stack[c, k])[2:-2, 2:-2], stack[c, k][2:-2, 2:-2], atol=1e-3)
 
 
+@pytest.mark.experiment
 def test_a_stock_camera_of_20_pixels_a_millimetre_shows_the_ridges() -> None:
     """Without the finer grid this finger's relief correlates with its truth by less than 0.5."""
     capture, truth = simulate_capture(3, None, TwinSettings(scale=0.2))
