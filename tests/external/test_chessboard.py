@@ -71,5 +71,5 @@ def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     out.unlink()
     assert main([*words, "--board", "8x5"]) == 2
     message = capsys.readouterr().err
-    assert "shows a checkerboard of 9 x 6 inner corners, not of 8 x 5; say --board 9x6" in message
+    assert "shows a checkerboard of 9 x 6 inner corners, not of 8 x 5; give --board 9x6" in message
     assert not out.exists()
