@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import reconstruct
-from splitknit.presets import PRESETS, settings_document
+from splitknit.presets import PRESETS
 from splitknit.settings import override
 from splitknit.simulator.rigs import coloured_rig
 from splitknit.simulator.scene import TwinSettings
@@ -221,9 +221,9 @@ def test_balanced_images_fit_a_matt_surface_better(twin: Capture) -> None:
 
 
 def test_settings_of_coloured_leds_are_in_every_document() -> None:
-    assert settings_document(PRESETS["ea"])["lights"] == {"compose": 0, "balance": False}
-    assert settings_document(PRESETS["lin"])["lights"] == {"compose": 2, "balance": True}
-    assert settings_document(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
+    assert asdict(PRESETS["ea"])["lights"] == {"compose": 0, "balance": False}
+    assert asdict(PRESETS["lin"])["lights"] == {"compose": 2, "balance": True}
+    assert asdict(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
 
 
 def test_simulate_takes_coloured_lights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

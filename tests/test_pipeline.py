@@ -20,7 +20,7 @@ from splitknit.io.npz import read_npz
 from splitknit.io.results import _upright_mesh
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.pipeline import reconstruct, undoes_blur
-from splitknit.presets import PRESETS, PipelineSettings, preset_settings, settings_document
+from splitknit.presets import PRESETS, PipelineSettings, preset_settings
 from splitknit.settings import flatten
 from splitknit.simulator.finger.finger import Pose
 from splitknit.simulator.scene import TwinSettings
@@ -81,7 +81,7 @@ def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], 
         assert any("the network of the relief needs" in words for words in result.warnings) == (preset == "metric")
         assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
         assert result.facts["mask"] == "found"
-        assert result.settings == settings_document(preset_settings(preset))
+        assert result.settings == asdict(preset_settings(preset))
         assert result.hashes == capture.hashes
         assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
         assert {"finger", "light", "surface", "result"} <= set(result.timings_s)
@@ -224,7 +224,7 @@ def test_one_setting_changes_one_thing(
 
 def test_whole_settings_are_taken_too(capture: Capture) -> None:
     chosen = replace(preset_settings("ea"), cut_at_crease=False)
-    assert reconstruct(capture, "ea", chosen).settings == settings_document(chosen)
+    assert reconstruct(capture, "ea", chosen).settings == asdict(chosen)
 
 
 def test_the_thesis_cases_differ_as_the_thesis_says() -> None:

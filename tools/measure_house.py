@@ -24,7 +24,7 @@ from collections import deque
 from pathlib import Path
 
 VERB = ("splitknit.cli.reconstruct",)
-EQUATIONS = ("splitknit.photometric.lambertian", "splitknit.photometric.lambertian")
+EQUATIONS = ("splitknit.photometric.lambertian",)
 MESH = ("splitknit.io.ply",)
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,6 @@ from splitknit.presets import (
     NormalsSettings,
     PipelineSettings,
     preset_settings,
-    settings_document,
 )
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
@@ -53,6 +52,9 @@ from splitknit.skin.learned import Networks, can_learn, relief_by_network
 from splitknit.skin.relief import detail_of
 from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
 from splitknit.steps import Memory, shared, step
+
+if TYPE_CHECKING:
+    from splitknit.mirrors.captured import SeenInMirrors
 
 __all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings", "reconstruct", "split_and_knit"]
 
@@ -114,9 +116,7 @@ def reconstruct(
     algorithm = split_and_knit if chosen.method == "thesis" else metric
     with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)
-    return replace(
-        result, preset=preset, settings=settings_document(chosen), hashes=capture.hashes, timings_s=dict(seconds)
-    )
+    return replace(result, preset=preset, settings=asdict(chosen), hashes=capture.hashes, timings_s=dict(seconds))
 
 
 def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstruction:
@@ -374,7 +374,7 @@ def source_of(white: Band, nir: Band) -> str:
 
 def near_slopes(capture: Capture, band: Band, finger: Finger, settings: PipelineSettings) -> tuple[Slopes, FloatArray]:
     """Slopes and albedo of one band of an opaque thing: near lights and the surface that they reach, in turns."""
-    images = step("light")(linear_stack)(band, capture.encoding, "grey", finger.window)
+    images = linear_grey(band, capture.encoding, "grey", finger.window)
     rig, photometric = capture.rig.select(band.lights), settings.normals
     if photometric.method != "near_light":
         normals, albedo = distant_normals(images, rig, finger, settings.enhance, photometric)
@@ -384,7 +384,7 @@ def near_slopes(capture: Capture, band: Band, finger: Finger, settings: Pipeline
     surface: FloatArray | float = settings.metric.plane_mm
     distant = all(led.position_mm is None for led in rig.leds)
     for turn in range(rounds := 1 if distant else photometric.rounds):
-        normals, albedo = step("normals")(near_light)(images, rig, surface, finger.inside, settings=near, view=view)
+        normals, albedo = near_normals(images, rig, surface, finger.inside, settings=near, view=view)
         slopes = gradients_from_normals(normals, finger.inside, photometric.max_slope)
         if turn < rounds - 1:
             height = integrate(slopes, finger, capture, settings)
@@ -447,7 +447,9 @@ def smooth(
     return height_mm, ridge_mm, height_mm - ridge_mm
 
 
+linear_grey = step("light")(linear_stack)
 linear_images = step("light")(working_images)
+near_normals = step("normals")(near_light)
 skin_surface = step("surface")(reconstruct_skin)
 
 
@@ -480,7 +482,7 @@ def separation_of(capture: Capture, settings: PipelineSettings) -> str:
 
 
 @step("finger")
-def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> Any:
+def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirrors | None:
     """What mirrors beside the finger show, where the shape comes from them; else None."""
     if settings.shape.source != "mirror":
         return None
@@ -495,7 +497,7 @@ def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> Any:
 
 
 def with_mirror_shape(
-    finger: Finger, surface: Surface, mirrors: Any, settings: PipelineSettings
+    finger: Finger, surface: Surface, mirrors: SeenInMirrors | None, settings: PipelineSettings
 ) -> tuple[Finger, Surface]:
     """The surface on the shape from mirrors, and the finger as far as the mirrors show it; unchanged without them."""
     if mirrors is None:

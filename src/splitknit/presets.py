@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Literal
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.contrast import ClaheSettings
@@ -91,7 +91,6 @@ class ShapeSettings(Checked):
 class PipelineSettings(FingerSettings):
     """Everything that can be changed in a reconstruction."""
 
-    _group = ""
     method: Literal["metric", "thesis"] = "metric"
     """``metric``, or ``thesis``: distant lights, and integration as the thesis has it."""
     top_mm: float = 0.0
@@ -211,8 +210,3 @@ def preset_settings(preset: str) -> PipelineSettings:
     if preset not in PRESETS:
         raise BadInput(f"there is no preset '{preset}'; known are {', '.join(PRESETS)}.")
     return PRESETS[preset]
-
-
-def settings_document(settings: PipelineSettings) -> dict[str, Any]:
-    """All settings by name, nested, as they are kept with a result."""
-    return asdict(settings)

@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
 from splitknit.errors import require
-from splitknit.model import Capture
+from splitknit.model import Capture, Progress
 
 P = ParamSpec("P")
 T = TypeVar("T")
-Progress = Callable[[str, float], None]
 
 BEGINS = {"finger": 0.0, "light": 0.1, "normals": 0.2, "surface": 0.25, "result": 0.9}
 """Fraction of the work that is done when a stage begins."""

@@ -54,6 +54,7 @@ from splitknit.io.capture import read_capture
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.surface import MatchingSettings
+from splitknit.model import Progress
 from splitknit.presets import PipelineSettings
 
 _KINDS = ("finger", "subject", "session")
@@ -127,9 +128,6 @@ def _numbers(table: Any, column: str, compared: list[bool]) -> list[str]:
     """Shortest exact text of each number, blank where nothing was compared."""
     values = table.column(column).to_pylist()
     return [repr(float(value)) if known else "" for value, known in zip(values, compared, strict=True)]
-
-
-Progress = Callable[[str, float], None]
 
 
 def _no_progress(stage: str, fraction: float) -> None:

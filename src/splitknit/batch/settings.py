@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Any
 
 from splitknit.errors import require
 from splitknit.io.provenance import settings_hash
 from splitknit.matching.surface import MatchingSettings
-from splitknit.presets import PipelineSettings, preset_settings, settings_document
+from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import Checked, Limits, check_fields, override
 
 MATCHERS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
@@ -41,7 +41,7 @@ class Case:
 
     def document(self) -> dict[str, Any]:
         """For the store: the preset, all settings, and their hash."""
-        settings = settings_document(self.settings())
+        settings = asdict(self.settings())
         return {
             "preset": self.preset,
             "settings_sha256": settings_hash({"preset": self.preset, "settings": settings}),

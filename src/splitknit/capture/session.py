@@ -34,9 +34,8 @@ from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_mask
 from splitknit.finger.regions import bounding_box
-from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Progress, Rig, no_progress
 
-Progress = Callable[[str, float], None]
 WatchFocus = Callable[[Focus, FocusWatch], bool]
 """Shown every measurement; true ends the live measurement."""
 
@@ -113,7 +112,7 @@ def run_session(
     settings: SessionSettings | None = None,
     *,
     watch_focus: WatchFocus | None = None,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = no_progress,
 ) -> Session:
     """Photograph one finger under all LEDs.
 

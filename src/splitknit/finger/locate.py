@@ -106,8 +106,12 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     grey = pick_channel(mean, "grey")
     small_px = px_per_mm / binning
     given = capture.mask is not None
-    if given:
-        outline = _reduced(capture.mask, grey.shape)
+    if capture.mask is not None:
+        outline = reduced(capture.mask, grey.shape)
+        require(
+            bool(outline.any()),
+            "the given mask is too small: not one block of pixels lies inside it; mark the whole finger.",
+        )
     else:
         image = mean if has_colour(white) else grey
         if capture.rig.mirrors:  # the finger itself, not its mirror images
@@ -229,11 +233,9 @@ def _beyond(outline: BoolArray, crease: Crease, upright: Upright, px_per_mm: flo
     return phalange_mask(outline, moved, upright)
 
 
-def _reduced(mask: BoolArray | None, shape: tuple[int, ...]) -> BoolArray:
-    assert mask is not None
+def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
+    """A mask on a smaller grid: pixels that lie in it by more than half."""
     small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
-    if not small.any():
-        raise BadInput("the given mask is too small: not one block of pixels lies inside it; mark the whole finger.")
     return np.asarray(small)
 
 

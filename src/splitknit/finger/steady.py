@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, check_stack, require
-from splitknit.finger.locate import Finger, FingerSettings, find_finger
+from splitknit.finger.locate import Finger, FingerSettings, find_finger, reduced
 from splitknit.finger.motion import MIN_RELIABILITY, WARN_MM
 from splitknit.finger.regions import dilate, erode
 from splitknit.finger.registration import (
@@ -254,7 +254,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
         grey, skin = channels[0], without_glare(channels[1:])
     else:
         skin = grey = linear_stack(white, capture.encoding, "grey", window, binning)
-    mask = _reduced(finger.wider[window], grey.shape[1:])
+    mask = reduced(finger.wider[window], grey.shape[1:])
     lights = _lights_over(capture, white, window, BLOCK_MM)
     shots = _shots(white)
     reference = len(white.pixels) // 2
@@ -336,11 +336,6 @@ def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict
 
 def _plain(values: NDArray[np.float64]) -> list[float]:
     return [round(float(v), 5) for v in values]
-
-
-def _reduced(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
-    return np.asarray(small)
 
 
 def resampled(capture: Capture, finger: Finger, registered: Registered) -> Capture:

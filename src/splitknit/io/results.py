@@ -6,7 +6,6 @@ Fields stay on the input's pixel grid; the mesh is turned upright by its coordin
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import zlib
@@ -18,8 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import read_bytes, require
+from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import parse_json, read_json
 from splitknit.io.images import read_image
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.npz import read_npz, write_npz
@@ -32,12 +32,11 @@ from splitknit.model import FloatArray, Reconstruction
 Origin = dict[str, JsonValue]
 
 
-MAX_REPORT = 50_000_000
-"""Bytes of a ``report.json``."""
 LARGEST_MM = 1000.0
 """Of a result's frame."""
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
+_DAMAGED = f"{{}}: what is kept beside the surface is damaged; {_AGAIN}."
 
 
 def read_result(path: str | os.PathLike[str]) -> Reconstruction:
@@ -70,39 +69,35 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     file = folder / "height.npz" if folder.is_dir() else folder
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
     arrays = read_fields(file, names, ("x_mm", "y_mm", "uncertainty_um", "provenance"))
-    origin = _json_of(str(arrays.pop("provenance", "{}")), file)
+    origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
     facts: dict[str, Any] = {}
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
     if (folder / "report.json").is_file():
-        facts = _json_of(read_bytes(folder / "report.json", MAX_REPORT).decode("utf-8", "replace"), folder)
+        facts = _object(read_json(folder / "report.json", _DAMAGED.format(folder))[0], folder)
     if (folder / "albedo.png").is_file():
         grey = read_image(folder / "albedo.png")
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
         albedo = np.where(arrays["mask"], level, np.float32(np.nan))
     warnings = facts.get("warnings", [])
-    require(isinstance(warnings, list), f"{folder}: its report.json is damaged; {_AGAIN}.")
+    require(isinstance(warnings, list), _DAMAGED.format(folder))
     known: dict[str, Any] = {
-        name: _json_of(facts.get(name, {}), folder) for name in ("settings", "quality", "facts", "timings_s")
+        name: _object(facts.get(name, {}), folder) for name in ("settings", "quality", "facts", "timings_s")
     }
     return Reconstruction(
         **arrays,
         albedo=albedo,
         preset=str(facts.get("preset", "")),
         warnings=tuple(str(warning) for warning in warnings),
-        hashes=_json_of(origin.get("inputs", {}), file),
+        hashes=_object(origin.get("inputs", {}), file),
         **known,
     )
 
 
-def _json_of(value: Any, where: Path) -> dict[str, Any]:
-    """A JSON object, given as text or as it is."""
-    try:
-        found = json.loads(value) if isinstance(value, str) else value
-    except (ValueError, RecursionError):
-        found = None
-    require(isinstance(found, dict), f"{where}: what is kept beside the surface is damaged; {_AGAIN}.")
-    return dict(found or {})
+def _object(value: Any, where: Path) -> dict[str, Any]:
+    """A JSON object; refuses anything else."""
+    require(isinstance(value, dict), _DAMAGED.format(where))
+    return dict(value)
 
 
 def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:

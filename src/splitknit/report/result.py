@@ -433,7 +433,7 @@ def _write_pages(  # noqa: PLR0917
 ) -> Mapping[str, Any]:
     """Write what people look at: the preview and the report."""
     views = render_views(result, upright_frame(result, LONGEST_PX))
-    write_picture(target / "preview.png", _side_by_side(views.above, views.left), origin)
+    write_picture(target / "preview.png", _shaded(views), origin)
     report = make_report(result, capture, prints, views, truth=truth, others=others, files=FILES)
     write_report(target, report.html, report.facts)
     return report.facts
@@ -443,19 +443,18 @@ def preview(result: Reconstruction) -> Any:
     """The shaded surface from above and from the left, as a ``PIL.Image.Image``."""
     from PIL import Image  # noqa: PLC0415 - slow to import
 
-    views = render_views(result, upright_frame(result, LONGEST_PX))
-    return Image.fromarray(_side_by_side(views.above, views.left))
+    return Image.fromarray(_shaded(render_views(result, upright_frame(result, LONGEST_PX))))
 
 
 def preview_html(result: Reconstruction) -> str:
     """The same as an image element, small, for notebooks."""
-    views = render_views(result, upright_frame(result, 400))
-    data = data_uri(_side_by_side(views.above, views.left), photo=True)
+    data = data_uri(_shaded(render_views(result, upright_frame(result, 400))), photo=True)
     return f'<img src="{data}" alt="surface from above and from the left">'
 
 
-def _side_by_side(*panels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Pictures beside each other, on their own paper."""
+def _shaded(views: Views) -> NDArray[np.uint8]:
+    """The surface from above and from the left beside each other, on their own paper."""
+    panels = views.above, views.left
     height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
     padded = []
     for panel in panels:

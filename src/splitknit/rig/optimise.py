@@ -6,7 +6,7 @@ import json
 import multiprocessing
 import re
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,12 @@ from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import canonical_json, plain_json, settings_hash
+from splitknit.model import Progress, no_progress
 from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
 
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """What the thesis's sweep chose (4.1.1)."""
-Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of the whole that is done."""
 
 
@@ -35,7 +35,7 @@ def sweep(
     study: Study,
     *,
     workers: int = 1,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = no_progress,
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates and keep each as soon as it is finished.
 

@@ -19,7 +19,7 @@ from splitknit.skin.surface import MetricSettings
 
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
-    "relief and glare are told apart by their colours alone."
+    "relief and glare are separated by their colours alone."
 )
 GREY = "the white images are grey: glare cannot be told from skin by its colour."
 HOW = {

@@ -58,7 +58,7 @@ class CoarseShape:
         start = start_shape(self.bands[-1], self.low, plane_mm)
         self._first = self.low.smooth(start, self.low.mask, 0.5) * self.low.mask
         self.shape_mm = self._first
-        """(h, w) on the coarse grid; its mean says nothing."""
+        """(h, w) on the coarse grid; its mean is undefined."""
         self.step: CoarseStep | None = None
         """What the last comparison found."""
         self._weights = np.ones(self.low.shape, dtype=np.float32)

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.settings import Limits
 from splitknit.skin.learned import RELIEF_MM
 from splitknit.training.fields import (
@@ -40,7 +40,6 @@ from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, Reli
 from splitknit.training.trainer import (
     HELD_OUT_FROM,
     Chart,
-    Progress,
     files_of,
     load_data,
     make_data,
@@ -248,7 +247,7 @@ def train_relief(
     *,
     resume: bool = False,
     command: str = "",
-    progress: Progress = lambda stage, done: None,
+    progress: Progress = no_progress,
     chart: Chart | None = None,
 ) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.

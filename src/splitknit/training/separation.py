@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.model import Progress, no_progress
 from splitknit.settings import Limits, check_fields
 from splitknit.training.networks import unet
 from splitknit.training.separation_data import (
@@ -33,7 +34,6 @@ from splitknit.training.trainer import (
     FREE,
     HELD_OUT_FROM,
     Chart,
-    Progress,
     Sample,
     Step,
     Subject,
@@ -158,7 +158,7 @@ def train_separation(
     *,
     resume: bool = False,
     command: str = "",
-    progress: Progress = lambda stage, done: None,
+    progress: Progress = no_progress,
     chart: Chart | None = None,
 ) -> dict[str, Any]:
     """Build the data set and train; return what came out.

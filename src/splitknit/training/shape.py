@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.settings import Limits
 from splitknit.skin.learned import SHAPE_SLOPE
 from splitknit.training.fields import (
@@ -41,7 +41,6 @@ from splitknit.training.shape_data import ShapeData, shape_sample
 from splitknit.training.trainer import (
     HELD_OUT_FROM,
     Chart,
-    Progress,
     files_of,
     load_data,
     make_data,
@@ -251,7 +250,7 @@ def train_shape(
     *,
     resume: bool = False,
     command: str = "",
-    progress: Progress = lambda stage, done: None,
+    progress: Progress = no_progress,
     chart: Chart | None = None,
 ) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.

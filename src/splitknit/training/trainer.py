@@ -29,7 +29,7 @@ from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.npz import map_npy
-from splitknit.model import FloatArray
+from splitknit.model import FloatArray, Progress
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.settings import Checked, Limits
@@ -38,7 +38,6 @@ from splitknit.training.networks import export_onnx, load_torch, unet_reach
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-Progress = Callable[[str, float], None]
 """Called with what is being done, and the fraction of the whole that is done."""
 Chart = Callable[[Sequence[float], Mapping[str, Sequence[float]], str, str], bytes]
 """Draws a learning curve as SVG: x, lines by name, labels of x and y."""
