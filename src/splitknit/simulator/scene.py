@@ -247,7 +247,7 @@ class Scene:
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         return render_band(
             self.surface, leds, optics, roughness=self.skin.roughness, glare=self.skin.glare, walks=self.walks,
-            settings=self.settings.render,
+            settings=self.settings.render, boundary=self.skin.boundary,
         )  # fmt: skip
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:

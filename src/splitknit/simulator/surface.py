@@ -69,6 +69,16 @@ class Coat:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Texture:
+    """What varies over the skin's surface and is no relief, on the camera's pixels."""
+
+    gloss: FloatArray
+    """(H, W) specular reflection over its mean: sweat."""
+    blood: FloatArray
+    """(H, W) how much darker blood makes green light, as a natural logarithm: mottled skin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Surface:
     """One posed finger on the camera's pixel grid: each pixel's values belong to the first point that its ray meets.
 
@@ -100,6 +110,8 @@ class Surface:
     """(H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for."""
     coat: Coat | None = None
     """What lies on the skin; None where it is clean and bare."""
+    texture: Texture | None = None
+    """Mottled blood and patches of sweat; None: even."""
 
     def __post_init__(self) -> None:
         require(

@@ -15,6 +15,7 @@ from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import RenderSettings, render_ambient, render_band
 from splitknit.simulator.light.skin import (
     CHANNELS,
+    Boundary,
     ChannelOptics,
     SkinSettings,
     diffuse_transmittance,
@@ -22,6 +23,7 @@ from splitknit.simulator.light.skin import (
     fresnel,
     load_walks,
 )
+from splitknit.simulator.surface import Surface, Texture
 from surfaces import plane, ridged_egg
 
 OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
@@ -204,3 +206,85 @@ def test_a_finger_outside_the_picture_is_refused(walks):
         render_band(empty, [OVERHEAD], _all_channels(), roughness=0.25, glare=1.0, walks=walks)
     with pytest.raises(BadInput, match="workers"):
         RenderSettings(workers=0)
+
+
+def _wave(slope: float, size: int = 240, pitch_mm: float = 0.0264) -> Surface:
+    """A plane that is tilted about y by its slope along x, with ridges of 10 um every 0.45 mm across x."""
+    x = (np.arange(size) - size / 2) * pitch_mm
+    period, height = 0.45, 0.02
+    relief = height * np.sin(2 * np.pi * x / period)
+    gradient = slope + height * 2 * np.pi / period * np.cos(2 * np.pi * x / period)
+
+    def normals(gx: np.ndarray) -> np.ndarray:
+        n = np.stack([-gx, 0 * gx, np.ones_like(gx)], axis=-1) / np.sqrt(1 + gx * gx)[..., None]
+        return np.broadcast_to(n, (size, size, 3)).astype(np.float32).copy()
+
+    def full(row: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(row, (size, size)).astype(np.float32).copy()
+
+    return Surface(
+        camera=Camera(1 / pitch_mm, (size, size)),
+        height_mm=full(slope * x + relief),
+        shape_mm=full(slope * x),
+        normals=normals(gradient),
+        shape_normals=normals(np.full(size, slope)),
+        relief_um=full(0 * x),
+        mask=np.ones((size, size), dtype=bool),
+        pigment=full(np.ones(size)),
+    )
+
+
+def _diffuse(surface: Surface, led: Led, boundary: Boundary | None, walks) -> np.ndarray:
+    media = [replace(one, relief_gain_per_um=0.0) for one in _all_channels()[:3]]
+    settings = RenderSettings(rim_exponent=0.0, reach_mm=1.0)
+    image = render_band(
+        surface, [led], media, roughness=0.25, glare=0.0, walks=walks, settings=settings, boundary=boundary
+    )
+    return image.diffuse[0][:, 60:-60, 60:-60]
+
+
+@pytest.mark.parametrize("slope", [0.8, 1.5])
+def test_ridges_do_not_flatten_a_slope_where_light_counts_by_area(walks, slope):
+    """As much light enters and leaves a ridged slope as a smooth one: facets that look small are large."""
+    leds = [Led("white", direction=(side, 0.0, 0.95)) for side in (-0.3, 0.3)]
+    ridged = _wave(slope)
+    smooth = replace(ridged, normals=ridged.shape_normals, height_mm=ridged.shape_mm)
+
+    def contrast(surface: Surface, by_area: float) -> float:
+        boundary = Boundary(by_area=by_area, entry_power=0.0)
+        near, far = (float(_diffuse(surface, led, boundary, walks).mean()) for led in leds)
+        return (near - far) / (near + far)
+
+    assert contrast(ridged, 1.0) == pytest.approx(contrast(smooth, 1.0), rel=0.005)
+    assert contrast(ridged, 0.0) < 0.99 * contrast(smooth, 0.0)
+
+
+def test_refracted_light_reverses_the_shading_of_slopes(walks):
+    """Behind a smooth boundary red light is brighter on the far flank, blue light on neither."""
+    led = Led("white", direction=(0.3, 0.0, 0.95))
+    wave = _wave(0.0)
+    shading = wave.normals[0, 60:-60, 0]
+
+    def signal(boundary: Boundary) -> np.ndarray:
+        rows = _diffuse(wave, led, boundary, walks)[:, 60]
+        return np.array([np.polyfit(shading, row / row.mean(), 1)[0] for row in rows])
+
+    matt, smooth = (signal(Boundary(refraction=r, entry_power=0.0)) for r in (0.0, 1.0))
+    assert (matt > 0).all()
+    np.testing.assert_allclose(smooth / matt, [-1.3, -0.65, 0.0], atol=0.05)
+
+
+def test_texture_is_seen_by_colour_and_gloss_by_place(walks):
+    wave = _wave(0.0)
+    blood = np.zeros_like(wave.height_mm)
+    blood[:, 120:] = 0.1
+    gloss = np.ones_like(blood)
+    gloss[120:] = 0.0
+    marked = replace(wave, texture=Texture(gloss=gloss, blood=blood))
+    plain, other = (
+        render_band(s, [OVERHEAD], _all_channels()[:3], roughness=0.3, glare=1.0, walks=walks) for s in (wave, marked)
+    )
+    np.testing.assert_allclose(other.glare, plain.glare * gloss, rtol=1e-5)
+    ratio = (other.diffuse / plain.diffuse)[0, :, 0, :]
+    np.testing.assert_allclose(ratio[:, :120], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(-np.log(ratio[:, 130]), [0.015, 0.1, 0.08], rtol=1e-3)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -432,7 +432,8 @@ def _weathered(
         scales = _on_chart(weathered.reflectance, surface, laid)
         return Coat("dry", condition.severity, fraction, np.full(fraction.shape, rough, np.float32), scales=scales)
     smooth = skin.roughness + fraction * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
-    tint = _tint(skin, replace(skin, **{name: _bounded(skin, name, factor) for name, factor in _SCAR.items()}))
+    scar: dict[str, Any] = {name: _bounded(skin, name, factor) for name, factor in _SCAR.items()}
+    tint = _tint(skin, replace(skin, **scar))
     return Coat("scarred", condition.severity, fraction, smooth.astype(np.float32), tint=tint)
 
 

@@ -136,6 +136,10 @@ class MasterPrintSettings(Checked):
     """Grid pitch of the map."""
     iterations: Annotated[int, Limits(1)] = 5
     """Passes of the growth filter; fewer leave more minutiae (5: about 0.2 per square millimetre, as people have)."""
+    steepness: tuple[float, float] = (1.5, 2.2)
+    """Range of the ridges' profile: 0.5 is rounded like a sine, 2.5 flat-topped with steep flanks."""
+    duty: tuple[float, float] = (0.15, 0.5)
+    """Range of the ridges' breadth: 0 as broad as the valleys, 0.5 twice as broad, below 0 narrower."""
     pattern_scale: Annotated[float, Limits(0.5, 2.0)] = 1.0
     """Size of the pattern (cores, deltas and the bends of its ridges, not their period): a finger's over the mean."""
 
@@ -280,9 +284,10 @@ def ridge_profile(rng: np.random.Generator, wave: Array32, settings: MasterPrint
     The last blur takes the harmonics that the map's pitch cannot carry; edges stay steeper than skin's.
     """
     pitch = settings.pitch_mm
-    duty = np.clip(rng.uniform(0.15, 0.5) + 0.1 * smooth_noise(rng, wave.shape, 2.5 / pitch), 0.0, 0.6)
+    narrowest = min(0.0, settings.duty[0] - 0.15)
+    duty = np.clip(rng.uniform(*settings.duty) + 0.1 * smooth_noise(rng, wave.shape, 2.5 / pitch), narrowest, 0.6)
     rough = smooth_noise(rng, wave.shape, 0.09 / pitch)
-    steep = rng.uniform(1.5, 2.2)
+    steep = rng.uniform(*settings.steepness)
     wave = np.tanh(1.2 * wave) / np.tanh(1.2)  # evens out the amplitude
     flank = np.maximum(1.0 - wave * wave, 0.0)
     level = steep * (wave + duty + _ROUGHNESS * flank * rough)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.camera.lens import px_per_mm_at, slopes_of_pixels
-from splitknit.simulator.light.skin import fresnel
+from splitknit.simulator.light.skin import Boundary, fresnel
 from splitknit.simulator.surface import Surface
 
 UNIT = 1e4
@@ -130,6 +130,34 @@ def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> 
             alpha = min(roughness + led_radius_mm / (2.0 * float(np.linalg.norm(one.position_mm))), 1.0)
         gloss += strength * _ggx(patch, (lx, ly, lz), cosine, alpha)
     return entering, gloss
+
+
+def light_below(patch: Patch, shape_normals: FloatArray, led: Led, boundary: Boundary) -> tuple[FloatArray, FloatArray]:
+    """Light that enters the skin's facets, and that which enters the same skin without ridges, (h, w) each.
+
+    `shape_normals` (h, w, 3) are those of the skin without ridges.
+    """
+    lights = [towards(one, patch.x, patch.y, patch.z) for one in (led, *led.also)]
+    found = []
+    for nx, ny, nz in ((patch.nx, patch.ny, patch.nz), tuple(np.moveaxis(shape_normals, -1, 0))):
+        total = np.zeros(patch.mask.shape, dtype=np.float32)
+        for lx, ly, lz, strength in lights:
+            cosine = np.maximum(lx * nx + ly * ny + lz * nz, 0.0)
+            entry = np.maximum(1.0 - fresnel(cosine), 0.02) ** boundary.entry_power
+            total += strength * cosine * entry
+        found.append(np.where(patch.mask, total / seen_area(patch, (nx, ny, nz)) ** boundary.by_area, 0.0))
+    return found[0].astype(np.float32), found[1].astype(np.float32)
+
+
+def seen_area(patch: Patch, normal: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
+    """(h, w) area in the picture over area of the skin: the cosine to the camera, at least `_GRAZING`."""
+    nx, ny, nz = normal
+    cosine = nz if patch.view is None else nx * patch.view[0] + ny * patch.view[1] + nz * patch.view[2]
+    return np.maximum(cosine, np.float32(_GRAZING))
+
+
+_GRAZING = 0.12
+"""Facets that lean away further are not resolved by the picture's pixels."""
 
 
 def _ggx(

@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
-from splitknit.simulator.light.lighting import Patch, cut_out, light_on
+from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on, seen_area
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
+    Boundary,
+    Channel,
     ChannelOptics,
     WalkTable,
     diffuse_transmittance,
@@ -33,6 +35,8 @@ from splitknit.simulator.surface import Surface
 
 LED_RADIUS_MM = 1.5
 """Radius of an LED's emitting face; it widens the specular reflection."""
+BLOOD: dict[Channel, float] = {"red": 0.15, "green": 1.0, "blue": 0.8, "nir": 0.05}
+"""How strongly mottled blood darkens each channel, relative to green."""
 _RELIEF_LOW_MM, _RELIEF_HIGH_MM = 0.03, 0.32
 """Standard deviations of the smoothing and of the high-pass of the relief in the relief term."""
 
@@ -76,6 +80,7 @@ def render_band(
     glare: float,
     walks: WalkTable,
     settings: RenderSettings | None = None,
+    boundary: Boundary | None = None,
 ) -> BandLight:
     """Render the finger under each of `leds`, one image a light.
 
@@ -88,6 +93,7 @@ def render_band(
     glare : weight of the surface reflection, 1 = Fresnel
     walks : table of random walks
     settings : what of the light is modelled
+    boundary : how light enters the skin, where nothing lies on it; None: the default
 
     References
     ----------
@@ -97,21 +103,35 @@ def render_band(
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     gains = list(relief_gains(surface, patch, optics, settings))
+    blur = Diffusion(patch, optics, walks, settings, roughness)
+    if surface.texture is not None:
+        blood = surface.texture.blood[patch.window]
+        gains = [gain * np.exp(-BLOOD[name] * blood) for gain, name in zip(gains, _channels(optics), strict=True)]
     if surface.coat is not None:
         coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], roughness)
-        channels = next(names for names in BAND_CHANNELS.values() if len(names) == len(optics))
-        gains = [coat.over(gain, name) for gain, name in zip(gains, channels, strict=True)]
+        gains = [coat.over(gain, name) for gain, name in zip(gains, _channels(optics), strict=True)]
 
         def shine(k: int) -> Shine:
             return coat.light_on(leds[k], glare, LED_RADIUS_MM)
 
     else:
+        patches: Any = np.float32(glare)
+        if surface.texture is not None:
+            patches = patches * surface.texture.gloss[patch.window]
 
         def shine(k: int) -> Shine:
             entering, gloss = light_on(patch, leds[k], roughness, LED_RADIUS_MM)
-            return entering, gloss * np.float32(glare), None
+            return entering, gloss * patches, None
 
-    return render_lights(patch, shine, len(leds), Diffusion(patch, optics, walks, settings, roughness), gains)
+        if boundary is not None and boundary != Boundary():
+            blur.enter_by(boundary, surface.shape_normals[patch.window], leds, _channels(optics))
+
+    return render_lights(patch, shine, len(leds), blur, gains)
+
+
+def _channels(optics: Sequence[ChannelOptics]) -> tuple[Channel, ...]:
+    """Names of a band's media, which their number tells."""
+    return next(names for names in BAND_CHANNELS.values() if len(names) == len(optics))
 
 
 Shine = tuple[FloatArray, FloatArray, FloatArray | None]
@@ -127,7 +147,7 @@ def render_lights(
 
     def one(k: int) -> None:
         entering, gloss[k], extra = shine(k)
-        for c, light in enumerate(blur(entering)):
+        for c, light in enumerate(blur(entering, k)):
             np.multiply(light, gains[c], out=diffuse[k, c])
             if extra is not None:
                 diffuse[k, c] += extra
@@ -179,7 +199,8 @@ class Diffusion:
         roughness: float,
     ) -> None:
         """Prepare the transfer of every medium, and what of the light leaves towards the viewer."""
-        self.settings, pitch_mm = settings, patch.pitch_mm
+        self.settings, self.patch, pitch_mm = settings, patch, patch.pitch_mm
+        self._entering: Callable[[int], Iterator[FloatArray]] | None = None
         profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
         reach = int(np.ceil(min(settings.reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm))
         mask = patch.mask
@@ -200,9 +221,25 @@ class Diffusion:
             seen = np.clip(cover / np.float32(profile.albedo), 0.05, 1.0)
             self.out.append(np.where(mask, out * seen ** np.float32(-settings.rim_exponent), 0.0).astype(np.float32))
 
-    def __call__(self, entering: FloatArray) -> Iterator[FloatArray]:
-        """Yield the (h, w) radiance of each channel under the (h, w) light that enters."""
-        for light, out in zip(self.spread(self.pad(entering)), self.out, strict=True):
+    def enter_by(
+        self, boundary: Boundary, shape_normals: FloatArray, leds: Sequence[Led], channels: Sequence[Channel]
+    ) -> None:
+        """Let light enter as a boundary lets it, instead of as given: each of `leds`, by the number of its image."""
+        seen = seen_area(self.patch, (shape_normals[..., 0], shape_normals[..., 1], shape_normals[..., 2]))
+        self.out = [out * seen**boundary.by_area for out in self.out]
+        signals = [boundary.slope_signal(name) for name in channels]
+
+        def entering(k: int) -> Iterator[FloatArray]:
+            facets, smooth = light_below(self.patch, shape_normals, leds[k], boundary)
+            both = zip(self.spread(self.pad(facets)), self.spread(self.pad(smooth)), signals, strict=True)
+            return (np.asarray(below + signal * (ridged - below)) for ridged, below, signal in both)
+
+        self._entering = entering
+
+    def __call__(self, entering: FloatArray, k: int = 0) -> Iterator[FloatArray]:
+        """Yield the (h, w) radiance of each channel under the (h, w) light that enters, of image `k`."""
+        lights = self.spread(self.pad(entering)) if self._entering is None else self._entering(k)
+        for light, out in zip(lights, self.out, strict=True):
             yield np.maximum(light, 0.0) * out
 
     def pad(self, entering: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy.fft
@@ -86,11 +86,35 @@ class ChannelOptics:
 
 
 @dataclass(frozen=True, slots=True)
+class Boundary(Checked):
+    """How light enters the skin. The defaults are a matt boundary, with light counted by the picture's area."""
+
+    refraction: Annotated[float, Limits(0.0, 1.0)] = 0.0
+    """Fraction of the reversal of slope shading that refracted light brings: 0 a matt boundary, 1 a smooth one above
+    isotropic scattering; forward scattering (anisotropy 0.8) leaves about a quarter of it."""
+    by_area: Annotated[float, Limits(0.0, 1.0)] = 0.0
+    """1: the light that enters each facet counts by the facet's area, as it does; 0: by the area that the camera sees
+    of it, as in an image that is blurred. Facets that lean away from the camera are larger than they look."""
+    entry_power: Annotated[float, Limits(-1.0, 2.0)] = 1.0
+    """Power of Fresnel's transmittance with which light enters: 1 a clean flat boundary; a rough one, and light that
+    scatters soon after a slanted entry, lower it."""
+
+    def slope_signal(self, channel: Channel) -> float:
+        """Shading by ridge slopes over that behind a matt boundary."""
+        return 1.0 - self.refraction * SLOPE_LOSS[channel]
+
+
+SLOPE_LOSS: Mapping[Channel, float] = {"red": 2.3, "green": 1.65, "blue": 1.0, "nir": 4.8}
+"""What a smooth boundary takes from the shading by slopes, over that of a matt one: our own reference walks
+(docs/experiments/simulator-reference.md, ridges of 75 um; 1: none is left, above 1: it is reversed)."""
+
+
+@dataclass(frozen=True, slots=True)
 class SkinSettings(Checked):
     """One finger's skin. The defaults give the coefficients measured on the reference renders."""
 
-    scattering_factor: Annotated[float, Limits(0.3, 3.0)] = 1.0
-    """Multiplies the reduced scattering of the power law; 0.3 to 3."""
+    scattering_factor: Annotated[float, Limits(0.15, 3.0)] = 1.0
+    """Multiplies the reduced scattering of the power law; 0.15 to 3."""
     melanin: Annotated[float, Limits(0.0, 0.05)] = 0.00056
     """Volume fraction of melanosomes in the medium: 0.0002 very light, 0.004 dark, 0.02 very dark skin."""
     blood: Annotated[float, Limits(0.0, 0.1)] = 0.006
@@ -109,11 +133,17 @@ class SkinSettings(Checked):
     """Weight of the surface reflection: 1 bare skin (Fresnel), 0 polarised away, above 1 oily."""
     relief_gain: Annotated[float, Limits(0.0, 3.0)] = 0.78
     """The relief gain of a channel is this number times its effective attenuation: k h = gain x mu_eff x h."""
+    scattering_power: Annotated[float, Limits(0.0, 3.0)] = 1.42
+    """Exponent of the wavelength in the reduced scattering: 1.42 Jacques's skin, 0.5 large scatterers."""
+    layers: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    """Absorption that the light of red, green, blue and near-infrared meets, over that of one even medium: melanin
+    above and blood below act as other absorptions than a mixture would."""
+    boundary: Boundary = field(default_factory=Boundary)
 
     def channel(self, name: Channel) -> ChannelOptics:
         """Return the coefficients of the channel `name`: ``red``, ``green``, ``blue`` or ``nir``."""
         band = EFFECTIVE[name]
-        scattering = self.scattering_factor * 4.6 * (band.scattering_nm / 500.0) ** -1.42
+        scattering = self.scattering_factor * 4.6 * (band.scattering_nm / 500.0) ** -self.scattering_power
         absorption = (
             self.blood * (self.oxygenation * band.oxygenated + (1.0 - self.oxygenation) * band.deoxygenated)
             + self.melanin * band.melanosome
@@ -122,6 +152,7 @@ class SkinSettings(Checked):
             + band.bloodless
             + (self.yellow_per_mm if name == "blue" else 0.0)
         )
+        absorption *= self.layers[CHANNELS.index(name)]
         optics = ChannelOptics(scattering, absorption, 0.0)
         return replace(optics, relief_gain_per_um=self.relief_gain * optics.attenuation_per_mm * 1e-3)
 
@@ -156,7 +187,7 @@ class SkinRanges:
 
     def draw(self, rng: np.random.Generator) -> SkinSettings:
         """Return the skin of one finger; every range takes one number from `rng`, in a fixed order."""
-        drawn = {}
+        drawn: dict[str, Any] = {}
         for name, logarithmic in (
             ("scattering_factor", True),
             ("melanin", True),
