@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from script_folder import VALIDATION, Script, scripts_of
-from splitknit import preset_settings, read_capture, write_capture
+from splitknit import preset_settings, read_capture, reconstruct, simulate_capture, write_capture
 from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.skin.grid import Grid
 
@@ -82,6 +84,35 @@ def test_a_simulated_finger(
     settings = script("run").chosen_settings(["metric.rounds=1"])
     row = script("predict").left_out(read_capture(twin_folder), "nir", 3, settings)
     assert row["channels"]["nir"]["model"]["rms"] < 0.2
+
+
+def drifted(capture: Capture, truth: dict[str, Any]) -> Capture:
+    """White images of light that is refracted as it enters: moved away from their LED (Wang and Jacques 1995)."""
+    band, per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
+    towards = capture.rig.select(band.leds).light_vectors()
+    towards /= 1.42 * np.linalg.norm(towards, axis=1, keepdims=True)  # sine of the refracted angle
+    mean_path_mm = 1 / (truth["optics_scattering_per_mm"] + 0.35 * truth["optics_absorption_per_mm"])
+    moved = band.pixels.copy()
+    size = moved.shape[2], moved.shape[1]
+    for image, (x, y, _) in zip(moved, towards, strict=True):
+        for c in range(3):
+            shift = np.array([[1, 0, -x * mean_path_mm[c] * per_mm], [0, 1, y * mean_path_mm[c] * per_mm]])
+            one = np.ascontiguousarray(image[..., c])
+            image[..., c] = cv2.warpAffine(one, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return replace(capture, bands={**capture.bands, "white": replace(band, pixels=moved)})
+
+
+@pytest.mark.slow
+def test_refracted_light_shades_ridges_less_behind_crossed_polarisers(script: Script) -> None:
+    capture, truth = simulate_capture(3, "whorl", {"scale": 0.2, "skin": {"glare": [0.0, 0.0]}})
+    settings = script("run").chosen_settings(["metric.rounds=1"])
+    surface = reconstruct(capture, settings=settings)
+    gains = [
+        script("predict").left_out(one, "white", 2, settings, surface)["channels"]["green"]["model"]["gain"]
+        for one in (capture, drifted(capture, truth))
+    ]
+    assert gains[0] > 0.5
+    assert gains[1] < 0.5 * gains[0]
 
 
 def test_bad_input_takes_one_sentence(
