@@ -142,7 +142,8 @@ def by_model(band: BandImages, grid: Grid, found: Found, image: int, crossed: bo
 
     def lacking(stack: FloatArray) -> FloatArray:
         """What no albedo explains."""
-        return (stack - _albedo(diffuse[:, rest], stack, trust)[:, None] * diffuse[:, rest]) * trust
+        albedo = _albedo(diffuse[:, rest], stack, trust)[:, None]
+        return np.asarray((stack - albedo * diffuse[:, rest]) * trust, dtype=np.float32)
 
     alone = lacking(np.broadcast_to(mirrored[rest], diffuse[:, rest].shape))
     product = float((alone * lacking(band.stack[:, rest])).sum(dtype=np.float64))

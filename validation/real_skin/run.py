@@ -51,6 +51,7 @@ def images_of(capture: Capture, everything: bool) -> list[tuple[str, int]]:
     """Band and number of the images that are left out, one after another."""
     if everything:
         return [(name, k) for name, band in capture.bands.items() for k in range(len(band.leds))]
+    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     count = len(capture.bands["white"].leds)
     return [("white", k) for k in sorted({k * count // FEW for k in range(FEW)})]
 
@@ -96,12 +97,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         surface = None if options.surface is None else reconstruct(options.surface, settings=settings)
         for folder in options.captures:
             capture = read_capture(folder)
-            rows = captures.setdefault(folder.resolve().name, [])
+            name = folder.resolve().name
+            rows = captures.setdefault(str(folder) if name in captures else name, [])
             for band, image in images_of(capture, options.all):
                 rows.append(rounded(left_out(capture, band, image, settings, surface)))
                 print(f"{folder}: {band} {image}, relief by {rows[-1]['relief_by']}", file=sys.stderr, flush=True)
-        if options.out is not None:
-            options.out.write_text(json.dumps(captures, indent=1) + "\n")
+                if options.out is not None:
+                    options.out.write_text(json.dumps(captures, indent=1) + "\n")
     except (BadInput, OSError) as error:
         print(error, file=sys.stderr)
         return 2
