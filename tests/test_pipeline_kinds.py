@@ -29,7 +29,7 @@ from splitknit.simulator.twin import photograph, simulate_capture
 
 Truth = dict[str, np.ndarray]
 
-QUICK = {"metric.rounds": 1, "metric.coarse_steps": [2]}
+QUICK = {"metric.rounds": 1, "metric.coarse_steps": 2}
 """A short run of the metric recipe: enough to see that a kind of capture gets through."""
 
 

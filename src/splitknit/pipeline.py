@@ -45,10 +45,9 @@ from splitknit.presets import (
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
 from splitknit.skin.diffusion import SkinSettings
-from splitknit.skin.facets import Facets, measure_facets
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import HOW, working_images
-from splitknit.skin.learned import Networks, can_learn, relief_by_network
+from splitknit.skin.learned import LITTLE_GLOSS, Networks, can_learn, relief_by_network, with_its_power
 from splitknit.skin.relief import detail_of
 from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
 from splitknit.steps import Memory, shared, step
@@ -60,6 +59,10 @@ __all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings",
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
+WAYS = (0, 3, 5, 6)
+"""To lay the finger down for the last estimate of the relief: upright, and turned by 180 degrees."""
+DOUBTFUL = 0.5
+"""Expected error of the relief, over the relief's rms height, from which a warning is due."""
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
 
 
@@ -173,7 +176,8 @@ def metric(capture: Capture, settings: PipelineSettings) -> Reconstruction:
             "separation": HOW[skin.facts["relief_by"]],
             "optics": skin.facts,
         }
-        surface = Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, images.warnings)
+        notes = (*images.warnings, *doubts_of(skin.facts))
+        surface = Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, notes)
     surface = replace(surface, warnings=(*warnings, *surface.warnings))
     return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
 
@@ -186,12 +190,12 @@ def reconstruct_skin(  # noqa: PLR0917
     progress: Callable[[float], None] | None = None,
     networks: Networks | None = None,
 ) -> SkinSurface:
-    """Shape and relief of skin in turns, by analysis and synthesis.
+    """Shape and relief of skin, by analysis and synthesis.
 
     A current surface predicts what photometric stereo would find on it behind the skin's blur; the difference from what
     it did find corrects the surface: first the shape on a coarse grid, from all bands, then the ridges on a fine grid,
-    from the colours of the white band; and again, because ridges bias the shape (the mean normal of a ridged slope is
-    flatter than the slope).
+    from the colours of the white band. What ridges and skin of other optics still bend the shape by, a network that
+    sees both takes away, and the ridges are found again on the better shape.
 
     Parameters
     ----------
@@ -206,30 +210,30 @@ def reconstruct_skin(  # noqa: PLR0917
     white = bands[0]
     learned = networks if settings.relief == "network" and can_learn(white, grid.pitch_mm) else None
     shape = CoarseShape.of(bands, grid, skin, settings)  # near-light photometric stereo of the last band, integrated
-    relief = np.zeros(grid.shape, dtype=np.float32)
-    facets: Facets | None = None
-    for turn in range(settings.rounds):
-        last = turn == settings.rounds - 1
+    for _ in range(settings.coarse_steps):
         # Shape: normals are predicted behind scattering, compared with those of all bands, the difference integrated.
-        for _ in range(settings.coarse_steps[min(turn, len(settings.coarse_steps) - 1)]):
-            shape.correct(relief, facets, settings.coarse)
-        if last and facets is not None and learned is not None and learned.shape is not None:
-            shape.mend(learned.shape, facets)
-        shape.see_colour()
+        shape.correct(settings.coarse)
+    shape.see_colour()
+    relief = np.zeros(grid.shape, dtype=np.float32)
+    for turn in range(settings.rounds):
+        if turn > 0 and learned is not None and learned.shape is not None:
+            shape.mend(learned.shape, relief)
         smooth, light = shape.placed(), shape.light()
         # Relief: what the slopes of the white band's colours lack on that shape, without blur and specular reflection.
         if learned is not None:
-            found = relief_by_network(white, grid, smooth, light, learned.relief)
+            ways = WAYS if turn == settings.rounds - 1 else (0,)
+            found = relief_by_network(white, grid, smooth, light, learned.relief, ways=ways)
         else:
             other = shape.optics_of(1 + skin.scattering_uncertainty)
             found = relief_by_colour(
                 white, grid, smooth, light, shape.optics, other, shape.found.brightness, relief, settings.by_colour
             )
         relief = found.relief_mm
-        if not last:
-            facets = measure_facets(relief, smooth, grid, shape.low, shape.factor, found.spread)
         if progress is not None:
             progress((turn + 1) / (settings.rounds + 1))
+    if learned is not None:
+        found = with_its_power(found)
+        relief = found.relief_mm
     detail = detail_of(smooth, found.trust, grid)
     facts = {**shape.facts(), **found.facts}
     return SkinSurface(smooth - detail, relief + detail, found.deviation_mm, found.albedo, facts)
@@ -455,6 +459,22 @@ skin_surface = step("surface")(reconstruct_skin)
 
 def _report_surface(fraction: float) -> None:
     steps.report("surface", fraction)
+
+
+def doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
+    """Warnings where the ridges' heights are hardly known, or only up to a common factor."""
+    if facts["relief_by"] != "network":
+        return ()
+    error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]
+    notes = []
+    if error > DOUBTFUL * relief:
+        notes.append(f"the ridges are hardly measured: {relief:.0f} um rms with an expected error of {error:.0f} um.")
+    if facts["gloss"] < LITTLE_GLOSS:
+        notes.append(
+            "the skin shows hardly any specular reflection: its brightness tells the ridges' heights, which may all be "
+            f"off by a common factor (standard deviation {100 * gain:.0f} %)."
+        )
+    return tuple(notes)
 
 
 def undoes_blur(capture: Capture, settings: PipelineSettings) -> bool:

@@ -49,9 +49,7 @@ class Coarse:
     def compare(self, bands, height=None, added=None):
         height = self.height if height is None else height
         zero = np.zeros(self.grid.shape, dtype=np.float32)
-        return compare(
-            bands, self.grid, height, normals_of(height, self.grid), OPTICS, added or (zero, zero), CoarsePrior()
-        )
+        return compare(bands, self.grid, height, OPTICS, added or (zero, zero), CoarsePrior())
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from skin_scene import CUT_MM, make_scene
 
 from splitknit.imaging.band import bin_mean
 from splitknit.skin.diffusion import SkinSettings, diffusion
-from splitknit.skin.facets import Facets
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
     COUNT,
@@ -23,6 +22,7 @@ from splitknit.skin.learned import (
     can_learn,
     features,
     relief_by_network,
+    ridge_tensor,
     slopes_by_network,
 )
 from splitknit.skin.light import fine_lighting
@@ -151,7 +151,6 @@ def test_relief_and_glare_are_what_the_network_draws(scene):
     np.testing.assert_allclose(found.relief_mm[inner], true[inner], atol=0.003)
     assert not found.relief_mm[~grid.mask].any()
     np.testing.assert_allclose(found.deviation_mm[inner], 0.5 * RELIEF_MM, rtol=0.01)
-    assert found.spread == pytest.approx(np.sqrt(1 + (0.5 * RELIEF_MM) ** 2 / (true[inner] ** 2).mean()), rel=0.02)
     azimuth = 2 * np.pi * np.arange(7) / 7
     size = np.linalg.norm(light.vectors, axis=1)
     level = features(scene.white, grid, placed(scene), light).level[1]
@@ -171,8 +170,7 @@ def coarse_of(scene, tilt=0.0):
     height = (height + np.float32(tilt) * low.x_mm[None, :].astype(np.float32)) * low.mask
     skin = SkinSettings()
     optics = {n: diffusion(skin.scattering(n), skin.absorption(n)) for n in ("red", "green", "blue", "nir")}
-    flat = np.ones(low.shape, np.float32)
-    return low, bands, height, optics, Facets(np.zeros(4), flat, 0 * flat)
+    return low, bands, height, optics, np.zeros((3, *low.shape), np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -181,33 +179,53 @@ def smooth():
 
 
 def test_a_true_shape_leaves_nothing_to_mend_and_a_tilted_one_its_tilt(smooth):
-    low, bands, height, optics, facets = coarse_of(smooth)
+    low, bands, height, optics, ridges = coarse_of(smooth)
     inner = low.mask & (low.depth_mm > 1.2) & (low.y_mm[:, None] > CUT_MM + 1.2)
-    right = _shape_features(bands, low, height, optics, facets)
+    right = _shape_features(bands, low, height, optics, ridges)
     assert right.shape == (SHAPE_COUNT, *low.shape)
     assert not right[:, ~low.mask].any()
     assert np.abs(right[:8][:, inner] / 4).max() < 0.05
     assert np.abs(right[8:12][:, inner]).max() < 0.05
     _, _, tilted, _, _ = coarse_of(smooth, tilt=0.1)
-    wrong = _shape_features(bands, low, tilted, optics, facets) - right
+    wrong = _shape_features(bands, low, tilted, optics, ridges) - right
     assert wrong[0:8:2][:, inner].mean(axis=1) / 4 == pytest.approx(np.full(4, -0.1), rel=0.35)
     assert np.abs(wrong[1:8:2][:, inner].mean(axis=1) / 4).max() < 0.01
 
 
 def test_a_missing_band_is_zero_and_said_to_be_missing(smooth):
-    low, bands, height, optics, facets = coarse_of(smooth)
-    alone = _shape_features(bands[:1], low, height, optics, facets)
+    low, bands, height, optics, ridges = coarse_of(smooth)
+    alone = _shape_features(bands[:1], low, height, optics, ridges)
     nir = [6, 7, 11, 16, 17, 18, 19, 29, 30]
     assert not alone[nir].any()
-    both = _shape_features(bands, low, height, optics, facets)
+    both = _shape_features(bands, low, height, optics, ridges)
     assert (both[30][low.mask] == 1).all()
     kept = np.setdiff1d(np.arange(SHAPE_COUNT), [*nir, 23])  # 23: trust of the last band's lights
     np.testing.assert_array_equal(alone[kept], both[kept])
 
 
-def test_slopes_are_what_the_network_draws(smooth):
-    low, bands, height, optics, facets = coarse_of(smooth)
-    drawn = np.stack([np.full(low.shape, 2.0), np.full(low.shape, -1.0)]).astype(np.float32)
-    x, y = slopes_by_network(bands, low, height, optics, facets, lambda fields: drawn)
-    np.testing.assert_allclose(x, 2 * SHAPE_SLOPE * low.mask)
-    np.testing.assert_allclose(y, -SHAPE_SLOPE * low.mask)
+def test_slopes_are_what_the_network_draws_whichever_way_the_finger_lies(smooth):
+    low, bands, height, optics, ridges = coarse_of(smooth, tilt=0.1)
+    fields = _shape_features(bands, low, height, optics, ridges)
+    x, y = slopes_by_network(bands, low, height, optics, ridges, lambda turned: turned[20:22])
+    np.testing.assert_allclose(x, fields[20] * SHAPE_SLOPE, atol=1e-6)
+    np.testing.assert_allclose(y, fields[21] * SHAPE_SLOPE, atol=1e-6)
+    x, y = slopes_by_network(bands, low, height, optics, ridges, lambda turned: np.ones_like(turned[:2]))
+    assert max(np.abs(x).max(), np.abs(y).max()) < 1e-6  # a slope to one side that nothing in the fields points to
+
+
+@pytest.mark.parametrize("across_deg", [0.0, 35.0, 90.0, 160.0])
+def test_ridges_are_as_steep_as_they_are_and_across_their_direction(across_deg):
+    pitch, factor, period, height = 0.0264, 4, 0.5, 0.02
+    x, y = (np.arange(400) - 200) * pitch, (200 - np.arange(400)) * pitch
+    grid = Grid(np.ones((400, 400), bool), x, y, pitch, (False,) * 4)
+    low = coarsen(grid, factor)
+    angle = np.deg2rad(across_deg)
+    along = np.cos(angle) * x[None, :] + np.sin(angle) * y[:, None]
+    relief = (height * np.sin(2 * np.pi * along / period)).astype(np.float32)
+    even, odd, slope = ridge_tensor(relief, grid, factor, low)[:, 30:-30, 30:-30]
+    steep = 2 * np.pi * height / period / np.sqrt(2)
+    np.testing.assert_allclose(slope, steep, rtol=0.06)
+    np.testing.assert_allclose(even, steep * np.cos(2 * angle), atol=0.08 * steep)
+    np.testing.assert_allclose(odd, steep * np.sin(2 * angle), atol=0.08 * steep)
+    none = ridge_tensor(0 * relief, grid, factor, low)
+    assert np.abs(none).max() < 1e-3

@@ -50,6 +50,6 @@ def test_without_ridges_none_are_drawn(networks):
 
 def test_settings_turn_the_networks_off(networks):
     scene = make_scene()
-    settings = MetricSettings(relief="colour", rounds=1, coarse_steps=(2,))
+    settings = MetricSettings(relief="colour", rounds=1, coarse_steps=2)
     found = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), settings, networks=networks)
     assert found.facts["relief_by"] == "colour"

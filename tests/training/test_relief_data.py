@@ -154,7 +154,7 @@ def test_truth_of_several_pixels_is_their_mean_and_counts_where_all_are_skin(sce
 
 @pytest.fixture(scope="module")
 def photographed():
-    scene = _draw_scene(5000, SMALL)
+    scene = replace(_draw_scene(5000, SMALL), textured_by=None)
     return scene, *photograph_scene(scene)
 
 
@@ -171,14 +171,14 @@ def test_a_scene_is_photographed_as_the_twin_photographs(photographed, monkeypat
 def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -> None:
     _, capture, truth = photographed
     settings = preset_settings("metric")
-    settings = replace(settings, metric=replace(settings.metric, coarse_steps=(1,)))
+    settings = replace(settings, metric=replace(settings.metric, coarse_steps=1))
     true, found = (_sample_of(capture, truth, settings, mix).astype(np.float32) for mix in (0.0, 1.0))
     assert true.shape == found.shape and np.isfinite(true).all() and np.isfinite(found).all()
     inner = (true[WEIGHT] > 0.9) & (found[WEIGHT] > 0.9)
     assert inner.sum() > 2500
     # the slopes of the smooth shape: the true one and the first round's are similar, not the same
     for number in (21, 22):
-        assert 0.9 < np.corrcoef(true[number][inner], found[number][inner])[0, 1] < 0.99999
+        assert 0.8 < np.corrcoef(true[number][inner], found[number][inner])[0, 1] < 0.99999
     # the relief does not depend on it, and fields show it: ridges are darker where they face away from all lights
     np.testing.assert_array_equal(true[RELIEF][inner], found[RELIEF][inner])
     assert 0.2 < true[RELIEF][inner].std() < 5
@@ -196,7 +196,8 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     for scene in scenes:
         height = scene.rig.camera.height_mm
         assert height == 140.0 or 120 <= height <= 165
-        assert 40 <= scene.finger.skin.ridge_depth_um <= 105
+        depth = scene.finger.skin.ridge_depth_um
+        assert depth == 0 or 25 <= depth <= 110
         for led in scene.rig.leds:
             assert 36 < np.hypot(*led.position_mm[:2]) < 68 and abs(led.position_mm[2] - height) < 6
             twists.append(np.angle(complex(*led.position_mm[:2]) / complex(*usual[len(twists) % 14])))

@@ -13,9 +13,8 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.presets import preset_settings
 from splitknit.skin import learned
 from splitknit.skin.diffusion import SkinSettings, diffusion
-from splitknit.skin.facets import Facets
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, _shape_features
+from splitknit.skin.learned import SHAPE_SLOPE, _shape_features
 from splitknit.training import shape_data
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import photograph_scene
@@ -24,7 +23,6 @@ from splitknit.training.shape_data import (
     ShapeData,
     _assembled_shape,
     _draw_shape_scene,
-    _drawn_relief,
     _shape_sample_of,
     shape_sample,
 )
@@ -47,8 +45,9 @@ class Scene:
     across: tuple[np.ndarray, np.ndarray]
 
     def sample(self) -> np.ndarray:
-        facets = Facets(np.linspace(-0.5, 0.5, 7), *self.across)
-        fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, facets)
+        x, y = self.across
+        ridges = 0.3 * np.stack([x * x - y * y, 2 * x * y, np.ones_like(x)]) * self.grid.mask
+        fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, ridges)
         return _assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
 
     def moved(
@@ -141,20 +140,6 @@ def test_slopes_are_of_the_mean_over_blocks_that_are_known(scene) -> None:
     np.testing.assert_allclose(sample[:, there], plain[:, there], atol=0.02)
 
 
-def test_what_is_drawn_has_its_gain_and_says_what_it_misses() -> None:
-    relief = np.random.default_rng(0).standard_normal((20, 30)).astype(np.float32) * 0.03
-    inner = np.zeros((20, 30), dtype=bool)
-    inner[5:15] = True
-    drawn = _drawn_relief(relief, inner, 0.8)
-    np.testing.assert_allclose(drawn[0] * RELIEF_MM, 0.8 * relief, rtol=1e-5)
-    assert (drawn[1:8] == 0).all()
-    power = (drawn[0][inner] ** 2).mean()
-    assert np.sqrt(1 + np.exp(drawn[8, 0, 0]) / power) == pytest.approx(1 / 0.8, rel=1e-5)
-    assert (_drawn_relief(relief, inner, 1.1)[8] == -8).all()
-    with pytest.raises(BadInput, match="faces the camera"):
-        _drawn_relief(relief, ~np.ones_like(inner), 0.8)
-
-
 def test_a_finger_goes_through_a_reconstruction(monkeypatch) -> None:
     monkeypatch.setattr(learned, "PITCH_MM", (0.017, 0.1))  # a small image will do here
     sample, facts = shape_sample(5000, SMALL)
@@ -169,7 +154,7 @@ def test_a_finger_goes_through_a_reconstruction(monkeypatch) -> None:
     # with what is missing the shape's slopes are the true ones, close to those found
     found = 2 * values[20:22][:, there]
     for axis in range(2):
-        assert 0.95 < np.corrcoef(found[axis], found[axis] + missing[axis])[0, 1] < 0.99999
+        assert 0.85 < np.corrcoef(found[axis], found[axis] + missing[axis])[0, 1] < 0.99999
 
 
 @pytest.fixture(scope="module")
@@ -192,12 +177,12 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     assert (again.facts(), gain) == (drawn[3][0].facts(), drawn[3][1]) != (drawn[4][0].facts(), drawn[4][1])
     scenes, gains = zip(*drawn, strict=True)
     scales, rims = ([read(scene) for scene in scenes] for read in (lambda s: s.settings.scale, _rim))
-    assert 0.36 <= min(scales) < 0.4 and 0.46 < max(scales) <= 0.5
+    assert 0.34 <= min(scales) < 0.36 and 0.41 < max(scales) <= 0.43
     assert 0 <= min(rims) < 0.25 and 0.75 < max(rims) <= 1
-    assert 0.88 < np.mean(gains) < 0.98 and 0.02 < np.std(gains) < 0.1
+    assert 0.85 < np.mean(gains) < 1.0 and 0.05 < np.std(gains) < 0.2
     assert {scene.rig.camera.height_mm == 140.0 for scene in scenes} == {True, False}
     skins = {scene.settings.skin.scattering_factor for scene in scenes}
-    assert skins == {(0.45, 2.2)}
+    assert skins == {(0.2, 2.2)}
 
 
 def _rim(scene) -> float:
@@ -225,7 +210,7 @@ def test_ranges_that_make_no_sense_are_refused(change, words) -> None:
 def test_one_round_mends_no_shape(coarse, monkeypatch) -> None:
     monkeypatch.setattr(shape_data, "can_learn", lambda *a: True)
     settings = preset_settings("metric")
-    settings = replace(settings, metric=replace(settings.metric, rounds=1, coarse_steps=(1,)))
+    settings = replace(settings, metric=replace(settings.metric, rounds=1, coarse_steps=1))
     capture, truth, gain = coarse
     with pytest.raises(BadInput, match="rounds"):
         _shape_sample_of(capture, truth, settings, gain)

@@ -113,7 +113,7 @@ def test_fields_are_scaled_by_what_they_vary() -> None:
     ("change", "words"),
     [
         ({"widths": (4,)}, "widths"),
-        ({"patch_px": 100}, "multiple of 8"),
+        ({"patch_px": 100}, "multiple of 16"),
         ({"no_nir_share": 1.0}, "no_nir_share"),
         ({"weight_decay": -1.0}, "weight_decay"),
         ({"wide_share": float("inf")}, "wide_share"),

@@ -71,7 +71,7 @@ def _attempt(capture: Any, truth: Truth, preset: str, side_lines: bool) -> dict[
 
 def _drawn(truth: Truth) -> dict[str, Any]:
     """What the finger, its skin and its pose are."""
-    names = [n for n in truth if n.startswith("skin_")] + [
+    names = [n for n in truth if n.startswith("skin_") and truth[n].size == 1] + [
         f"landmark_{n}" for n in ("pattern", "yaw_rad", "pitch_rad", "roll_rad", "insertion_mm", "period_mm")
     ]
     return {name.removeprefix("landmark_"): truth[name].item() for name in names}

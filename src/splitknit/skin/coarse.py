@@ -16,7 +16,6 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.settings import Checked, Limits
 from splitknit.skin.colour import unmixing_weights
 from splitknit.skin.diffusion import Diffusion
-from splitknit.skin.facets import Facets, at, mean_glare
 from splitknit.skin.glare import GlareFit, fit_glare, microfacet_glare
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all
@@ -84,6 +83,12 @@ def start_shape(band: BandImages, grid: Grid, plane_mm: float, rounds: int = 2) 
     return height
 
 
+def slopes_inside(height_mm: FloatArray, grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """dz/dx and dz/dy (h, w) of a surface on the grid's mask: no step at its edge, zero outside."""
+    x, y = height_gradients(np.where(grid.mask, height_mm, np.float32(np.nan)), grid.pitch_mm)
+    return np.nan_to_num(x), np.nan_to_num(y)
+
+
 def integrate(slope_x: AnyFloat, slope_y: AnyFloat, grid: Grid, weights: FloatArray) -> FloatArray:
     """Height in mm (zero outside the mask, mean zero on it) by weighted masked least squares."""
     height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * np.float32(grid.pitch_mm)
@@ -94,30 +99,25 @@ def compare(  # noqa: PLR0917
     bands: tuple[BandImages, ...],
     grid: Grid,
     height_mm: FloatArray,
-    mean_normals: FloatArray,
     skin: Mapping[str, Diffusion],
     added: tuple[FloatArray, FloatArray],
     prior: CoarsePrior,
-    facets: Facets | None = None,
 ) -> CoarseStep:
     """Predict the images of all bands and correct the slopes.
 
     As on the fine grid the regularised inverse acts on everything that was measured, z <- W (p - F(z) + M z), so that
-    repeating it settles.
+    repeating it settles. The ridges need not be known: as much light enters a ridged patch of skin and scatters below
+    it as enters a smooth one, because facets that lean away from the light are larger as they are darker.
 
     Parameters
     ----------
     bands : images on `grid`
     height_mm : (h, w), finite
-    mean_normals : (h, w, 3)
-        Mean over each block of the unit normals of the surface with its ridges: shorter than one where it is ridged.
     skin : transfer function of each channel
     added : slopes (h, w) along x and y that earlier comparisons have put into the surface
     prior : what is expected of shape and glare
-    facets : of the ridges, once there are any
     """
-    normals = unit(mean_normals)
-    shape_normals = normals_from_gradients(*height_gradients(height_mm, grid.pitch_mm))
+    normals = normals_from_gradients(*slopes_inside(height_mm, grid))
     residuals: list[tuple[FloatArray, FloatArray]] = []
     names: list[str] = []
     brightness: dict[str, float] = {}
@@ -129,22 +129,22 @@ def compare(  # noqa: PLR0917
     for band in bands:
         light = lighting(band.rig, grid, height_mm, normals)
         reached = reached_by_all(light, grid)
-        expected = predict(light, grid, mean_normals, [transfer[n] for n in band.channels])
-        dull = _dullest(microfacet_glare(shape_normals, light.vectors, 0.3), reached)
+        expected = predict(light, grid, normals, [transfer[n] for n in band.channels])
+        dull = _dullest(microfacet_glare(normals, light.vectors, 0.3), reached)
         for c, name in enumerate(band.channels):
             brightness[name] = _median_ratio(band.stack[c], expected[c], dull)
             expected[c] *= np.float32(brightness[name])
         if len(band.channels) > 1:
-            gloss = _glare_by_colour(band, expected, brightness, reached, light, shape_normals, facets)
+            gloss = _glare_by_colour(band, expected, brightness, reached, light, normals)
             scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
         elif gloss is None:
-            gloss = _glare_by_lights(band, light, reached, shape_normals, facets)
+            gloss = _glare_by_lights(band, light, reached, normals)
             scale = brightness[band.channels[0]] / skin[band.channels[0]].albedo
         gloss = replace(gloss, strength=min(gloss.strength, MOST_GLARE * float(np.pi) * scale))
         # the same surface mirrors both bands: their glare differs by exposure only, as their diffuse light shows
         strength = gloss.strength * (brightness[band.channels[0]] / skin[band.channels[0]].albedo) / scale
         glare[band.channels[-1]] = (gloss.roughness, strength)
-        mirrored = mean_glare(shape_normals, facets, light.vectors, gloss.roughness)
+        mirrored = microfacet_glare(normals, light.vectors, gloss.roughness)
         seen = band.stack - mirrored * np.float32(strength) * grid.mask
         for c, name in enumerate(band.channels):
             correction = _median_ratio(seen[c], expected[c], dull)
@@ -237,7 +237,6 @@ def _glare_by_colour(  # noqa: PLR0917
     reached: BoolArray,
     light: Lighting,
     normals: FloatArray,
-    facets: Facets | None,
 ) -> GlareFit:
     """Glare of a colour band: what the images have beyond the expectation, and alike in all channels.
 
@@ -251,11 +250,10 @@ def _glare_by_colour(  # noqa: PLR0917
     tinted = np.einsum("c,cln->ln", skin, excess)
     white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
     vectors = light.vectors[:, :, some][:, :, None]
-    there = at(facets, some)
     best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
     total = float((white * white).sum(dtype=np.float64))
     for roughness in ROUGHNESSES:
-        lobe = mean_glare(normals[some][None], there, vectors, roughness)[:, 0]
+        lobe = microfacet_glare(normals[some][None], vectors, roughness)[:, 0]
         power = float((lobe * lobe).sum(dtype=np.float64))
         product = max(float((lobe * white).sum(dtype=np.float64)), 0.0)
         if power > 0 and product * product / power > best.explained * total:
@@ -263,16 +261,13 @@ def _glare_by_colour(  # noqa: PLR0917
     return best
 
 
-def _glare_by_lights(
-    band: BandImages, light: Lighting, reached: BoolArray, normals: FloatArray, facets: Facets | None
-) -> GlareFit:
+def _glare_by_lights(band: BandImages, light: Lighting, reached: BoolArray, normals: FloatArray) -> GlareFit:
     """Glare of a grey band: what no matt surface explains."""
     some = _some(reached)
     vectors = light.vectors[:, :, some]
-    there = at(facets, some)
 
     def model(roughness: float) -> FloatArray:
-        return mean_glare(normals[some][None], there, vectors[:, :, None], roughness)[:, 0]
+        return microfacet_glare(normals[some][None], vectors[:, :, None], roughness)[:, 0]
 
     lit = vectors * light.entering[:, None][:, :, some]
     return fit_glare(band.stack[-1][:, some], lit, model, ROUGHNESSES)

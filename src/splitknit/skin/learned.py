@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.coarse import lacking_coarse, unit
+from splitknit.skin.coarse import lacking_coarse, slopes_inside
 from splitknit.skin.diffusion import Diffusion
-from splitknit.skin.facets import Facets, facet_normals
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import FineLight, lighting, predict, reached_by_all, slant_of, trust_of
 from splitknit.skin.relief import ReliefEstimate
+from splitknit.skin.turns import Turns
 
 # What the network of the relief sees: the white band's light in a form that no particular rig, finger or exposure
 # has.
@@ -158,6 +159,28 @@ class Networks:
     """From (32, h, w) of :func:`_shape_features` to two slopes."""
 
 
+RELIEF_TURNS = Turns(
+    vectors=((3, 4), (5, 6), (7, 8), (21, 22)),
+    second_waves=((9, 10), (13, 14), (17, 18)),
+    third_waves=((11, 12), (15, 16), (19, 20)),
+)
+"""How the fields of :func:`features` turn."""
+_RELIEF = Turns(vectors=((2, 3),), second_waves=((4, 5),), third_waves=((6, 7),))
+
+
+def _drawn_in(ways: Iterable[int], network: Network, fields: FloatArray, seen: Turns, drawn: Turns) -> FloatArray:
+    """Mean of what a network draws on the finger laid down in some of the eight ways; both kinds of fields turn."""
+    parts = [drawn.turned_back(network(seen.turned_by(fields, way)), way) if way else network(fields) for way in ways]
+    return np.asarray(sum(parts) / np.float32(len(parts)), dtype=np.float32)
+
+
+LITTLE_GLOSS = 0.015
+"""Mean specular reflection over the diffuse light, as the network finds it: below, there may be none."""
+GAIN_UNCERTAINTY = (0.2, 0.15)
+"""Standard deviation of the common factor of all heights with less and with more than that, on simulated skin whose
+brightness of heights (a factor of seven) and boundary vary as nobody knows skin's; it is part of the deviation."""
+MOST_MISSING = 0.25
+"""Of the relief's power that is believed to be missing in the network's estimate."""
 MOST_UNEVEN = 10.0
 """Condition of the waves up to the second at the lights' azimuths; one for a regular ring."""
 PITCH_MM = (0.017, 0.041)
@@ -179,6 +202,7 @@ def relief_by_network(  # noqa: PLR0917
     light: FineLight,
     network: Network,
     found: FloatArray | None = None,
+    ways: Iterable[int] = (0,),
 ) -> ReliefEstimate:
     """Relief and glare as the network draws them.
 
@@ -190,30 +214,50 @@ def relief_by_network(  # noqa: PLR0917
     light : lights on that shape
     network : see :data:`Network`
     found : see :func:`splitknit.skin.learned.features`
+    ways : to lay the finger down (0 to 7), over which the mean is taken
     """
     seen = features(white, grid, smooth_mm, light, found)
-    drawn = network(seen.fields)
+    drawn = _drawn_in(ways, network, seen.fields, RELIEF_TURNS, _RELIEF)
     trust = trust_of(slant_of(smooth_mm, grid.pitch_mm), grid)
     relief = drawn[0] * RELIEF_MM
     relief = (relief - grid.smooth(relief, grid.mask, RIDGE_BAND_MM)) * trust
     variance = np.exp(np.clip(drawn[8], -8, 4)) * RELIEF_MM * RELIEF_MM
     # where nothing is drawn, the relief is as high as elsewhere
     inner = trust > np.float32(0.9)
-    typical = np.float32(np.sqrt((relief[inner] ** 2).mean())) if inner.any() else RELIEF_MM
+    power = float((relief[inner] ** 2).mean()) if inner.any() else float(RELIEF_MM) ** 2
+    error = float(variance[inner].mean()) if inner.any() else 0.0
+    typical = np.float32(np.sqrt(power))
     deviation = np.hypot(np.sqrt(variance) * trust, typical * (1 - trust)) * grid.mask
-    power, error = float((relief[inner] ** 2).mean()), float(variance[inner].mean())
+    gloss = float((drawn[1][inner] * GLARE).mean()) if inner.any() else 0.0
     size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
     waves = azimuth_waves(white.rig, 3)
     glare = np.tensordot(waves, drawn[1:8] * GLARE, 1) * seen.level[1] * size
     return ReliefEstimate(
         relief_mm=relief.astype(np.float32),
         deviation_mm=deviation.astype(np.float32),
-        spread=float(np.sqrt(1 + error / max(power, 1e-12))),
         trust=trust,
         albedo=seen.level[0] * grid.mask,
         glare=(np.maximum(glare, 0) * grid.mask).astype(np.float32),
-        facts={"relief_by": "network"},
+        facts={
+            "relief_by": "network",
+            "gloss": gloss,
+            "gain_uncertainty": GAIN_UNCERTAINTY[0 if gloss < LITTLE_GLOSS else 1],
+            "relief_rms_um": 1000 * float(np.sqrt(power)),
+            "relief_error_um": 1000 * float(np.sqrt(error)),
+        },
     )
+
+
+def with_its_power(found: ReliefEstimate) -> ReliefEstimate:
+    """The estimate as high as the relief is.
+
+    A mean over what is possible has less power than what is there, by its variance: one factor for the finger brings it
+    back, up to :data:`MOST_MISSING`.
+    """
+    rms, error = found.facts["relief_rms_um"], found.facts["relief_error_um"]
+    factor = np.float32(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, MOST_MISSING)))
+    facts = {**found.facts, "relief_rms_um": float(factor) * rms}
+    return replace(found, relief_mm=found.relief_mm * factor, facts=facts)
 
 
 def slopes_by_network(  # noqa: PLR0917
@@ -221,12 +265,31 @@ def slopes_by_network(  # noqa: PLR0917
     grid: Grid,
     height_mm: FloatArray,
     skin: dict[str, Diffusion],
-    facets: Facets,
+    ridges: FloatArray,
     network: Network,
 ) -> tuple[FloatArray, FloatArray]:
-    """Slopes (h, w) along x and y that the shape lacks. Parameters as for :func:`_shape_features`."""
-    drawn = network(_shape_features(bands, grid, height_mm, skin, facets)) * SHAPE_SLOPE * grid.mask
+    """Slopes (h, w) along x and y that the shape lacks: the mean over the eight ways to lay the finger down.
+
+    Parameters as for :func:`_shape_features`.
+    """
+    fields = _shape_features(bands, grid, height_mm, skin, ridges)
+    drawn = _drawn_in(range(8), network, fields, SHAPE_TURNS, _SLOPES) * SHAPE_SLOPE * grid.mask
     return drawn[0], drawn[1]
+
+
+def ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
+    """(3, h, w) how steep the ridges are on the coarse grid, and across which direction.
+
+    The last is the root mean square slope of the relief (H, W) around each pixel; the others are that slope times the
+    cosine and the sine of twice the azimuth of the direction across the ridges, less where the direction is not clear.
+    """
+    x, y = height_gradients(relief_mm, grid.pitch_mm)
+    rows, columns = (length * factor for length in low.shape)
+    parts = [p[:rows, :columns] for p in (x * x - y * y, 2 * x * y, x * x + y * y)]
+    coarse = bin_mean(np.ascontiguousarray(np.nan_to_num(np.stack(parts))), factor)
+    even, odd, power = (low.smooth(part, low.mask, RIDGES_MM) for part in coarse)
+    slope = np.sqrt(np.maximum(power, np.float32(1e-8)))
+    return np.asarray(np.stack([even / slope, odd / slope, slope]) * low.mask, dtype=np.float32)
 
 
 # What the network of the shape sees: how images and prediction differ on the coarse grid, all bands together.
@@ -236,11 +299,20 @@ def slopes_by_network(  # noqa: PLR0917
 # that nobody resolves, light that is lost at the rim and glare at grazing angles bend the shape. They show in what all
 # bands have in common, which a network that has seen many fingers reads.
 
+RIDGES_MM = 0.6
+"""Standard deviation of the Gaussian mean of the ridges' slopes."""
 SHAPE_COUNT = 32
 """Fields of :func:`_shape_features`."""
 CHANNELS = ("red", "green", "blue", "nir")
 WITH_WAVES = ("green", "nir")
 """Channels whose second and third waves are given."""
+SHAPE_TURNS = Turns(
+    vectors=((0, 1), (2, 3), (4, 5), (6, 7), (20, 21)),
+    second_waves=((12, 13), (16, 17), (24, 25)),
+    third_waves=((14, 15), (18, 19)),
+)
+"""How these fields turn; the direction across the ridges is given by cosine and sine of twice its azimuth."""
+_SLOPES = Turns(vectors=((0, 1),), second_waves=(), third_waves=())
 
 
 def _shape_features(
@@ -248,7 +320,7 @@ def _shape_features(
     grid: Grid,
     height_mm: FloatArray,
     skin: dict[str, Diffusion],
-    facets: Facets,
+    ridges: FloatArray,
 ) -> FloatArray:
     """Describe how the images differ from what the shape predicts.
 
@@ -258,19 +330,19 @@ def _shape_features(
     grid : coarse grid
     height_mm : (h, w) the shape at its height above the finger plane, zero outside the mask
     skin : transfer function of each channel
-    facets : of the ridges
+    ridges : (3, h, w) of :func:`ridge_tensor`
 
     Returns
     -------
     (32, h, w) float32, zero outside the mask
     """
-    slope_x, slope_y = height_gradients(height_mm, grid.pitch_mm)
-    normals = facet_normals(slope_x, slope_y, facets)
+    slope_x, slope_y = slopes_inside(height_mm, grid)
+    normals = normals_from_gradients(slope_x, slope_y)
     fields: dict[str, FloatArray] = {}
     brightness: dict[str, float] = {}
     trusted = np.zeros(grid.shape, dtype=np.float32)
     for band in bands:
-        light = lighting(band.rig, grid, height_mm, unit(normals))
+        light = lighting(band.rig, grid, height_mm, normals)
         trusted = light.trust.mean(axis=0)
         reached = reached_by_all(light, grid)
         predicted_all = predict(light, grid, normals, [grid.sampled(skin[name]) for name in band.channels])
@@ -295,7 +367,6 @@ def _shape_features(
     nothing = np.zeros(grid.shape, dtype=np.float32)
     names = [f"{name} {axis}" for name in CHANNELS for axis in "xy"] + [f"{name} level" for name in CHANNELS]
     names += [f"{name} {n}" for name in WITH_WAVES for n in range(4)]
-    steepness = np.float32(np.sqrt(np.mean(facets.slopes**2)))
     reference = max(brightness.get("red", next(iter(brightness.values()))), 1e-9)
     tints = [np.log(max(brightness.get(name, reference), 1e-9) / reference) / 2 for name in CHANNELS[1:]]
     known: list[FloatArray] = [
@@ -303,9 +374,7 @@ def _shape_features(
         _f32(np.clip(slope_y, -4, 4) / 2),
         _f32(np.minimum(grid.depth_mm, 3) / 2),
         trusted,
-        (facets.across_x**2 - facets.across_y**2) * steepness,
-        2 * facets.across_x * facets.across_y * steepness,
-        nothing + steepness,
+        *ridges,
         *(nothing + np.float32(t) for t in tints),
         nothing + np.float32("nir" in brightness),
         nothing + np.float32(grid.pitch_mm / 0.106 - 1),

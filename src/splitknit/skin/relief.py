@@ -389,8 +389,6 @@ class ReliefEstimate:
     """(h, w) along the line of sight, free of its local mean, zero outside the mask."""
     deviation_mm: FloatArray
     """(h, w) its standard deviation."""
-    spread: float
-    """How many times as steep as in `relief_mm` the ridges are taken to be."""
     trust: FloatArray
     """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
     albedo: FloatArray

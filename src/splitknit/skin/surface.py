@@ -11,17 +11,16 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.imaging.band import bin_mean
-from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.geometry import normals_from_gradients
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin import relief as fine
-from splitknit.skin.coarse import CoarsePrior, CoarseStep, compare, integrate, start_shape, unit
+from splitknit.skin.coarse import CoarsePrior, CoarseStep, compare, integrate, slopes_inside, start_shape
 from splitknit.skin.diffusion import Diffusion, SkinSettings, diffusion
-from splitknit.skin.facets import Facets, ridged_normals, spread_of
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine
-from splitknit.skin.learned import Network, slopes_by_network
+from splitknit.skin.learned import Network, ridge_tensor, slopes_by_network
 from splitknit.skin.light import FineLight, fine_lighting
-from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate, mean_normals
+from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate
 
 # The shape on the coarse grid, as it is refined from all bands.
 
@@ -68,21 +67,19 @@ class CoarseShape:
         """Start at the pitch and height that the settings say."""
         return cls(bands, grid, skin, pitch_mm=settings.coarse_pitch_mm, plane_mm=settings.plane_mm)
 
-    def correct(self, relief_mm: FloatArray, facets: Facets | None, prior: CoarsePrior) -> None:
-        """Predict the images of shape, relief and facets, compare, and correct the shape."""
+    def correct(self, prior: CoarsePrior) -> None:
+        """Predict the images of the shape, compare, and correct the shape."""
         low, shape = self.low, self.shape_mm
-        ridged = np.moveaxis(mean_normals(self.placed() + relief_mm, self.fine), -1, 0)[self._blocks]
-        normals = np.ascontiguousarray(np.moveaxis(bin_mean(np.ascontiguousarray(ridged), self.factor), 0, -1))
-        normals = ridged_normals(normals, shape, low, facets)
-        added = height_gradients(np.where(low.mask, shape - self._first, np.float32(np.nan)), low.pitch_mm)
-        step = compare(self.bands, low, self.height(), normals, self.optics, added, prior, facets)
-        self._weights = unit(normals)[..., 2]
+        added = slopes_inside(shape - self._first, low)
+        step = compare(self.bands, low, self.height(), self.optics, added, prior)
+        self._weights = self._facing()
         self.shape_mm = shape + integrate(step.slope_x - added[0], step.slope_y - added[1], low, self._weights)
         self.step = step
 
-    def mend(self, network: Network, facets: Facets) -> None:
-        """Add the slopes that the network of the shape finds missing."""
-        missing = slopes_by_network(self.bands, self.low, self.height(), self.optics, facets, network)
+    def mend(self, network: Network, relief_mm: FloatArray) -> None:
+        """Add the slopes that the network of the shape finds missing, given the ridges (H, W) found so far."""
+        ridges = ridge_tensor(relief_mm, self.fine, self.factor, self.low)
+        missing = slopes_by_network(self.bands, self.low, self.height(), self.optics, ridges, network)
         self.shape_mm = self.shape_mm + integrate(*missing, self.low, self._weights)
 
     def see_colour(self) -> None:
@@ -130,6 +127,10 @@ class CoarseShape:
         height = refine(self._lifted(), self.low.mask, 1, self.low.shape)
         smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / self.low.pitch_mm), dtype=np.float32)
         return fine_lighting(self.bands[0].rig, self.low, smooth, self.factor, self.fine)
+
+    def _facing(self) -> FloatArray:
+        """z component of the shape's normals."""
+        return normals_from_gradients(*slopes_inside(self.shape_mm, self.low))[..., 2]
 
     def _lifted(self) -> FloatArray:
         mean = np.float32(self.shape_mm[self.low.mask].mean(dtype=np.float64))
@@ -200,7 +201,6 @@ def relief_by_colour(  # noqa: PLR0917
     return ReliefEstimate(
         relief_mm=relief,
         deviation_mm=np.sqrt(noise**2 + model**2).astype(np.float32),
-        spread=spread_of(relief, grid, mix.fit, measured.region),
         trust=measured.trust,
         albedo=np.sqrt((measured.pseudo_normals[0] ** 2).sum(axis=-1)),
         facts={"relief_by": "colour", "gain_sensitivity": sensitivity},
@@ -232,9 +232,9 @@ class MetricSettings(Checked):
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
     rounds: Annotated[int, Limits(1)] = 2
-    """Turns of shape and relief."""
-    coarse_steps: Annotated[tuple[int, ...], Limits(1)] = (5, 3)
-    """Corrections of the shape in each round; the last entry holds for all further rounds."""
+    """Estimates of the relief, each on the shape that the one before it mended."""
+    coarse_steps: Annotated[int, Limits(1)] = 3
+    """Corrections of the shape on the coarse grid."""
     coarse: CoarsePrior = field(default_factory=CoarsePrior)
     """What is expected of shape and glare on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
@@ -253,7 +253,6 @@ class MetricSettings(Checked):
         check_fields(self)
         ordered = self.working_pitch_mm <= self.coarse_pitch_mm
         require(ordered, "metric.working_pitch_mm must be at most metric.coarse_pitch_mm.")
-        require(len(self.coarse_steps) > 0, "metric.coarse_steps must hold numbers.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,6 +275,6 @@ def first_shape(bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, s
     :func:`splitknit.pipeline.reconstruct_skin`.
     """
     shape = CoarseShape.of(bands, grid, skin, settings)
-    for _ in range(settings.coarse_steps[0]):
-        shape.correct(np.zeros(grid.shape, dtype=np.float32), None, settings.coarse)
+    for _ in range(settings.coarse_steps):
+        shape.correct(settings.coarse)
     return shape.placed()

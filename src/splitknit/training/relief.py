@@ -19,13 +19,13 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.settings import Limits
-from splitknit.skin.learned import RELIEF_MM
+from splitknit.skin.learned import RELIEF_MM, RELIEF_TURNS
+from splitknit.skin.turns import Turns
 from splitknit.training.fields import (
     FIELDS,
     FieldsSettings,
     FieldsTrainer,
     Sample,
-    Turns,
     check_channels,
     cut_out,
     mean_figures,
@@ -61,9 +61,9 @@ PARTS = ("relief", "slope", "likelihood", "glare")
 OUTPUTS = 9
 """Of the network: the relief, seven waves of the glare, the logarithm of the relief's variance."""
 TURNS = Turns(
-    vectors=((3, 4), (5, 6), (7, 8), (21, 22), (34, 35)),
-    second_waves=((9, 10), (13, 14), (17, 18), (36, 37)),
-    third_waves=((11, 12), (15, 16), (19, 20), (38, 39)),
+    vectors=(*RELIEF_TURNS.vectors, (34, 35)),
+    second_waves=(*RELIEF_TURNS.second_waves, (36, 37)),
+    third_waves=(*RELIEF_TURNS.third_waves, (38, 39)),
 )
 """How a sample turns."""
 JUDGED_PX = 512

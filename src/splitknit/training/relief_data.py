@@ -25,7 +25,7 @@ from splitknit.model import Capture, FloatArray, Rig, default_rig
 from splitknit.pipeline import bands_of
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import Limits
-from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.camera.sensor import record
 from splitknit.simulator.finger.finger import PoseRanges, finger_surface
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_band
 from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
@@ -44,8 +44,10 @@ from splitknit.training.scenes import (
     TruthOnGrid,
     draw_base,
     draw_finger_of,
+    drawn_sensor,
     moved_rig,
     photograph_scene,
+    textured,
 )
 
 RELIEF = 32
@@ -121,8 +123,9 @@ def _draw_scene(number: int, data: ReliefData) -> Scene:
     rig = default_rig(scale, int(rng.integers(1000)))
     if rng.random() < data.other_rig_share:
         rig = moved_rig(rig, rng, data)
-    settings = TwinSettings(scale=scale, skin=data.skin(base), render=RenderSettings(aperture_mm=aperture_mm))
-    return Scene(number, finger, rig, settings)
+    render = RenderSettings(aperture_mm=aperture_mm)
+    settings = TwinSettings(scale=scale, skin=data.skin(base), render=render, sensor=drawn_sensor(rng, data))
+    return Scene(number, finger, rig, settings, data)
 
 
 def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16], dict[str, Any]]:
@@ -236,7 +239,7 @@ def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
             continue
         skin = data.skin(draw_base(rng, data)).draw(rng)
         rig = _white_rig(rng, scale, data)
-        sample = _piece(surface, window, (skin, rig, scale), (number, piece), rng, walks)
+        sample = _piece(textured(surface, rng, data), window, (skin, rig, scale), data, (number, piece), rng, walks)
         if sample[WEIGHT].mean(dtype=np.float32) >= _MIN_WEIGHT:
             found.append(sample)
     require(len(found) > 0, f"not one piece of {side} pixels of finger {number} holds enough skin.")
@@ -254,6 +257,7 @@ def _piece(  # noqa: PLR0917
     surface: Surface,
     window: tuple[slice, slice],
     scene: tuple[SkinSettings, Rig, float],
+    data: ReliefData,
     name: tuple[int, int],
     rng: np.random.Generator,
     walks: WalkTable,
@@ -271,19 +275,20 @@ def _piece(  # noqa: PLR0917
         glare=skin.glare,
         walks=walks,
         settings=RenderSettings(workers=1),
+        boundary=skin.boundary,
     )
     diffuse, glare = (_placed(part, light, window) for part in (light.diffuse, light.glare))
     inside = mask[window]
     brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)
     exposure = np.float32(_BRIGHTEST / brightest * rng.uniform(*_EXPOSURE))
     blur_px = float(rng.uniform(*_BLUR_PX)) if rng.random() < _BLURRED else 0.0
-    images = []
+    images, sensor = [], drawn_sensor(rng, data)
     for k in range(len(rig.leds)):
         frame = np.moveaxis((diffuse[k] + glare[k]) * exposure, 0, -1)
         if blur_px > 0:
             frame = cv2.GaussianBlur(frame, (0, 0), blur_px)
         seed = np.random.SeedSequence([*name, k])
-        stored = record(np.ascontiguousarray(frame), "white", seed, SensorSettings(), scale)
+        stored = record(np.ascontiguousarray(frame), "white", seed, sensor, scale)
         images.append(np.moveaxis(stored.astype(np.float32) / np.float32(255), -1, 0))
     white = BandImages(("red", "green", "blue"), np.stack(images, axis=1), rig)
     pitch_mm = rig.camera.pitch_mm

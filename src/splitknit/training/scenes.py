@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -18,9 +19,12 @@ from splitknit.errors import require
 from splitknit.imaging.band import Window, bin_mean
 from splitknit.model import BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits, check_fields
+from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger, finger_surface
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.finger.master_print import MasterPrintSettings
+from splitknit.simulator.light.skin import Boundary, SkinRanges, SkinSettings
 from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.surface import Surface, Texture
 from splitknit.simulator.twin import photograph
 from splitknit.skin.grid import Grid
 
@@ -33,8 +37,20 @@ class SceneRanges(Checked):
 
     _group = "data"
 
-    scattering_factor: Range = (0.45, 2.2)
-    """Log-uniform; multiplies the scattering of the literature's skin."""
+    scattering_factor: Range = (0.2, 2.2)
+    """Log-uniform; multiplies Jacques's scattering. Jensen's skin has 0.2 to 0.5 of it."""
+    scattering_power: Range = (0.4, 1.6)
+    """Exponent of the wavelength in it."""
+    layers_spread: Annotated[float, Limits(0, 1)] = 0.35
+    """Standard deviation of the logarithm of each channel's absorption, by which layers depart from one medium."""
+    refraction: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
+    """See :class:`splitknit.simulator.light.skin.Boundary`; small values more often, as forward scattering leaves."""
+    by_area: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
+    """The same; half of the fingers have the end where light counts by area."""
+    entry_power: Range = (-0.3, 1.1)
+    """The same."""
+    blurred_share: Annotated[float, Limits(0, 1)] = 0.3
+    """Part of the fingers whose light is an image that is blurred, as simulators have it."""
     melanin: Range = (0.0002, 0.015)
     """Log-uniform volume fraction."""
     blood: Range = (0.002, 0.015)
@@ -49,10 +65,28 @@ class SceneRanges(Checked):
     """GGX alpha of the skin's surface, 0.05 to 1."""
     glare: Range = (0.0, 1.6)
     """Weight of the surface reflection, 0 to 5; 1 is bare skin."""
-    relief_gain: Range = (0.4, 2.0)
+    matt_share: Annotated[float, Limits(0, 1)] = 0.12
+    """Part of the fingers without any surface reflection."""
+    relief_gain: Range = (0.3, 2.2)
     """Log-uniform."""
-    ridge_depth_um: Annotated[Range, Limits(0, above=True)] = (40.0, 105.0)
+    ridge_depth_um: Annotated[Range, Limits(0, above=True)] = (25.0, 110.0)
     """Mean height of ridges over valleys, positive."""
+    ridgeless_share: Annotated[float, Limits(0, 1)] = 0.08
+    """Part of the fingers without ridges."""
+    steepness: Range = (0.6, 2.4)
+    """Of the ridges' profile, from rounded to flat-topped."""
+    duty: Range = (-0.2, 0.5)
+    """Of the ridges' breadth, from narrower than the valleys to twice as broad."""
+    form: Annotated[float, Limits(0, 0.3)] = 0.12
+    """Standard deviation of the logarithms of thickness and tip length beyond those of people."""
+    pigment: Annotated[Range, Limits(0, 0.2)] = (0.0, 0.03)
+    """Standard deviation of the skin's brightness at the scale of ridges that is no relief."""
+    mottling: Annotated[Range, Limits(0, 1)] = (0.0, 0.2)
+    """Standard deviation of the logarithm of green light under mottled blood, over 0.5 to 3 mm."""
+    sweat: Annotated[Range, Limits(0, 1)] = (0.0, 0.6)
+    """Relative standard deviation of the surface reflection over 0.4 to 2 mm."""
+    full_well_e: Annotated[Range, Limits(100)] = (500.0, 5000.0)
+    """Log-uniform electrons of a full-frame pixel: noise up to 2 % at half scale."""
     aperture_mm: Annotated[Range, Limits(0, above=True)] = (1.0, 4.0)
     """Of a part of the cameras, which are out of focus where the finger falls away."""
     aperture_share: Annotated[float, Limits(0, 1)] = 0.3
@@ -80,7 +114,10 @@ class SceneRanges(Checked):
     def skin(self, base: SkinSettings) -> SkinRanges:
         """The simulator's own ranges around a base skin."""
         names = ("scattering_factor", "melanin", "blood", "oxygenation", "roughness", "glare", "relief_gain")
-        return SkinRanges(base=base, **{name: getattr(self, name) for name in names})
+        ranges: dict[str, Any] = {name: getattr(self, name) for name in names}
+        if base.glare == 0:
+            ranges["glare"] = (0.0, 0.0)
+        return SkinRanges(base=base, **ranges)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +128,8 @@ class Scene:
     finger: Finger
     rig: Rig
     settings: TwinSettings
+    textured_by: SceneRanges | None = None
+    """Ranges of what varies over the skin; None: it is even."""
 
     def facts(self) -> dict[str, Any]:
         """What was drawn beside the skin, for the file that goes with the finger."""
@@ -107,17 +146,68 @@ class Scene:
 
 
 def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
-    """The parts of the skin that the simulator's own ranges do not draw."""
-    yellow = float(rng.uniform(*data.yellow_per_mm))
-    low, high = (math.log(limit) for limit in data.baseline_per_mm)
-    return SkinSettings(yellow_per_mm=yellow, baseline_per_mm=math.exp(float(rng.uniform(low, high))))
+    """The parts of the skin that the simulator's own ranges do not draw; matt skin has no glare in it."""
+    layers = np.exp(np.clip(rng.normal(0.0, data.layers_spread, 4), -1.2, 1.2))
+    if rng.random() < data.blurred_share:
+        boundary = Boundary()
+    else:
+        low, high = data.refraction
+        boundary = Boundary(
+            refraction=low + (high - low) * float(rng.random()) ** 2,
+            by_area=data.by_area[1] if rng.random() < 0.5 else float(rng.uniform(*data.by_area)),
+            entry_power=float(rng.uniform(*data.entry_power)),
+        )
+    return SkinSettings(
+        yellow_per_mm=float(rng.uniform(*data.yellow_per_mm)),
+        baseline_per_mm=log_uniform(rng, data.baseline_per_mm),
+        scattering_power=float(rng.uniform(*data.scattering_power)),
+        layers=(float(layers[0]), float(layers[1]), float(layers[2]), float(layers[3])),
+        boundary=boundary,
+        glare=0.0 if rng.random() < data.matt_share else 1.0,
+    )
+
+
+def log_uniform(rng: np.random.Generator, limits: Range) -> float:
+    """A number whose logarithm is uniform."""
+    return math.exp(float(rng.uniform(math.log(limits[0]), math.log(limits[1]))))
+
+
+def drawn_sensor(rng: np.random.Generator, data: SceneRanges) -> SensorSettings:
+    """A sensor of any noise in the range."""
+    return SensorSettings(full_well_e=log_uniform(rng, data.full_well_e))
+
+
+def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> Surface:
+    """The surface with pigment at the scale of ridges, mottled blood and patches of sweat."""
+    px_per_mm = surface.camera.px_per_mm
+
+    def even_noise(deviation: float, scale_mm: Range) -> FloatArray:
+        size = log_uniform(rng, scale_mm) * px_per_mm
+        step = max(1, int(size / 3))
+        rows, columns = (-(-length // step) + 8 for length in surface.mask.shape)
+        noise = cv2.GaussianBlur(rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), size / step)
+        large = cv2.resize(noise, (columns * step, rows * step), interpolation=cv2.INTER_LINEAR)
+        cut = large[: surface.mask.shape[0], : surface.mask.shape[1]]
+        return np.asarray(cut * np.float32(deviation / max(float(noise.std()), 1e-9)), dtype=np.float32)
+
+    pigment = even_noise(float(rng.uniform(*data.pigment)), (0.04, 0.25))
+    blood = even_noise(float(rng.uniform(*data.mottling)), (0.5, 3.0))
+    gloss = np.maximum(1 + even_noise(float(rng.uniform(*data.sweat)), (0.4, 2.0)), 0)
+    marked = np.asarray(surface.pigment * (1 + np.clip(pigment, -0.3, 0.3)), dtype=np.float32)
+    return replace(surface, pigment=marked, texture=Texture(gloss=gloss, blood=blood))
 
 
 def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> Finger:
     """The finger `number` with ridges of any depth in the range."""
-    finger = draw_finger(number)
-    depth_um = float(rng.uniform(*data.ridge_depth_um))
-    return replace(finger, skin=replace(finger.skin, ridge_depth_um=depth_um))
+    finger = draw_finger(number, print_settings=MasterPrintSettings(steepness=data.steepness, duty=data.duty))
+    depth_um = 0.0 if rng.random() < data.ridgeless_share else float(rng.uniform(*data.ridge_depth_um))
+    thick, long = np.exp(np.clip(rng.normal(0.0, data.form, 2), -0.3, 0.3))
+    shape = replace(
+        finger.shape,
+        thickness_mm=float(np.clip(finger.shape.thickness_mm * thick, 6.0, 30.0)),
+        tip_length_mm=float(np.clip(finger.shape.tip_length_mm * long, 4.0, 14.0)),
+    )
+    return replace(finger, shape=shape, skin=replace(finger.skin, ridge_depth_um=depth_um))
 
 
 def moved_rig(rig: Rig, rng: np.random.Generator, data: SceneRanges) -> Rig:
@@ -144,6 +234,8 @@ def photograph_scene(scene: Scene) -> tuple[Capture, Mapping[str, NDArray[Any]]]
     skin = settings.skin.draw(person)
     pose = settings.pose.draw(np.random.default_rng(pose_seed), camera)
     surface = finger_surface(scene.finger, pose, camera, workers=settings.render.workers)
+    if scene.textured_by is not None:
+        surface = textured(surface, np.random.default_rng([scene.number, 79]), scene.textured_by)
     return photograph(surface, scene.rig, skin, photo_seed, settings=settings)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,13 +19,12 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.settings import Limits
-from splitknit.skin.learned import SHAPE_SLOPE
+from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_TURNS
 from splitknit.training.fields import (
     FIELDS,
     FieldsSettings,
     FieldsTrainer,
     Sample,
-    Turns,
     check_channels,
     cut_out,
     mean_figures,
@@ -63,12 +62,8 @@ WEIGHT = 34
 """Number of the weight in a sample, in [0, 1]."""
 CHANNELS = 35
 OUTPUTS = 2
-TURNS = Turns(
-    vectors=((0, 1), (2, 3), (4, 5), (6, 7), (20, 21), (32, 33)),
-    second_waves=((12, 13), (16, 17), (24, 25)),
-    third_waves=((14, 15), (18, 19)),
-)
-"""How a sample turns; the direction across the ridges is given by cosine and sine of twice its azimuth."""
+TURNS = replace(SHAPE_TURNS, vectors=(*SHAPE_TURNS.vectors, (32, 33)))
+"""How a sample turns."""
 OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
 """Fields that are zero without near-infrared images."""
 JUDGED_WIDE_PX = 17
@@ -93,7 +88,7 @@ class ShapeSettings(FieldsSettings):
     before, while its fingers became ready. The defaults are its numbers, the iterations rounded, in one run.
     """
 
-    widths: Annotated[tuple[int, ...], Limits(1)] = (24, 32, 48, 64)
+    widths: Annotated[tuple[int, ...], Limits(1)] = (24, 32, 48, 64, 64)
     """Channels of each level; every level but the first works at half the scale of the one before."""
     iterations: Annotated[int, Limits(1, 10_000_000)] = 6000
     """Corrections of the weights."""
