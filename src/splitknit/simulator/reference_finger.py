@@ -49,12 +49,11 @@ EXPOSURE = 0.7
 """Fraction of full scale that the brightest light from within the skin reaches."""
 LAYERS = 32
 """Layers that hold the light, five to a mean free path."""
-SMOOTH = 0.1
-"""Standard deviation, over depth, of the Gaussian that smooths the fluence in a layer."""
-LEAST_PX = 0.4
-"""Least standard deviation of this Gaussian."""
+SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
+"""Gaussians that smooth a layer of fluence: their standard deviation over depth, and in pixels at least. For scattered
+light, and for unscattered light where walks begin; where it is seen, it is not smoothed."""
 MOST_PX = 3.0
-"""Largest standard deviation of it."""
+"""Largest standard deviation of these Gaussians."""
 RAYS = 2
 """Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each half."""
 
@@ -255,7 +254,7 @@ def walk_solid(
     kernels.first_light(*optics, solid.entering, solid.lights, medium, layer_px, RAYS, seeds[0], first)
     _share_border(first, 2.0)
     starts = first.copy()
-    _smooth(starts, solid.sides, layer_px)
+    _smooth(starts, solid.sides, layer_px, STARTS)
     progress("first light", 0.2)
     pixels = np.argwhere(surface.mask)
     _share_border(starts, 0.5)
@@ -264,7 +263,7 @@ def walk_solid(
     kernels.scatter(*optics, starts, layer_px, medium, density, seeds[1], fluence)
     del starts
     _share_border(fluence, 2.0)
-    _smooth(fluence, solid.sides, layer_px)
+    _smooth(fluence, solid.sides, layer_px, SCATTERED)
     fluence += first
     progress("scattering", 0.7)
     sums = np.zeros((len(pixels), 2, count))
@@ -284,11 +283,11 @@ def _share_border(fluence: FloatArray, factor: float) -> None:
     fluence[:, :, [0, -1]] *= factor
 
 
-def _smooth(fluence: FloatArray, sides: FloatArray, layer_px: float) -> None:
-    """Smooth every layer of the fluence by a part of its depth, within which light varies little."""
+def _smooth(fluence: FloatArray, sides: FloatArray, layer_px: float, by: tuple[float, float]) -> None:
+    """Smooth every layer of the fluence, within which light varies little."""
     inside = (sides[..., 0] - sides[..., 1] > 1e-2).astype(np.float32)
     for layer in range(fluence.shape[3]):
-        sigma = min(max(SMOOTH * (layer + 0.5) * layer_px, LEAST_PX), MOST_PX)
+        sigma = min(max(by[0] * (layer + 0.5) * layer_px, by[1]), MOST_PX)
         size = 2 * int(np.ceil(2.5 * sigma)) + 1
 
         def blur(values: FloatArray, size: int = size, sigma: float = sigma) -> Any:

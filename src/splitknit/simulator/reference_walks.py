@@ -21,9 +21,13 @@ FAINT = 0.3
 """A walk that will bring less than this back goes on with the chance of this part, and more weight."""
 STEP = 0.5
 """Step along rays of unscattered light, in mean free paths."""
+PLACES = 3
+"""Places on each of these steps where light is left or gathered."""
+TRACKS = 2
+"""Places on each way of scattered light where it is left."""
 R2 = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 """Steps of a sequence that fills three dimensions evenly (Roberts 2018)."""
-EVENTS = 20_000
+EVENTS = 1_000_000
 """Longest walk, in scatterings and meetings with the boundary."""
 FINEST_PX = 0.6
 """Smallest step in search of the surface."""
@@ -247,10 +251,9 @@ def _flight(sides: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, lengt
 
 
 @njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
-def _within(state: Any, length: Any, scattering: Any) -> Any:
-    """Where along a way light is scattered, if it is."""
-    state, u = _random(state)
-    return state, -math.log(1.0 - u * (1.0 - math.exp(-scattering * length))) / scattering
+def _within(u: Any, length: Any, scattering: Any) -> Any:
+    """Where along a way light is scattered, if it is; `u` in [0, 1) is how much of it before."""
+    return -math.log(1.0 - u * (1.0 - math.exp(-scattering * length))) / scattering
 
 
 @njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
@@ -288,16 +291,20 @@ def _shine(
         r, c = _nearest(lean, x, y)
         slope = lean[r, c]
         length, after, side = _flight(sides, x, y, z, dx, dy, dz, full * (0.5 + u), room, slope)
-        state, at = _within(state, length, medium[0])
-        px, py, pz = x + at * dx, y + at * dy, z + at * dz
-        passed = _kept(medium, mottle, px, py, length, room * slope, after * slope) * math.exp(-medium[0] * length)
+        state, u = _random(state)
+        middle = 0.5 * length
+        passed = _kept(medium, mottle, x + middle * dx, y + middle * dy, length, room * slope, after * slope)
+        passed *= math.exp(-medium[0] * length)
         if length > 1e-6:
-            r, c = _nearest(lean, px, py)
-            layer = int(max(_sides(sides, px, py)[0] - pz, 0.0) / layer_px)
-            if layer < grid.shape[2]:
-                way = kept * (1.0 - passed) / (-math.log(passed) * layer_px) * length
-                for k in range(first, last):
-                    grid[r, c, layer, k] += way * weights[k]
+            way = kept * (1.0 - passed) / (-math.log(passed) * layer_px) * length / PLACES
+            for place in range(PLACES):
+                at = _within((place + u) / PLACES, length, medium[0])
+                px, py = x + at * dx, y + at * dy
+                r, c = _nearest(lean, px, py)
+                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) / layer_px)
+                if layer < grid.shape[2]:
+                    for k in range(first, last):
+                        grid[r, c, layer, k] += way * weights[k]
         kept *= passed
         x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
         if side >= 0:
@@ -391,7 +398,7 @@ def scatter(
                     if walks == 0 or mean <= 0.0:
                         continue
                     for k in range(count):
-                        # energy that is scattered, by walk; a collision of energy e adds e / (scattering x volume)
+                        # energy that is scattered, by walk, over scattering x volume
                         weights[k] = first[half, row, column, start, k] / (mean * density)
                     for _ in range(walks):
                         state, u = _random(state)
@@ -413,17 +420,24 @@ def scatter(
                             r, c = _nearest(lean, x, y)
                             slope = lean[r, c]
                             length, after, side = _flight(sides, x, y, z, dx, dy, dz, length, room, slope)
+                            before = kept
                             kept *= _kept(
                                 medium, mottle, x + 0.5 * length * dx, y + 0.5 * length * dy, length, room * slope,
                                 after * slope,
                             )  # fmt: skip
-                            x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
-                            if side < 0:
-                                r, c = _nearest(lean, x, y)
-                                layer = int(max(_sides(sides, x, y)[0] - z, 0.0) / layer_px)
+                            # what is on its way for a length l in a volume v adds l / v to the fluence
+                            state, u = _random(state)
+                            way = 0.5 * (before + kept) * length * scattering / TRACKS
+                            for place in range(TRACKS):
+                                at = (place + u) / TRACKS * length
+                                px, py = x + at * dx, y + at * dy
+                                r, c = _nearest(lean, px, py)
+                                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) / layer_px)
                                 if layer < layers:
                                     for k in range(count):
-                                        grids[half, r, c, layer, k] += kept * weights[k]
+                                        grids[half, r, c, layer, k] += way * weights[k]
+                            x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
+                            if side < 0:
                                 state, dx, dy, dz = _sphere(state)
                             else:
                                 nx, ny, nz = _outward(sides, x, y, side)
@@ -498,17 +512,20 @@ def gather(
                 r, c = _nearest(lean, x, y)
                 slope = lean[r, c]
                 length, after, side = _flight(sides, x, y, z, dx, dy, dz, full * (0.5 + u), room, slope)
-                state, at = _within(state, length, scattering)
-                px, py, pz = x + at * dx, y + at * dy, z + at * dz
-                kept = _kept(medium, mottle, px, py, length, room * slope, after * slope)
+                state, u = _random(state)
+                middle = 0.5 * length
+                kept = _kept(medium, mottle, x + middle * dx, y + middle * dy, length, room * slope, after * slope)
                 kept *= math.exp(-scattering * length)
                 if length > 1e-6:
-                    r, c = _nearest(lean, px, py)
-                    layer = int(max(_sides(sides, px, py)[0] - pz, 0.0) / layer_px)
-                    if layer < grids.shape[3]:
-                        part = weight * (1.0 - kept) / (-math.log(kept)) * length * scattering * (0.25 / math.pi)
-                        for k in range(count):
-                            found[half, k] += part * grids[half, r, c, layer, k]
+                    part = weight * (1.0 - kept) / (-math.log(kept)) * length * scattering * (0.25 / math.pi) / PLACES
+                    for place in range(PLACES):
+                        at = _within((place + u) / PLACES, length, scattering)
+                        px, py = x + at * dx, y + at * dy
+                        r, c = _nearest(lean, px, py)
+                        layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) / layer_px)
+                        if layer < grids.shape[3]:
+                            for k in range(count):
+                                found[half, k] += part * grids[half, r, c, layer, k]
                 weight *= kept
                 x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
                 if side < 0:
