@@ -104,6 +104,34 @@ def test_dense_skin_is_lambertian_whatever_its_slope():
 
 
 @needs_numba
+def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
+    # radiance at x = 0, 5.55 and -7.4 mm (slant 0, 33 and 58 deg) under a light of +x: `volume_radiance` of
+    # validation/twin/volume.py, 200,000 walks each
+    pitch_mm = 0.1
+    x = (np.arange(221) - 110.0) * pitch_mm
+    inside = np.broadcast_to(np.abs(x) < 8.0, (40, 221))
+    z = np.broadcast_to(5.5 * np.sqrt(np.clip(1.0 - (x / 8.0) ** 2, 1e-9, 1.0)), (40, 221))
+    height = np.where(inside, z, np.nan).astype(np.float32)
+    slope = np.where(inside, x * 5.5**2 / 8.0**2 / z, 0.0)
+    normals = np.stack([slope, 0 * slope, np.ones_like(slope)], axis=-1) / np.hypot(1.0, slope)[..., None]
+    shape_normals = np.where(inside[..., None], normals, 0.0).astype(np.float32)
+    camera = Camera(1.0 / pitch_mm, (40, 221))
+    cylinder = replace(
+        patch(np.zeros((40, 221)), pitch_mm), camera=camera, height_mm=height, shape_mm=height,
+        normals=shape_normals, shape_normals=shape_normals, mask=inside,
+    )  # fmt: skip
+    solid = reference_finger._solid(cylinder, LEDS)
+    even = np.ones(solid.lean.shape, dtype=np.float32)
+    light = reference_finger.walk_solid(
+        solid, cylinder, even, medium(4.1237, 0.2, pitch_mm=pitch_mm), walks=20.0, rays=10, threads=1,
+        seed=[5],
+    ).radiance[0].mean(axis=0)  # fmt: skip
+    found = np.interp([0.0, 5.55, -7.4], x, light)
+    np.testing.assert_allclose(found[:2], [0.05918, 0.06218], rtol=0.03)
+    np.testing.assert_allclose(found[2], 0.00491, rtol=0.08)  # a twelfth of the light, on pixels of 0.1 mm
+
+
+@needs_numba
 def test_same_seed_same_bytes_whatever_the_number_of_threads():
     ridges = patch(np.broadcast_to(0.04 * np.cos(np.arange(40) * 0.7), (40, 40)))
     optics = FingerOptics(spread=0.4)

@@ -65,7 +65,7 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
 
     estimate, relief = (_ridge_band(one - shape, both, pitch_mm) for one in (height, true))
     square = max(round(PERIOD_MM / pitch_mm), 1)
-    flat = np.sqrt(ndimage.uniform_filter(relief**2, square)) < 1e-3
+    flat = ndimage.uniform_filter(relief**2, square) < 1e-6
     ridged = inner & ~flat
     classes = {"": (0, CLASSES_DEG[-1])} | {f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)}
     stated = np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None

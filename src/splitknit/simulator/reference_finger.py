@@ -199,7 +199,7 @@ def _solid(surface: Surface, leds: Sequence[Led]) -> _Solid:
     low = np.minimum(2.0 * rim - shape, height - 0.05)
     both = np.stack([np.where(mask, height, rim), np.where(mask, low, rim)], axis=-1) / pitch
     sides = np.ascontiguousarray(both, dtype=np.float32)
-    lean = np.where(mask, np.clip(surface.shape_normals[place][..., 2], 0.25, 1.0), 0.25).astype(np.float32)
+    lean = np.where(mask, np.clip(surface.shape_normals[place][..., 2], 0.15, 1.0), 0.15).astype(np.float32)
     corner = place[0].start, place[1].start
     rows, columns = surface.mask.shape
     lights = np.array([led.position_mm for led in leds], dtype=np.float64).reshape(-1, 3)
@@ -258,7 +258,12 @@ def walk_solid(
     progress("first light", 0.2)
     pixels = np.argwhere(surface.mask)
     _share_border(starts, 0.5)
-    density = 0.5 * walks * len(pixels) / max(float(starts.mean(axis=(0, 4), dtype=np.float64).sum()), 1e-30)
+    density = (
+        0.5
+        * walks
+        * len(pixels)
+        / max(float((starts.mean(axis=(0, 4), dtype=np.float64).sum(axis=-1) / solid.lean).sum()), 1e-30)
+    )
     fluence = np.zeros_like(first)
     kernels.scatter(*optics, starts, layer_px, medium, density, seeds[1], fluence)
     del starts

@@ -2,8 +2,9 @@
 
 Lengths are in pixels: x along the columns, y along the rows, z up. The finger is what lies between two height maps,
 which are bilinear between the pixels' centres and are mirrored beyond their border. Fluence is kept in two grids, from
-independent halves of the walks, in cells of a pixel and of layers below the upper side. Every cell and pixel has random
-numbers of its own and every half one thread, so results do not depend on the number of threads.
+independent halves of the walks, in cells of a pixel and of layers that follow the upper side, even across its slope.
+Every cell and pixel has random numbers of its own and every half one thread, so results do not depend on the number of
+threads.
 """
 
 from __future__ import annotations
@@ -301,10 +302,10 @@ def _shine(
                 at = _within((place + u) / PLACES, length, medium[0])
                 px, py = x + at * dx, y + at * dy
                 r, c = _nearest(lean, px, py)
-                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) / layer_px)
+                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px)
                 if layer < grid.shape[2]:
                     for k in range(first, last):
-                        grid[r, c, layer, k] += way * weights[k]
+                        grid[r, c, layer, k] += way * lean[r, c] * weights[k]
         kept *= passed
         x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
         if side >= 0:
@@ -392,21 +393,21 @@ def scatter(
                 for start in range(layers):
                     mean = 0.0
                     for k in range(count):
-                        mean += first[half, row, column, start, k] / count
+                        mean += first[half, row, column, start, k] / (count * lean[row, column])
                     state, u = _random(state)
                     walks = int(mean * density + u)
                     if walks == 0 or mean <= 0.0:
                         continue
                     for k in range(count):
                         # energy that is scattered, by walk, over scattering x volume
-                        weights[k] = first[half, row, column, start, k] / (mean * density)
+                        weights[k] = first[half, row, column, start, k] / (mean * density * lean[row, column])
                     for _ in range(walks):
                         state, u = _random(state)
                         state, v = _random(state)
                         x, y = column + u - 0.5, row + v - 0.5
                         state, u = _random(state)
                         top, low = _sides(sides, x, y)
-                        z = top - (start + u) * layer_px
+                        z = top - (start + u) * layer_px / lean[row, column]
                         if z - low < 1e-3:
                             z = 0.5 * (top + low)
                         room = min(top - z, z - low)
@@ -432,10 +433,10 @@ def scatter(
                                 at = (place + u) / TRACKS * length
                                 px, py = x + at * dx, y + at * dy
                                 r, c = _nearest(lean, px, py)
-                                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) / layer_px)
+                                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px)
                                 if layer < layers:
                                     for k in range(count):
-                                        grids[half, r, c, layer, k] += way * weights[k]
+                                        grids[half, r, c, layer, k] += way * lean[r, c] * weights[k]
                             x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
                             if side < 0:
                                 state, dx, dy, dz = _sphere(state)
@@ -522,7 +523,7 @@ def gather(
                         at = _within((place + u) / PLACES, length, scattering)
                         px, py = x + at * dx, y + at * dy
                         r, c = _nearest(lean, px, py)
-                        layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) / layer_px)
+                        layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px)
                         if layer < grids.shape[3]:
                             for k in range(count):
                                 found[half, k] += part * grids[half, r, c, layer, k]
