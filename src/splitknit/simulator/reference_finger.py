@@ -1,0 +1,461 @@
+"""A slow reference for whole fingers: random walks in the volume below the ridged skin, compiled, in minutes.
+
+It shares no transport code with :mod:`splitknit.simulator.light.renderer`; the coefficients of skin are the same. Light
+of every LED enters through the ridged surface, which diffuses a fraction of it and refracts the rest at micro-facets.
+Where it is scattered for the first time, walks begin that serve all LEDs of a band; rays from the pixels gather what
+they leave in the volume. So the noise is mostly the same in all images of a channel. Scattering is isotropic with the
+reduced coefficient; absorption, in two layers and mottled, weighs the light.
+
+The finger is closed by the mirror image of its smooth shape from below, with walls along the outline, and is mirrored
+where the picture ends. Cast shadows are not traced: the LEDs stand 69 degrees above the finger plane. Needs the extra
+``reference`` (numba).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.model import Band, Camera, Capture, FloatArray, Led, Progress, Rig, no_progress
+from splitknit.settings import Checked, Limits
+from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.light.skin import (
+    BAND_CHANNELS,
+    CHANNELS,
+    REFRACTIVE_INDEX,
+    Channel,
+    SkinSettings,
+    diffuse_transmittance,
+    fresnel,
+)
+from splitknit.simulator.surface import Surface
+
+Array = NDArray[np.float64]
+
+UNIT = 1e4
+"""Irradiance of an LED of intensity one at 100 mm is one, as everywhere in the simulator."""
+LENS_PX = 0.6
+"""Standard deviation of the lens's blur in pixels."""
+BACKGROUND = (0.006, -10.0)
+"""Albedo and height in mm of the black background."""
+EXPOSURE = 0.7
+"""Fraction of full scale that the brightest light from within the skin reaches."""
+LAYERS = 32
+"""Layers that hold the light, five to a mean free path."""
+SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
+"""Gaussians that smooth a layer of fluence: their standard deviation over depth, and in pixels at least. For scattered
+light, and for unscattered light where walks begin; where it is seen, it is not smoothed."""
+MOST_PX = 3.0
+"""Largest standard deviation of these Gaussians."""
+RAYS = 2
+"""Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each half."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerOptics(Checked):
+    """Optics of one finger of the reference, and noise of its photographs."""
+
+    _group = "optics"
+
+    spread: Annotated[float, Limits(0.0, 1.0)] = 1.0
+    """Fraction of the light that the boundary diffuses; the rest it refracts."""
+    scattering_factor: Annotated[float, Limits(0.3, 1.5)] = 1.0
+    """Of the reduced scattering of the simulator's skin."""
+    epidermis_mm: Annotated[float, Limits(0.0, 0.5)] = 0.12
+    """Thickness of the layer that has melanin and no blood."""
+    melanin: Annotated[float, Limits(0.0, 0.05)] = 0.002
+    """Volume fraction of melanosomes in the epidermis."""
+    blood: Annotated[float, Limits(0.0, 0.1)] = 0.006
+    """Volume fraction of blood below it."""
+    mottle: Annotated[float, Limits(0.0, 0.5)] = 0.15
+    """Standard deviation of the absorption below the epidermis from place to place, relative."""
+    mottle_mm: Annotated[float, Limits(0.1, 10.0)] = 1.0
+    """Size of the mottles: standard deviation of the Gaussian that smooths them."""
+    roughness: Annotated[float, Limits(0.05, 1.0)] = 0.25
+    """GGX alpha of the surface."""
+    gloss: Annotated[float, Limits(0.0, 5.0)] = 1.0
+    """Weight of the specular reflection; 1 = Fresnel."""
+    shot_noise: Annotated[float, Limits(0.0, 0.1)] = 0.005
+    """Standard deviation of the shot noise, relative to light of the exposure's level; 0 = no noise."""
+
+
+def draw_optics(rng: np.random.Generator) -> FingerOptics:
+    """Draw a finger's optics from their ranges: the boundary from matt to refracted, light and dark, dry and oily."""
+    low = FingerOptics(0.0, 0.3, 0.05, 0.001, 0.003, 0.05, 0.5, 0.15, 0.0, 0.003)
+    high = FingerOptics(1.0, 1.5, 0.25, 0.006, 0.012, 0.25, 3.0, 0.45, 1.3, 0.01)
+    at = rng.random(len(fields(FingerOptics)))
+    ends = zip(asdict(low).items(), asdict(high).values(), at, strict=True)
+    return FingerOptics(**{name: round(float(a + (b - a) * f), 5) for (name, a), b, f in ends})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelLight:
+    """Light that came through the skin, in one channel."""
+
+    halves: FloatArray
+    """(2, L, H, W) radiance from two independent halves of the walks, zero outside the finger."""
+
+    @property
+    def radiance(self) -> FloatArray:
+        """(L, H, W) mean of the halves."""
+        return np.asarray(self.halves.mean(axis=0), dtype=np.float32)
+
+    def noise(self, mask: NDArray[np.bool_]) -> dict[str, float]:
+        """Relative standard error of a pixel of `mask`: the part common to all lights, and the rest of each light."""
+        first, second = (cv2.GaussianBlur(np.moveaxis(half, 0, 2), (0, 0), LENS_PX)[mask] for half in self.halves)
+        error = (first - second) / np.maximum(first + second, 1e-9)
+        common = error.mean(axis=1)
+        rest = (error - common[:, None]) * np.sqrt(error.shape[1] / max(error.shape[1] - 1, 1))
+        return {"common": _rms(common), "each_light": _rms(rest)}
+
+
+def _rms(values: NDArray[Any]) -> float:
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
+
+
+def render_finger(
+    surface: Surface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
+    *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+) -> ChannelLight:  # fmt: skip
+    """Light from within the skin under each LED, by random walks in one channel.
+
+    Parameters
+    ----------
+    surface : the finger on the pixels of an orthographic camera
+    leds : L near lights without a lobe
+    channel : ``red``, ``green``, ``blue`` or ``nir``
+    optics : boundary, layers and coefficients
+    walks : for each pixel, an even number
+    threads : the result does not depend on it
+    seed : of walks and mottles
+    progress : called after each part of the walks
+
+    Raises
+    ------
+    BadInput
+        If numba is missing, the camera is not orthographic, an LED is distant or has a lobe, or `walks` is odd.
+
+    Examples
+    --------
+    >>> light = render_finger(surface, rig.leds[:7], "green", FingerOptics(spread=0.3))  # doctest: +SKIP
+    """
+    require(walks > 0 and rays > 0, f"walks and rays must be above zero, but they are {walks} and {rays}.")
+    pitch = surface.camera.pitch_mm
+    skin = SkinSettings(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood)
+    dermis = skin.channel(channel)
+    epidermis = SkinSettings(melanin=optics.melanin, blood=0.0).channel(channel)
+    inside = 1.0 - diffuse_transmittance() / REFRACTIVE_INDEX**2
+    medium = np.array(
+        [
+            dermis.scattering_per_mm * pitch, dermis.absorption_per_mm * pitch, epidermis.absorption_per_mm * pitch,
+            optics.epidermis_mm / pitch, optics.spread, optics.roughness / np.sqrt(2.0), REFRACTIVE_INDEX, inside,
+        ]
+    )  # fmt: skip
+    solid = _solid(surface, leds)
+    mottle = mottles(solid.lean.shape, pitch, optics, seed)
+    return walk_solid(
+        solid, surface, mottle, medium, walks=walks, rays=rays, threads=threads,
+        seed=[seed, CHANNELS.index(channel)], progress=progress,
+    )  # fmt: skip
+
+
+# The finger as a solid, in pixels.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solid:
+    """Two height maps, and the lights."""
+
+    sides: FloatArray
+    lean: FloatArray
+    lights: Array
+    strength: Array
+    entering: FloatArray
+    corner: tuple[int, int]
+    """Row and column of the picture where the maps begin."""
+
+
+def _solid(surface: Surface, leds: Sequence[Led]) -> _Solid:
+    camera, pitch = surface.camera, surface.camera.pitch_mm
+    require(camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")
+    require(
+        all(led.position_mm is not None and led.lobe_exponent == 0.0 and not led.also for led in leds),
+        "the reference of whole fingers knows single near LEDs without a lobe only.",
+    )
+    require(bool(surface.mask.any()), "no part of the finger is in the picture.")
+    # the finger's pixels and an empty margin, but where the picture ends
+    filled = [np.flatnonzero(surface.mask.any(axis=1 - axis)) for axis in range(2)]
+    place = tuple(slice(max(int(one[0]) - 2, 0), int(one[-1]) + 3) for one in filled)
+    mask, shape, height = surface.mask[place], surface.shape_mm[place], surface.height_mm[place]
+    # below: the smooth shape's mirror image, or 12 mm where the finger has no outline
+    rim = float(shape.min()) - 6.0 if mask.all() else float(np.percentile(shape[mask], 1))
+    low = np.minimum(2.0 * rim - shape, height - 0.05)
+    both = np.stack([np.where(mask, height, rim), np.where(mask, low, rim)], axis=-1) / pitch
+    sides = np.ascontiguousarray(both, dtype=np.float32)
+    lean = np.where(mask, np.clip(surface.shape_normals[place][..., 2], 0.15, 1.0), 0.15).astype(np.float32)
+    corner = place[0].start, place[1].start
+    rows, columns = surface.mask.shape
+    lights = np.array([led.position_mm for led in leds], dtype=np.float64).reshape(-1, 3)
+    columns_px = lights[:, 0] / pitch + (columns - 1) / 2 - corner[1]
+    rows_px = (rows - 1) / 2 - lights[:, 1] / pitch - corner[0]
+    lights = np.stack([columns_px, rows_px, lights[:, 2] / pitch], axis=1)
+    strength = np.array([led.intensity for led in leds]) * UNIT / pitch**2
+    return _Solid(sides, lean, lights, strength, _entering(sides, lights, strength), corner)
+
+
+def _entering(sides: FloatArray, lights: Array, strength: Array) -> FloatArray:
+    """(2, H - 1, W - 1, L) light that passes the boundary, for each cell between four pixel centres, of each side."""
+    rows, columns = sides.shape[0] - 1, sides.shape[1] - 1
+    result = np.zeros((2, rows, columns, len(lights)), dtype=np.float32)
+    y, x = np.mgrid[0:rows, 0:columns] + 0.5
+    for side in range(2):
+        z = sides[..., side].astype(np.float64)
+        across = 0.5 * (z[:-1, 1:] - z[:-1, :-1] + z[1:, 1:] - z[1:, :-1])
+        down = 0.5 * (z[1:, :-1] - z[:-1, :-1] + z[1:, 1:] - z[:-1, 1:])
+        middle = 0.25 * (z[:-1, :-1] + z[:-1, 1:] + z[1:, :-1] + z[1:, 1:])
+        sign = 1.0 - 2.0 * side
+        for k, (light, power) in enumerate(zip(lights, strength, strict=True)):
+            way = light[0] - x, light[1] - y, light[2] - middle
+            squared = way[0] ** 2 + way[1] ** 2 + way[2] ** 2
+            facing = sign * (way[2] - across * way[0] - down * way[1])
+            cosine = np.maximum(facing / np.sqrt(squared * (1.0 + across**2 + down**2)), 0.0)
+            result[side, ..., k] = power / squared * cosine * (1.0 - fresnel(cosine))
+    return result
+
+
+def mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed: int) -> FloatArray:
+    """(H, W) factor of the absorption below the epidermis, one on average."""
+    noise = np.random.default_rng(np.random.SeedSequence([seed, 0x307])).standard_normal(size).astype(np.float32)
+    field = cv2.GaussianBlur(noise, (0, 0), optics.mottle_mm / pitch_mm, borderType=cv2.BORDER_REFLECT)
+    field -= field.mean()
+    factor = np.maximum(1.0 + optics.mottle * field / max(float(field.std()), 1e-9), 0.2)
+    return np.asarray(factor, dtype=np.float32)
+
+
+def walk_solid(
+    solid: _Solid, surface: Surface, mottle: FloatArray, medium: Array,
+    *, walks: float, rays: int, threads: int, seed: Sequence[int], progress: Progress = no_progress,
+) -> ChannelLight:  # fmt: skip
+    """Walk from all pixels that see the finger."""
+    numba, kernels = _load()
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    count, (rows, columns) = len(solid.lights), solid.lean.shape
+    seeds = [int(value) for value in np.random.SeedSequence([*seed, 0x3A1]).generate_state(3, np.uint32)]
+    layer_px = 0.2 / medium[0]
+    optics = solid.sides, solid.lean, mottle
+    first = np.zeros((2, rows, columns, LAYERS, count), dtype=np.float32)
+    kernels.first_light(*optics, solid.entering, solid.lights, medium, layer_px, RAYS, seeds[0], first)
+    _share_border(first, 2.0)
+    starts = first.copy()
+    _smooth(starts, solid.sides, layer_px, STARTS)
+    progress("first light", 0.2)
+    pixels = np.argwhere(surface.mask)
+    _share_border(starts, 0.5)
+    density = (
+        0.5
+        * walks
+        * len(pixels)
+        / max(float((starts.mean(axis=(0, 4), dtype=np.float64).sum(axis=-1) / solid.lean).sum()), 1e-30)
+    )
+    fluence = np.zeros_like(first)
+    kernels.scatter(*optics, starts, layer_px, medium, density, seeds[1], fluence)
+    del starts
+    _share_border(fluence, 2.0)
+    _smooth(fluence, solid.sides, layer_px, SCATTERED)
+    fluence += first
+    progress("scattering", 0.7)
+    sums = np.zeros((len(pixels), 2, count))
+    kernels.gather(
+        *optics, solid.entering, fluence, layer_px, solid.lights, solid.strength, medium, pixels - solid.corner,
+        rays, seeds[2], sums,
+    )  # fmt: skip
+    progress("gathering", 1.0)
+    halves = np.zeros((2, count, *surface.mask.shape), dtype=np.float32)
+    halves[:, :, pixels[:, 0], pixels[:, 1]] = np.transpose(sums, (1, 2, 0)) / rays
+    return ChannelLight(halves)
+
+
+def _share_border(fluence: FloatArray, factor: float) -> None:
+    """Multiply the cells at the border, half of which lies beyond it, mirrored: from energy to density or back."""
+    fluence[:, [0, -1]] *= factor
+    fluence[:, :, [0, -1]] *= factor
+
+
+def _smooth(fluence: FloatArray, sides: FloatArray, layer_px: float, by: tuple[float, float]) -> None:
+    """Smooth every layer of the fluence, within which light varies little."""
+    inside = (sides[..., 0] - sides[..., 1] > 1e-2).astype(np.float32)
+    for layer in range(fluence.shape[3]):
+        sigma = min(max(by[0] * (layer + 0.5) * layer_px, by[1]), MOST_PX)
+        size = 2 * int(np.ceil(2.5 * sigma)) + 1
+
+        def blur(values: FloatArray, size: int = size, sigma: float = sigma) -> Any:
+            return cv2.GaussianBlur(values, (size, size), sigma, borderType=cv2.BORDER_REFLECT_101)
+
+        weight = inside / np.maximum(blur(inside), 1e-3)
+        for half in fluence[..., layer, :]:
+            half[...] = blur(np.ascontiguousarray(half)) * weight[..., None]
+
+
+def _load() -> tuple[Any, Any]:
+    try:
+        numba = importlib.import_module("numba")
+    except ImportError as error:
+        raise BadInput(
+            "the reference of whole fingers needs numba; install splitknit with its extra 'reference'."
+        ) from error
+    return numba, importlib.import_module("splitknit.simulator.reference_walks")
+
+
+# Light that the surface alone reflects.
+
+
+def specular(surface: Surface, led: Led, roughness: float) -> FloatArray:
+    """(H, W) radiance of the GGX reflection at the ridged skin, without shadows and inter-reflection.
+
+    References
+    ----------
+    Walter, Marschner, Li and Torrance 2007, equations (20), (33), (34).
+    """
+    camera = surface.camera
+    x, y = _pixel_places(camera)
+    way = np.asarray(led.position_mm) - np.stack([x, y, np.where(surface.mask, surface.height_mm, 0.0)], axis=-1)
+    squared = np.sum(way * way, axis=-1)
+    towards = way / np.sqrt(squared)[..., None]
+    half = towards + np.array([0.0, 0.0, 1.0])
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    normals = surface.normals.astype(np.float64)
+    n_l, n_v, n_h = np.sum(normals * towards, -1), normals[..., 2], np.sum(normals * half, -1)
+    seen = surface.mask & (n_l > 1e-3) & (n_v > 1e-3)
+    n_l, n_v, square = np.maximum(n_l, 1e-3), np.maximum(n_v, 1e-3), roughness**2
+    facets = square / (np.pi * (n_h**2 * (square - 1.0) + 1.0) ** 2)
+    shadow = np.ones_like(n_l)
+    for cosine in (n_l, n_v):
+        shadow = shadow * 2.0 * cosine / (cosine + np.sqrt(square + (1.0 - square) * cosine**2))
+    light = led.intensity * UNIT / squared * facets * shadow * fresnel(np.sum(half * towards, -1)) / (4.0 * n_v)
+    return np.where(seen, light, 0.0).astype(np.float32)
+
+
+def _pixel_places(camera: Camera) -> tuple[Array, Array]:
+    """x and y of the pixels' centres in mm."""
+    height, width = camera.image_size
+    x = (np.arange(width) - (width - 1) / 2) * camera.pitch_mm
+    y = ((height - 1) / 2 - np.arange(height)) * camera.pitch_mm
+    grid = np.meshgrid(x, y)
+    return grid[0], grid[1]
+
+
+# Photographs.
+
+
+def photograph_finger(
+    surface: Surface, rig: Rig, optics: FingerOptics,
+    *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:  # fmt: skip
+    """Photograph a finger under every LED of `rig` by random walks.
+
+    Parameters
+    ----------
+    surface : the finger on the pixels of `rig.camera`
+    rig : LEDs of the bands ``white`` and ``nir``
+    optics : of skin, surface and noise
+    walks : for each pixel and channel
+    threads : the result does not depend on it
+    seed : of walks, mottles and noise
+    progress : called with the channel and the fraction of all walks
+
+    Returns
+    -------
+    capture : 16-bit images of both bands
+    truth : ``height_mm``, ``shape_mm``, ``ridge_mm``, ``mask``, ``px_mm``
+    info : all optics, and for each channel level and noise of the walks
+
+    Raises
+    ------
+    BadInput
+        As :func:`render_finger`.
+    """
+    bands, channels = {}, {}
+    noise_seeds = np.random.SeedSequence([seed, 0x4C0]).spawn(len(rig.leds))
+    todo = [(name, channel) for name, names in BAND_CHANNELS.items() for channel in names]
+    seen = cv2.erode(surface.mask.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    seen &= surface.shape_normals[..., 2] > 0.5
+    for name, names in BAND_CHANNELS.items():
+        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+        leds = [rig.leds[k] for k in members]
+        if not leds:
+            continue
+        light = []
+        for channel in names:
+            done = todo.index((name, channel))
+
+            def report(_: str, fraction: float, channel: str = channel, done: int = done) -> None:
+                progress(channel, (done + fraction) / len(todo))
+
+            found = render_finger(
+                surface, leds, channel, optics, walks=walks, rays=rays, threads=threads, seed=seed, progress=report
+            )
+            light.append(found.radiance)
+            channels[channel] = {
+                "level": float(np.median(found.radiance[:, seen])),
+                "noise": found.noise(seen),
+                **_coefficients(channel, optics),
+            }
+        diffuse = np.stack([light[min(c, len(light) - 1)] for c in range(3)], axis=-1)  # (L, H, W, 3)
+        exposure = EXPOSURE / max(float(np.percentile(diffuse[:, surface.mask], 99.9)), 1e-12)
+        shots = []
+        for k, led in enumerate(leds):
+            frame = diffuse[k] + optics.gloss * specular(surface, led, optics.roughness)[..., None]
+            frame += np.where(surface.mask, 0.0, _background(rig.camera, led))[..., None].astype(np.float32)
+            frame = cv2.GaussianBlur(frame * np.float32(exposure), (0, 0), LENS_PX)
+            shots.append(record(frame, name, noise_seeds[members[k]], _sensor(optics)))
+        none = np.zeros(len(leds))
+        bands[name] = Band(name, np.stack(shots).astype(np.uint16), tuple((k,) for k in members), none + 1.0, none)
+    truth = {
+        "height_mm": surface.height_mm,
+        "shape_mm": surface.shape_mm,
+        "ridge_mm": surface.height_mm - surface.shape_mm,
+        "mask": surface.mask,
+        "px_mm": np.array(surface.camera.pitch_mm),
+    }
+    info = {
+        "optics": asdict(optics),
+        "channels": channels,
+        "walks": walks,
+        "seed": seed,
+        "finger_pixels": int(surface.mask.sum()),
+    }
+    return Capture(rig=rig, bands=bands), truth, info
+
+
+def _coefficients(channel: Channel, optics: FingerOptics) -> dict[str, float]:
+    dermis = SkinSettings(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood).channel(channel)
+    epidermis = SkinSettings(melanin=optics.melanin, blood=0.0).channel(channel)
+    return {
+        "scattering_per_mm": dermis.scattering_per_mm,
+        "absorption_per_mm": dermis.absorption_per_mm,
+        "epidermis_absorption_per_mm": epidermis.absorption_per_mm,
+    }
+
+
+def _background(camera: Camera, led: Led) -> Array:
+    """(H, W) radiance of the black background under `led`."""
+    albedo, z = BACKGROUND
+    x, y = _pixel_places(camera)
+    light = np.asarray(led.position_mm, dtype=np.float64)
+    squared = (light[0] - x) ** 2 + (light[1] - y) ** 2 + (light[2] - z) ** 2
+    return np.asarray(albedo / np.pi * led.intensity * UNIT * (light[2] - z) / squared**1.5)
+
+
+def _sensor(optics: FingerOptics) -> SensorSettings:
+    """A sensor whose shot noise at the exposure's level is that of `optics`, of 12 bits in files of 16."""
+    if optics.shot_noise == 0.0:
+        return SensorSettings(noise=False, bits=16, raw_bits=16)
+    full = 1.0 / (EXPOSURE * optics.shot_noise**2)
+    return SensorSettings(full_well_e=full, binned=False, raw_bits=12, bits=16)

@@ -1,0 +1,196 @@
+"""The reference of whole fingers: flat skin against the table of walks, conservation of energy, the same bytes."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.model import Camera, Led, Rig
+from splitknit.simulator import reference_finger
+from splitknit.simulator.light.skin import (
+    REFRACTIVE_INDEX,
+    diffuse_transmittance,
+    diffusion_profile,
+    fresnel,
+    load_walks,
+)
+from splitknit.simulator.reference_finger import FingerOptics, draw_optics, photograph_finger, render_finger, specular
+from splitknit.simulator.surface import Surface
+
+needs_numba = pytest.mark.skipif(
+    importlib.util.find_spec("numba") is None, reason="needs numba (splitknit's extra 'reference')"
+)
+LEDS = (Led("white", position_mm=(52.5, 0.0, 140.0)), Led("white", position_mm=(0.0, 0.0, 140.0)))
+STRENGTH = 1e4 / np.array([52.5**2 + 140.0**2, 140.0**2])
+COSINE = np.array([140.0 / np.hypot(52.5, 140.0), 1.0])
+ENTERING = STRENGTH * COSINE * (1 - fresnel(COSINE))
+TO_CAMERA = (1 - float(fresnel(np.array(1.0)))) / np.pi
+
+
+def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> Surface:
+    """A piece of skin that fills the picture, over a flat shape."""
+    rows, columns = np.gradient(height_mm, pitch_mm)
+    normals = np.stack([-columns, rows, np.ones_like(rows)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    up, one = np.zeros((*height_mm.shape, 3), dtype=np.float32), np.ones(height_mm.shape, dtype=np.float32)
+    up[..., 2] = 1.0
+    height = height_mm.astype(np.float32)
+    camera = Camera(1.0 / pitch_mm, height_mm.shape)
+    return Surface(camera, height, 0 * one, normals.astype(np.float32), up, 1e3 * height, one > 0, one)
+
+
+FLAT = patch(np.zeros((24, 24)))
+EVEN = FingerOptics(mottle=0.0, epidermis_mm=0.0)
+
+
+def medium(scattering_per_mm: float, absorption_per_mm: float, spread: float = 1.0, pitch_mm: float = 0.05):
+    """What the kernels know of the skin."""
+    inside = 1.0 - diffuse_transmittance() / REFRACTIVE_INDEX**2
+    scattering, absorption = scattering_per_mm * pitch_mm, absorption_per_mm * pitch_mm
+    return np.array([scattering, absorption, absorption, 0.0, spread, 0.15, REFRACTIVE_INDEX, inside])
+
+
+def walked(surface: Surface, optics: np.ndarray, walks: float = 100.0, threads: int = 1) -> np.ndarray:
+    """Mean radiance under both lights."""
+    solid = reference_finger._solid(surface, LEDS)
+    even = np.ones(solid.lean.shape, dtype=np.float32)
+    light = reference_finger.walk_solid(solid, surface, even, optics, walks=walks, rays=64, threads=threads, seed=[1])
+    return light.radiance.mean(axis=(1, 2), dtype=np.float64)
+
+
+@pytest.fixture(autouse=True)
+def _many_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference_finger, "RAYS", 4)
+
+
+@needs_numba
+@pytest.mark.parametrize(("scattering", "absorption"), [(5.18, 0.40), (2.0, 0.1)])
+def test_flat_skin_with_a_diffuse_boundary_agrees_with_the_table_of_walks(scattering, absorption):
+    albedo = diffusion_profile(load_walks(), scattering, absorption).albedo
+    expected = albedo * ENTERING * TO_CAMERA / diffuse_transmittance()
+    np.testing.assert_allclose(walked(FLAT, medium(scattering, absorption)), expected, rtol=0.02)
+
+
+@needs_numba
+def test_without_absorption_all_light_comes_out_again_as_from_a_matt_surface():
+    # a slab of 12 mm: what leaves below is some 0.6 %, three mean free paths over 12 mm
+    expected = ENTERING * TO_CAMERA / diffuse_transmittance()
+    np.testing.assert_allclose(walked(FLAT, medium(40.0, 0.0), 10.0), expected, rtol=0.02)
+
+
+@needs_numba
+def test_dense_skin_is_lambertian_whatever_its_slope():
+    slope, pitch_mm = 0.4, 0.1
+    x = (np.arange(30) - 14.5) * pitch_mm
+    roof = patch(np.broadcast_to(-slope * np.abs(x), (30, 30)), pitch_mm)
+    solid, even = reference_finger._solid(roof, LEDS), np.ones((30, 30), dtype=np.float32)
+    light = reference_finger.walk_solid(
+        solid, roof, even, medium(10.0, 2.0, pitch_mm=pitch_mm), walks=60.0, rays=32, threads=1, seed=[2]
+    ).radiance
+    albedo = diffusion_profile(load_walks(), 10.0, 2.0).albedo
+    normal = np.array([slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
+    sides = []
+    for side in (-1, 1):
+        cosine = np.array([normal * [side, 1, 1] @ led.position_mm / np.linalg.norm(led.position_mm) for led in LEDS])
+        passed = STRENGTH * cosine * (1 - fresnel(cosine)) * (1 - float(fresnel(np.array(normal[2]))))
+        sides.append(albedo * passed / (np.pi * diffuse_transmittance()))
+    found = np.stack([light[:, :, 5:10].mean(axis=(1, 2)), light[:, :, 20:25].mean(axis=(1, 2))])
+    np.testing.assert_allclose(found, sides, rtol=0.04)
+
+
+@needs_numba
+def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
+    # radiance at x = 0, 5.55 and -7.4 mm (slant 0, 33 and 58 deg) under a light of +x: `volume_radiance` of
+    # validation/twin/volume.py, 200,000 walks each
+    pitch_mm = 0.1
+    x = (np.arange(221) - 110.0) * pitch_mm
+    inside = np.broadcast_to(np.abs(x) < 8.0, (40, 221))
+    z = np.broadcast_to(5.5 * np.sqrt(np.clip(1.0 - (x / 8.0) ** 2, 1e-9, 1.0)), (40, 221))
+    height = np.where(inside, z, np.nan).astype(np.float32)
+    slope = np.where(inside, x * 5.5**2 / 8.0**2 / z, 0.0)
+    normals = np.stack([slope, 0 * slope, np.ones_like(slope)], axis=-1) / np.hypot(1.0, slope)[..., None]
+    shape_normals = np.where(inside[..., None], normals, 0.0).astype(np.float32)
+    camera = Camera(1.0 / pitch_mm, (40, 221))
+    cylinder = replace(
+        patch(np.zeros((40, 221)), pitch_mm), camera=camera, height_mm=height, shape_mm=height,
+        normals=shape_normals, shape_normals=shape_normals, mask=inside,
+    )  # fmt: skip
+    solid = reference_finger._solid(cylinder, LEDS)
+    even = np.ones(solid.lean.shape, dtype=np.float32)
+    light = reference_finger.walk_solid(
+        solid, cylinder, even, medium(4.1237, 0.2, pitch_mm=pitch_mm), walks=20.0, rays=10, threads=1,
+        seed=[5],
+    ).radiance[0].mean(axis=0)  # fmt: skip
+    found = np.interp([0.0, 5.55, -7.4], x, light)
+    np.testing.assert_allclose(found[:2], [0.05918, 0.06218], rtol=0.03)
+    np.testing.assert_allclose(found[2], 0.00491, rtol=0.08)  # a twelfth of the light, on pixels of 0.1 mm
+
+
+@needs_numba
+def test_same_seed_same_bytes_whatever_the_number_of_threads():
+    ridges = patch(np.broadcast_to(0.04 * np.cos(np.arange(40) * 0.7), (40, 40)))
+    optics = FingerOptics(spread=0.4)
+    lights = [
+        render_finger(ridges, LEDS, "green", optics, walks=4.0, rays=2, threads=threads, seed=seed).halves.tobytes()
+        for threads, seed in ((1, 3), (2, 3), (1, 4))
+    ]
+    assert lights[0] == lights[1]
+    assert lights[0] != lights[2]
+
+
+@needs_numba
+def test_a_photograph_has_both_bands_and_its_truth():
+    y, x = np.mgrid[-30:30, -30:30] * 0.2
+    inside = x**2 + y**2 < 5.0**2
+    dome = patch(np.where(inside, np.sqrt(np.maximum(30.0 - x**2 - y**2, 0.1)) - 5.0, 0.0), 0.2)
+    nan = np.where(inside, dome.height_mm, np.nan).astype(np.float32)
+    dome = replace(dome, mask=inside, height_mm=nan, shape_mm=nan)
+    leds = tuple(
+        Led(band, position_mm=(float(52.5 * np.cos(a)), float(52.5 * np.sin(a)), 140.0))
+        for band in ("white", "nir") for a in (0.0, 2.1, 4.2)
+    )  # fmt: skip
+    capture, truth, info = photograph_finger(
+        dome, Rig(dome.camera, leds), FingerOptics(spread=0.5, gloss=0.5), walks=1.0, rays=1, threads=1
+    )
+    assert {name: band.pixels.shape for name, band in capture.bands.items()} == {
+        "white": (3, 60, 60, 3), "nir": (3, 60, 60, 3)
+    }  # fmt: skip
+    assert capture.bands["white"].pixels.dtype == np.uint16
+    assert capture.bands["white"].pixels[0][inside].mean() > 10 * capture.bands["white"].pixels[0][~inside].mean()
+    np.testing.assert_array_equal(truth["ridge_mm"][inside], 0.0)
+    assert set(info["channels"]) == {"red", "green", "blue", "nir"}
+
+
+def test_specular_reflection_of_a_level_surface_follows_the_microfacet_formula():
+    half = (np.array([0.0, 0.0, 1.0]) + np.array(LEDS[0].position_mm) / np.linalg.norm(LEDS[0].position_mm)) / 2
+    n_h = half[2] / np.linalg.norm(half)
+    spread = 0.25**2 / (np.pi * (n_h**2 * (0.25**2 - 1) + 1) ** 2)
+    one_way = 2 * COSINE[0] / (COSINE[0] + np.sqrt(0.25**2 + (1 - 0.25**2) * COSINE[0] ** 2))
+    expected = STRENGTH[0] * spread * one_way * float(fresnel(np.array(n_h))) / 4
+    np.testing.assert_allclose(specular(FLAT, LEDS[0], 0.25)[11:13, 11:13], expected, rtol=5e-3)
+
+
+def test_optics_are_drawn_from_their_ranges():
+    rng = np.random.default_rng(1)
+    drawn = [draw_optics(rng) for _ in range(50)]
+    assert all(0.3 <= one.scattering_factor <= 1.5 and 0.15 <= one.roughness <= 0.45 for one in drawn)
+    assert np.ptp([one.spread for one in drawn]) > 0.7
+
+
+@needs_numba
+def test_what_it_does_not_know_is_refused():
+    with pytest.raises(BadInput, match="without a lobe"):
+        render_finger(FLAT, (replace(LEDS[0], lobe_exponent=2.0),), "red", EVEN)
+    with pytest.raises(BadInput, match="above zero"):
+        render_finger(FLAT, LEDS, "red", EVEN, walks=0.0)
+
+
+def test_missing_numba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(BadInput, match="its extra 'reference'"):
+        render_finger(FLAT, LEDS, "red", EVEN)

@@ -1,0 +1,104 @@
+"""A result against the truth of a finger whose light the fast twin did not make.
+
+    python validation/path_traced/score.py RESULT TRUTH    # a result folder; truth.npz, or the folder that has it
+
+It prints JSON: the whole surface, the ridge band below 60 degrees of slant and in classes of slant, error over stated
+uncertainty, and the relief that was found where there are no ridges.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from splitknit.errors import BadInput, require
+from splitknit.io.npz import read_npz
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RIDGE_MM = 0.32
+"""Standard deviation of the Gaussian that takes away what is slower than ridges."""
+BORDER_MM = 0.33
+"""Width of the skin along the outline that is not scored."""
+PERIOD_MM = 0.86
+"""Two ridges: side of the square in which the truth is looked at for ridges."""
+CLASSES_DEG = (0, 15, 30, 45, 60)
+FEWEST = 2000
+"""Pixels below which a class is left out."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        require(len(given) == 2, "give a result folder and a truth: score.py RESULT TRUTH.")
+        result, truth = Path(given[0]), Path(given[1])
+        found = read_npz(result / "height.npz")
+        known = read_npz(truth / "truth.npz" if truth.is_dir() else truth)
+        print(json.dumps(score(found, known), indent=1))
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]) -> dict[str, float]:
+    """Score a result's ``height.npz`` against a truth with ``height_mm``, ``shape_mm``, ``mask`` and ``px_mm``."""
+    height, true, shape = (
+        np.asarray(one, dtype=np.float64) for one in (found["height_mm"], known["height_mm"], known["shape_mm"])
+    )
+    require(height.shape == true.shape, f"the result has {height.shape} pixels, but the truth has {true.shape}.")
+    pitch_mm, finger = float(known["px_mm"]), np.asarray(known["mask"], dtype=np.bool_)
+    both = np.asarray(found["mask"], dtype=np.bool_) & finger & np.isfinite(height)
+    inner = ndimage.binary_erosion(both, iterations=max(int(BORDER_MM / pitch_mm), 1))
+    rows, columns = np.gradient(np.where(finger, shape, np.nan), pitch_mm)
+    slant_deg = np.nan_to_num(np.degrees(np.arctan(np.hypot(rows, columns))), nan=90.0)
+    error = (height - true)[inner]
+    result = {"coverage": float(both.sum() / finger.sum()), "surface_rms_mm": float(np.std(error))}
+
+    estimate, relief = (_ridge_band(one - shape, both, pitch_mm) for one in (height, true))
+    square = max(round(PERIOD_MM / pitch_mm), 1)
+    flat = ndimage.uniform_filter(relief**2, square) < 1e-6
+    ridged = inner & ~flat
+    classes = {"": (0, CLASSES_DEG[-1])} | {f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)}
+    stated = np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None
+    for name, (low, high) in classes.items():
+        where = ridged & (slant_deg >= low) & (slant_deg < high)
+        if where.sum() < FEWEST:
+            continue
+        a, b = estimate[where], relief[where]
+        result[f"ridge_corr{name}"] = float(np.corrcoef(a, b)[0, 1])
+        result[f"ridge_gain{name}"] = float(a @ b / (b @ b))
+        result[f"ridge_rms_um{name}"] = _rms_um(a - b)
+    where = inner & (slant_deg < CLASSES_DEG[-1])
+    if stated is not None and (where & np.isfinite(stated)).sum() >= FEWEST:
+        where &= np.isfinite(stated)
+        off = 1000.0 * np.abs(estimate - relief)[where]
+        result["error_over_stated"] = float(np.sqrt(np.mean(off**2) / np.mean(stated[where] ** 2)))
+        result["within_one_sigma"] = float(np.mean(off < stated[where]))
+    where = inner & flat & (slant_deg < 45)
+    if where.sum() >= FEWEST:
+        result["false_relief_um"] = _rms_um((estimate - relief)[where])
+    return result
+
+
+def _ridge_band(height: Array, mask: Mask, pitch_mm: float) -> Array:
+    """Height less its mean over a Gaussian, both within `mask`; zero outside."""
+    sigma, filled = RIDGE_MM / pitch_mm, np.where(mask, height, 0.0)
+    weight = np.maximum(ndimage.gaussian_filter(mask.astype(np.float64), sigma), 1e-3)
+    return np.where(mask, filled - ndimage.gaussian_filter(filled, sigma) / weight, 0.0)
+
+
+def _rms_um(values: Array) -> float:
+    return float(1000.0 * np.sqrt(np.mean(values**2)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
