@@ -60,7 +60,7 @@ __all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings",
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
 WAYS = (0, 3, 5, 6)
-"""To lay the finger down for the last estimate of the relief: upright, and turned by 180 degrees."""
+"""Ways to lay the finger down for the last estimate of the relief: upright, and turned by 180, 90 and 270 degrees."""
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
