@@ -119,6 +119,6 @@ def test_a_turned_finger_is_turned(piece: Piece, straight, turn_deg: float) -> N
 def same_surface(found, wanted, grid: Grid) -> None:
     inner = grid.mask & (grid.depth_mm > 1.0)
     shape, relief = ((one - one[inner].mean())[inner] for one in (found[0] - wanted[0], found[1] - wanted[1]))
-    assert shape.std() < 0.03
+    assert shape.std() < 0.15 * wanted[0][inner].std()
     assert relief.std() < 0.3 * wanted[1][inner].std()
     assert np.corrcoef(found[1][inner], wanted[1][inner])[0, 1] > 0.96

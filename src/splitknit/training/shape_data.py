@@ -132,7 +132,11 @@ def _shape_sample_of(
         kept.append(fields)
         return np.zeros((2, *fields.shape[1:]), dtype=np.float32)
 
-    networks = Networks(lambda fields: drawn, no_slopes)
+    def true_relief(fields: FloatArray) -> FloatArray:
+        """Of the first estimate; those of other orientations come later, when all is known."""
+        return drawn if fields.shape[1:] == drawn.shape[1:] else np.zeros((9, *fields.shape[1:]), dtype=np.float32)
+
+    networks = Networks(true_relief, no_slopes)
     reconstruct_skin(bands, grid, settings.skin, settings.metric, None, networks)
     require(len(kept) > 0, "the reconstruction mends no shape: metric.rounds must be two at least.")
     factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
