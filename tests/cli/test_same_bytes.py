@@ -18,7 +18,7 @@ import cv2
 cv2.setNumThreads(int(sys.argv[1]))
 from splitknit.cli.main import main
 for capture, preset, out in zip(sys.argv[2::3], sys.argv[3::3], sys.argv[4::3], strict=True):
-    quick = ["--set", "metric.rounds=2", "--set", "metric.coarse_steps=[2]"]
+    quick = ["--set", "metric.rounds=2", "--set", "metric.coarse_steps=2"]
     code = main(["reconstruct", capture, "--out", out, "--preset", preset, "--json", *quick])
     assert code == 0, code
 """

@@ -477,16 +477,16 @@ def _setting_files() -> list[Files]:
     document: dict[str, Any] = {
         "knit": {"method": "crossover"},
         "height": {"padding": "mirror"},
-        "metric": {"coarse_steps": [5, 3]},
+        "metric": {"coarse_steps": 5},
     }
     document |= {"skin": {"invert_blur": None, "scattering_per_mm": [3.4, 4.1, 5.2, 2.2]}, "normals.rounds": 2}
     toml = b'cut_at_crease = true\n[knit]\nmethod = "crossover"\n[height]\nmethod = "poisson"\n[height.poisson]\n'
-    toml += b"max_iterations = 200\n[metric]\ncoarse_steps = [5, 3]\n"
+    toml += b"max_iterations = 200\n[metric]\ncoarse_steps = 5\n"
     return [
         {
             "x.json": json.dumps(document).encode(),
             "x.toml": toml,
-            "set": b"knit.method=crossover\nnormals.rounds=2\nmetric.coarse_steps=[5, 3]\nlights.balance=true",
+            "set": b"knit.method=crossover\nnormals.rounds=2\nmetric.coarse_steps=5\nlights.balance=true",
         }
     ]
 
