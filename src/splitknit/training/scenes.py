@@ -45,12 +45,10 @@ class SceneRanges(Checked):
     """Standard deviation of the logarithm of each channel's absorption, by which layers depart from one medium."""
     refraction: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
     """See :class:`splitknit.simulator.light.skin.Boundary`; small values more often, as forward scattering leaves."""
-    by_area: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
-    """The same; half of the fingers have the end where light counts by area."""
     entry_power: Range = (-0.3, 1.1)
     """The same."""
-    blurred_share: Annotated[float, Limits(0, 1)] = 0.3
-    """Part of the fingers whose light is an image that is blurred, as simulators have it."""
+    blurred_share: Annotated[float, Limits(0, 1)] = 0.15
+    """Part of the fingers whose light spreads across the picture, as in an image that is blurred."""
     melanin: Range = (0.0002, 0.015)
     """Log-uniform volume fraction."""
     blood: Range = (0.002, 0.015)
@@ -149,12 +147,11 @@ def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
     """The parts of the skin that the simulator's own ranges do not draw; matt skin has no glare in it."""
     layers = np.exp(np.clip(rng.normal(0.0, data.layers_spread, 4), -1.2, 1.2))
     if rng.random() < data.blurred_share:
-        boundary = Boundary()
+        boundary = Boundary(blurred=True)
     else:
         low, high = data.refraction
         boundary = Boundary(
             refraction=low + (high - low) * float(rng.random()) ** 2,
-            by_area=data.by_area[1] if rng.random() < 0.5 else float(rng.uniform(*data.by_area)),
             entry_power=float(rng.uniform(*data.entry_power)),
         )
     return SkinSettings(

@@ -18,7 +18,14 @@ from splitknit.simulator.light.separation import (
     pattern_states,
     separate_truth,
 )
-from splitknit.simulator.light.skin import BAND_CHANNELS, ChannelOptics, SkinSettings, diffusion_profile, load_walks
+from splitknit.simulator.light.skin import (
+    BAND_CHANNELS,
+    Boundary,
+    ChannelOptics,
+    SkinSettings,
+    diffusion_profile,
+    load_walks,
+)
 from surfaces import plane, ridged_egg
 
 LED = default_rig().leds[1]
@@ -48,7 +55,10 @@ def _truth(surface, led, walks, **options):
 def test_direct_and_global_add_up_to_what_the_renderer_makes(palm, walks, phases):
     truth = _truth(palm, LED, walks, phases=phases)
     optics = [SKIN.channel(name) for name in BAND_CHANNELS["white"]]
-    light = render_band(palm, [LED], optics, roughness=SKIN.roughness, glare=SKIN.glare, walks=walks, settings=SHORT)
+    light = render_band(
+        palm, [LED], optics, roughness=SKIN.roughness, glare=SKIN.glare, walks=walks, settings=SHORT,
+        boundary=Boundary(blurred=True),
+    )  # fmt: skip
     np.testing.assert_allclose(truth.white, light.diffuse[0] + light.glare[0], rtol=1e-5)
     np.testing.assert_array_equal(truth.glare, light.glare[0])
     np.testing.assert_allclose(truth.direct + truth.global_, truth.white, rtol=1e-6)

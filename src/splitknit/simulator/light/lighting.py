@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.camera.lens import px_per_mm_at, slopes_of_pixels
-from splitknit.simulator.light.skin import Boundary, fresnel
+from splitknit.simulator.light.skin import fresnel
 from splitknit.simulator.surface import Surface
 
 UNIT = 1e4
@@ -39,6 +39,10 @@ class Patch:
     """Cosine between the normal and the direction to the camera."""
     px_per_mm: float
     """On the surface, at its mean distance."""
+    slopes: tuple[FloatArray, FloatArray]
+    """(h, w) each: rise towards the camera of the skin without ridges along x and along y (up)."""
+    area: FloatArray
+    """(h, w) area of the skin's facets over that of the same skin without ridges."""
 
     @property
     def pitch_mm(self) -> float:
@@ -64,14 +68,20 @@ def cut_out(surface: Surface) -> Patch:
     z = np.where(mask, surface.height_mm[window], 0).astype(np.float32)
     nx, ny, nz = (np.ascontiguousarray(surface.normals[window][..., axis]) for axis in range(3))
     x, y = _places(surface, window)
-    if surface.camera.model == "orthographic":
-        return Patch(window, mask, x, y, z, nx, ny, nz, view=None, nv=nz, px_per_mm=surface.camera.px_per_mm)
-    up = surface.camera.height_mm - z
-    inverse = 1.0 / np.sqrt(x * x + y * y + up * up)
-    view = (-x * inverse, -y * inverse, up * inverse)
-    nv = nx * view[0] + ny * view[1] + nz * view[2]
-    px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
-    return Patch(window, mask, x, y, z, nx, ny, nz, view=view, nv=nv, px_per_mm=px_per_mm)
+    view, nv, px_per_mm = None, nz, surface.camera.px_per_mm
+    smooth = surface.shape_normals[window]
+    seen, tilt = smooth[..., 2], (np.float32(0.0), np.float32(0.0))
+    if surface.camera.model == "perspective":
+        up = surface.camera.height_mm - z
+        inverse = 1.0 / np.sqrt(x * x + y * y + up * up)
+        view = (-x * inverse, -y * inverse, up * inverse)
+        nv = nx * view[0] + ny * view[1] + nz * view[2]
+        px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
+        seen, tilt = sum(smooth[..., axis] * view[axis] for axis in range(3)), view[:2]
+    seen = np.maximum(seen, np.float32(_GRAZING))
+    slopes = tuple(np.where(mask, tilt[axis] - smooth[..., axis] / seen, 0).astype(np.float32) for axis in range(2))
+    area = np.where(mask, np.minimum(seen / np.maximum(nv, np.float32(_GRAZING)), _LARGEST), 1).astype(np.float32)
+    return Patch(window, mask, x, y, z, nx, ny, nz, view, nv, px_per_mm, (slopes[0], slopes[1]), area)
 
 
 def _places(surface: Surface, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
@@ -132,32 +142,20 @@ def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> 
     return entering, gloss
 
 
-def light_below(patch: Patch, shape_normals: FloatArray, led: Led, boundary: Boundary) -> tuple[FloatArray, FloatArray]:
-    """Light that enters the skin's facets, and that which enters the same skin without ridges, (h, w) each.
-
-    `shape_normals` (h, w, 3) are those of the skin without ridges.
-    """
-    lights = [towards(one, patch.x, patch.y, patch.z) for one in (led, *led.also)]
-    found = []
-    for nx, ny, nz in ((patch.nx, patch.ny, patch.nz), tuple(np.moveaxis(shape_normals, -1, 0))):
-        total = np.zeros(patch.mask.shape, dtype=np.float32)
-        for lx, ly, lz, strength in lights:
-            cosine = np.maximum(lx * nx + ly * ny + lz * nz, 0.0)
-            entry = np.maximum(1.0 - fresnel(cosine), 0.02) ** boundary.entry_power
-            total += strength * cosine * entry
-        found.append(np.where(patch.mask, total / seen_area(patch, (nx, ny, nz)) ** boundary.by_area, 0.0))
-    return found[0].astype(np.float32), found[1].astype(np.float32)
-
-
-def seen_area(patch: Patch, normal: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
-    """(h, w) area in the picture over area of the skin: the cosine to the camera, at least `_GRAZING`."""
-    nx, ny, nz = normal
-    cosine = nz if patch.view is None else nx * patch.view[0] + ny * patch.view[1] + nz * patch.view[2]
-    return np.maximum(cosine, np.float32(_GRAZING))
+def light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
+    """(h, w) light that enters skin with the `normals` (h, w, 3): Fresnel's transmittance to the power `entry_power`."""
+    total = np.zeros(patch.mask.shape, dtype=np.float32)
+    for one in (led, *led.also):
+        lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
+        cosine = np.maximum(lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2], 0.0)
+        total += strength * cosine * np.maximum(1.0 - fresnel(cosine), 0.02) ** entry_power
+    return np.where(patch.mask, total, 0.0).astype(np.float32)
 
 
 _GRAZING = 0.12
-"""Facets that lean away further are not resolved by the picture's pixels."""
+"""Cosine to the camera: facets that lean away further are not resolved by the picture's pixels."""
+_LARGEST = 3.0
+"""Area of a facet over that of the smooth skin: larger ones are walls of pores, a small part of their pixel."""
 
 
 def _ggx(

@@ -1,8 +1,7 @@
 """Light from the LEDs through the skin and off it: noise-free linear radiance of every image.
 
-Image-space model, see ``docs/explain/simulator.md``: irradiance of near LEDs times Fresnel transmittance, convolved
-with the Monte
-Carlo diffusion profile of each channel, times a term for the relief, plus the GGX reflection of the surface.
+See ``docs/explain/simulator.md``: irradiance of near LEDs times Fresnel transmittance, convolved along the skin with
+the Monte Carlo diffusion profile of each channel, times a term for the relief, plus the GGX reflection of the surface.
 """
 
 from __future__ import annotations
@@ -16,11 +15,12 @@ import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
-from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on, seen_area
+from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
     Boundary,
@@ -103,7 +103,8 @@ def render_band(
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     gains = list(relief_gains(surface, patch, optics, settings))
-    blur = Diffusion(patch, optics, walks, settings, roughness)
+    boundary = boundary or Boundary()
+    blur = Diffusion(patch, optics, walks, settings, roughness, boundary.blurred)
     if surface.texture is not None:
         blood = surface.texture.blood[patch.window]
         gains = [gain * np.exp(-BLOOD[name] * blood) for gain, name in zip(gains, _channels(optics), strict=True)]
@@ -123,7 +124,7 @@ def render_band(
             entering, gloss = light_on(patch, leds[k], roughness, LED_RADIUS_MM)
             return entering, gloss * patches, None
 
-        if boundary is not None and boundary != Boundary():
+        if boundary.refraction > 0 or boundary.entry_power != 1:
             blur.enter_by(boundary, surface.shape_normals[patch.window], leds, _channels(optics))
 
     return render_lights(patch, shine, len(leds), blur, gains)
@@ -197,8 +198,12 @@ class Diffusion:
         walks: WalkTable,
         settings: RenderSettings,
         roughness: float,
+        blurred: bool = False,
     ) -> None:
-        """Prepare the transfer of every medium, and what of the light leaves towards the viewer."""
+        """Prepare the transfer of every medium, and what of the light leaves towards the viewer.
+
+        `blurred`: light spreads across the picture, see :class:`splitknit.simulator.light.skin.Boundary`.
+        """
         self.settings, self.patch, pitch_mm = settings, patch, patch.pitch_mm
         self._entering: Callable[[int], Iterator[FloatArray]] | None = None
         profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
@@ -207,32 +212,40 @@ class Diffusion:
         # where the finger runs out of the picture, its skin goes on: repeat the border's light over the reach
         self.before = tuple(reach if side.any() else 0 for side in (mask[0], mask[:, 0]))
         self.after = tuple(reach if side.any() else 0 for side in (mask[-1], mask[:, -1]))
-        self.shape = mask.shape
-        self.fft_shape = (
-            scipy.fft.next_fast_len(mask.shape[0] + self.before[0] + self.after[0] + reach, True),
-            scipy.fft.next_fast_len(mask.shape[1] + self.before[1] + self.after[1] + reach, True),
-        )
-        self.transfers = [p.transfer_grid(self.fft_shape, pitch_mm) for p in profiles]
+        self.inner = tuple(slice(before, before + n) for before, n in zip(self.before, mask.shape, strict=True))
+        self._area = None if blurred else patch.area
+        slopes = (self._continued(slope) for slope in patch.slopes)
+        self._sheet = None if blurred else Sheet(*slopes, self._continued(mask), self.inner)
+        spread_over = self._continued(mask).shape if self._sheet is None else self._sheet.shape
+        self.fft_shape = tuple(scipy.fft.next_fast_len(length + reach, True) for length in spread_over)
+        self.transfers = [p.transfer_grid((self.fft_shape[0], self.fft_shape[1]), pitch_mm) for p in profiles]
         emergence = np.sqrt(patch.nv**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nv**2))
         out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
-        covered = list(self.spread(self.pad(mask.astype(np.float32))))
+        inside = mask.astype(np.float32)
+        # as much area as lets light in lets it out again: evenly lit skin is evenly bright, whatever its ridges
+        covered = zip(self.spread(self._continued(inside)), self.spread(self.pad(inside)), strict=True)
         self.out = []
-        for profile, cover in zip(profiles, covered, strict=True):
+        for profile, (cover, area) in zip(profiles, covered, strict=True):
             seen = np.clip(cover / np.float32(profile.albedo), 0.05, 1.0)
-            self.out.append(np.where(mask, out * seen ** np.float32(-settings.rim_exponent), 0.0).astype(np.float32))
+            lost = seen ** np.float32(settings.rim_exponent) * np.clip(area / np.maximum(cover, 1e-6), 0.5, 8.0)
+            self.out.append(np.where(mask, out / lost, 0.0).astype(np.float32))
 
     def enter_by(
         self, boundary: Boundary, shape_normals: FloatArray, leds: Sequence[Led], channels: Sequence[Channel]
     ) -> None:
         """Let light enter as a boundary lets it, instead of as given: each of `leds`, by the number of its image."""
-        seen = seen_area(self.patch, (shape_normals[..., 0], shape_normals[..., 1], shape_normals[..., 2]))
-        self.out = [out * seen**boundary.by_area for out in self.out]
         signals = [boundary.slope_signal(name) for name in channels]
+        facets = np.stack([self.patch.nx, self.patch.ny, self.patch.nz], axis=-1)
 
         def entering(k: int) -> Iterator[FloatArray]:
-            facets, smooth = light_below(self.patch, shape_normals, leds[k], boundary)
-            both = zip(self.spread(self.pad(facets)), self.spread(self.pad(smooth)), signals, strict=True)
-            return (np.asarray(below + signal * (ridged - below)) for ridged, below, signal in both)
+            power = boundary.entry_power
+            ridged = self.spread(self.pad(light_below(self.patch, facets, leds[k], power)))
+            if boundary.refraction == 0:
+                yield from ridged
+                return
+            smooth = self.spread(self._continued(light_below(self.patch, shape_normals, leds[k], power)))
+            for light, below, signal in zip(ridged, smooth, signals, strict=True):
+                yield np.asarray(below + np.float32(signal) * (light - below))
 
         self._entering = entering
 
@@ -243,20 +256,77 @@ class Diffusion:
             yield np.maximum(light, 0.0) * out
 
     def pad(self, entering: FloatArray) -> FloatArray:
-        """(h', w') `entering`, its border repeated over the reach where the skin goes on beyond the picture."""
-        padding = ((self.before[0], self.after[0]), (self.before[1], self.after[1]))
-        return np.pad(entering, padding, mode="edge")
+        """(h', w') light that enters by the area of the skin's facets, repeated where the skin goes on."""
+        return self._continued(entering if self._area is None else entering * self._area)
+
+    def _continued(self, field: NDArray[Any]) -> NDArray[Any]:
+        """(h', w') a field, its border repeated over the reach where the skin goes on beyond the picture."""
+        return np.pad(field, tuple(zip(self.before, self.after, strict=True)), mode="edge")
 
     def spread(self, padded: FloatArray, transfers: Sequence[NDArray[Any]] | None = None) -> Iterator[FloatArray]:
         """(h, w) light that leaves, a channel at a time, from the (h', w') light that enters.
 
         `transfers` on the grid of the FFT replace those of the channels.
         """
-        spectrum = scipy.fft.rfft2(padded, self.fft_shape)
-        rows = slice(self.before[0], self.before[0] + self.shape[0])
-        columns = slice(self.before[1], self.before[1] + self.shape[1])
+        spectrum = scipy.fft.rfft2(padded if self._sheet is None else self._sheet.laid_out(padded), self.fft_shape)
         for transfer in self.transfers if transfers is None else transfers:
-            yield np.asarray(scipy.fft.irfft2(spectrum * transfer, self.fft_shape)[rows, columns], dtype=np.float32)
+            light = np.asarray(scipy.fft.irfft2(spectrum * transfer, self.fft_shape), dtype=np.float32)
+            yield np.ascontiguousarray(light[self.inner]) if self._sheet is None else self._sheet.laid_back(light)
+
+
+class Sheet:
+    """Skin laid out on a plane: distances there are those along the skin.
+
+    Rows of the picture are laid out to their length from its middle column, and what they then show is laid out along
+    the columns from its middle row. This is exact for a surface that curves in one of the two directions, such as a
+    cylinder; where it curves in both, at the tip, distances across are a little too long or short.
+    """
+
+    def __init__(
+        self, slope_x: FloatArray, slope_y: FloatArray, mask: NDArray[np.bool_], inner: tuple[slice, ...]
+    ) -> None:
+        """Lay out skin (h', w') by its slopes; what is laid back is the part `inner` of it."""
+        rows, columns = mask.shape
+        along_x, along_y = (np.sqrt(1.0 + np.where(mask, s, 0.0) ** 2) for s in (slope_x, slope_y))
+        across = np.cumsum(along_x, axis=1) - 0.5 * along_x
+        across -= across[:, columns // 2, None]
+        places = np.arange(np.floor(across[mask].min()), np.ceil(across[mask].max()) + 1)
+        column = np.stack([np.interp(places, line, np.arange(columns)) for line in across]).astype(np.float32)
+        row = np.broadcast_to(np.arange(rows, dtype=np.float32)[:, None], column.shape)
+        lengths = _sampled(along_y.astype(np.float32), row, column, cv2.INTER_LINEAR).astype(np.float64)
+        down = np.cumsum(lengths, axis=0) - 0.5 * lengths
+        down -= down[rows // 2]
+        here = _sampled(mask.astype(np.float32), row, column, cv2.INTER_NEAREST) > 0
+        steps = np.arange(np.floor(down[here].min()), np.ceil(down[here].max()) + 1)
+        self._row = np.stack([np.interp(steps, line, np.arange(rows)) for line in down.T], axis=1).astype(np.float32)
+        u = np.broadcast_to(np.arange(places.size, dtype=np.float32), self._row.shape)
+        self._column = _sampled(column, self._row, u, cv2.INTER_LINEAR)
+        self._there = _sampled(mask.astype(np.float32), self._row, self._column, cv2.INTER_NEAREST)
+        self._u = (across[inner] - places[0]).astype(np.float32)
+        at = np.broadcast_to(np.arange(rows, dtype=np.float32)[inner[0], None], self._u.shape)
+        self._v = _sampled((down - steps[0]).astype(np.float32), at, self._u, cv2.INTER_LINEAR)
+        nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+        self._nearest = np.ravel_multi_index(tuple(nearest), mask.shape)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the plane, in pixels as large as those of the picture."""
+        return self._row.shape
+
+    def laid_out(self, field: FloatArray) -> FloatArray:
+        """A field of the picture (h', w') on the plane, zero where no skin is seen."""
+        whole = np.take(field, self._nearest)
+        return _sampled(whole, self._row, self._column, cv2.INTER_CUBIC) * self._there
+
+    def laid_back(self, field: FloatArray) -> FloatArray:
+        """(h, w) a field of the plane in the picture."""
+        return _sampled(field, self._v, self._u, cv2.INTER_CUBIC)
+
+
+def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -> FloatArray:
+    """`field` at places in between its pixels; beyond its border the border goes on."""
+    found = cv2.remap(field, column, np.ascontiguousarray(row), how, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, dtype=np.float32)
 
 
 def relief_gains(

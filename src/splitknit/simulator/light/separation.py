@@ -291,15 +291,15 @@ class _Scene:
         media = optics or [skin.channel(name) for name in BAND_CHANNELS[led.band]]
         self.pitch_mm = surface.camera.pitch_mm
         self.patch = cut_out(surface)
-        self.diffusion = Diffusion(self.patch, media, walks or load_walks(), settings, skin.roughness)
+        # a pattern's edges are sharper than what can be laid out along the skin and back: it spreads in the picture
+        self.diffusion = Diffusion(self.patch, media, walks or load_walks(), settings, skin.roughness, blurred=True)
         gains = relief_gains(surface, self.patch, media, settings)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
         entering, gloss = light_on(self.patch, led, skin.roughness, LED_RADIUS_MM)
         self.glare = np.asarray(gloss * np.float32(skin.glare), dtype=np.float32)
         self.entering = self.diffusion.pad(entering)
         self.x, self.y = (self._beyond(c, k) for k, c in enumerate(_projected(self.patch, led)))
-        rows, columns = (slice(b, b + n) for b, n in zip(self.diffusion.before, entering.shape, strict=True))
-        self.inner = (rows, columns)
+        self.inner = self.diffusion.inner
 
     def _beyond(self, coordinate: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
         """Where the pattern falls on the skin that goes on beyond the picture: the parallax of the border goes on."""

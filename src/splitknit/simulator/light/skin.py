@@ -87,17 +87,17 @@ class ChannelOptics:
 
 @dataclass(frozen=True, slots=True)
 class Boundary(Checked):
-    """How light enters the skin. The defaults are a matt boundary, with light counted by the picture's area."""
+    """How light enters the skin. The defaults are a matt boundary."""
 
     refraction: Annotated[float, Limits(0.0, 1.0)] = 0.0
     """Fraction of the reversal of slope shading that refracted light brings: 0 a matt boundary, 1 a smooth one above
     isotropic scattering; forward scattering (anisotropy 0.8) leaves about a quarter of it."""
-    by_area: Annotated[float, Limits(0.0, 1.0)] = 0.0
-    """1: the light that enters each facet counts by the facet's area, as it does; 0: by the area that the camera sees
-    of it, as in an image that is blurred. Facets that lean away from the camera are larger than they look."""
     entry_power: Annotated[float, Limits(-1.0, 2.0)] = 1.0
     """Power of Fresnel's transmittance with which light enters: 1 a clean flat boundary; a rough one, and light that
     scatters soon after a slanted entry, lower it."""
+    blurred: bool = False
+    """Count and spread light across the picture, as in an image that is blurred, instead of along the skin: ridges
+    then flatten the slopes on which they lie, which they do not do on skin."""
 
     def slope_signal(self, channel: Channel) -> float:
         """Shading by ridge slopes over that behind a matt boundary."""
