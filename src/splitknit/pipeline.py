@@ -215,13 +215,14 @@ def reconstruct_skin(  # noqa: PLR0917
         shape.correct(settings.coarse)
     shape.see_colour()
     relief = np.zeros(grid.shape, dtype=np.float32)
-    for turn in range(settings.rounds):
+    rounds = 1 if learned is not None and learned.shape is None else settings.rounds
+    for turn in range(rounds):
         if turn > 0 and learned is not None and learned.shape is not None:
             shape.mend(learned.shape, relief)
         smooth, light = shape.placed(), shape.light()
         # Relief: what the slopes of the white band's colours lack on that shape, without blur and specular reflection.
         if learned is not None:
-            ways = WAYS if turn == settings.rounds - 1 else (0,)
+            ways = WAYS if turn == rounds - 1 else (0,)
             found = relief_by_network(white, grid, smooth, light, learned.relief, ways=ways)
         else:
             other = shape.optics_of(1 + skin.scattering_uncertainty)
@@ -230,7 +231,7 @@ def reconstruct_skin(  # noqa: PLR0917
             )
         relief = found.relief_mm
         if progress is not None:
-            progress((turn + 1) / (settings.rounds + 1))
+            progress((turn + 1) / (rounds + 1))
     if learned is not None:
         found = with_its_power(found)
         relief = found.relief_mm

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 import splitknit
 from forty_lines import BLOCK, blocks, forty_lines, surface_rms_mm
+from script_folder import VALIDATION, scripts_of
 from splitknit.imaging.band import linear_channels
 from splitknit.model import Capture, Reconstruction
 
 FINGERS = ("loop", "print")
-EDGE_MM, BAND_MM = 0.33, 0.32
+EDGE_MM = 0.33
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,23 +26,7 @@ class Traced:
     capture: Capture
     truth: dict[str, np.ndarray]
     result: Reconstruction
-
-    def ridges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Estimated and true ridge band (mm), and the slant of the true shape (deg); NaN where not compared."""
-        shape, mask = self.truth["shape_mm"], self.truth["mask"] & self.result.mask
-        known = mask & np.isfinite(self.result.height_mm)
-        pitch = float(self.truth["px_mm"])
-
-        def band(height: np.ndarray) -> np.ndarray:
-            field = np.where(known, height - shape, 0.0)
-            blurred, weight = (ndimage.gaussian_filter(f, BAND_MM / pitch) for f in (field, known.astype(float)))
-            return field - blurred / np.maximum(weight, 1e-3)
-
-        gy, gx = np.gradient(np.where(self.truth["mask"], shape, np.nan), pitch)
-        slant = np.degrees(np.arctan(np.hypot(gx, gy)))
-        inner = ndimage.binary_erosion(known, iterations=round(EDGE_MM / pitch))
-        slant = np.where(inner & (self.truth["pattern_weight"] > 0.5), slant, np.nan)
-        return band(self.result.height_mm), band(self.truth["height_mm"]), slant
+    score: dict[str, float]
 
 
 @pytest.fixture(scope="module", params=FINGERS)
@@ -50,9 +34,12 @@ def traced(request, data_dir: Path) -> Traced:
     folder = data_dir / "path_traced" / request.param
     with np.load(folder.with_name(f"{request.param}_truth.npz")) as file:
         truth = {name: file[name] for name in file.files}
-    truth.setdefault("pattern_weight", np.ones_like(truth["height_mm"]))
     capture = splitknit.read_capture(folder)
-    return Traced(request.param, capture, truth, splitknit.reconstruct(capture))
+    result = splitknit.reconstruct(capture)
+    found = {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}
+    with scripts_of(VALIDATION / "path_traced") as script:
+        score = script("score").score(found, truth)
+    return Traced(request.param, capture, truth, result, score)
 
 
 def surface_errors(traced: Traced) -> tuple[float, float]:
@@ -83,16 +70,10 @@ def test_the_surface_is_right(traced: Traced) -> None:
 
 
 def test_the_ridges_are_there_on_flanks_too_and_their_error_is_known(traced: Traced) -> None:
-    found, true, slant = traced.ridges()
-
-    def figures(part: np.ndarray) -> tuple[float, float, float]:
-        e, t = found[part], true[part]
-        return float(np.corrcoef(e, t)[0, 1]), float(e @ t / (t @ t)), float(1000 * np.sqrt(((e - t) ** 2).mean()))
-
-    correlation, gain, rms_um = figures(slant < 60)
-    assert correlation > 0.9 and 0.8 < gain < 1.2 and rms_um < 12
-    flank, _, flank_um = figures((slant >= 45) & (slant < 60)) if traced.name == "loop" else (1.0, 1.0, 0.0)
-    assert flank > 0.8 and flank_um < 25
-    part = slant < 60
-    stated = np.sqrt(np.nanmean(traced.result.uncertainty_um[part] ** 2))
-    assert 0.7 < rms_um / stated < 1.3
+    score = traced.score
+    assert score["ridge_corr"] > 0.9 and 0.8 < score["ridge_gain"] < 1.2 and score["ridge_rms_um"] < 12
+    if traced.name == "loop":  # the print ends before
+        assert score["ridge_corr_45_60"] > 0.8 and score["ridge_rms_um_45_60"] < 25
+    else:
+        assert score["false_relief_um"] < 6
+    assert 0.7 < score["error_over_stated"] < 1.3

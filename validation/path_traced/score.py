@@ -50,7 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Score a result's ``height.npz`` against a truth with ``height_mm``, ``shape_mm``, ``mask`` and ``px_mm``."""
+    """Score a result's ``height.npz`` against a truth with ``height_mm``, ``shape_mm``, ``mask`` and ``px_mm``.
+
+    Ridges are scored where the truth's ``pattern_weight``, or its relief, says that there are some.
+    """
     height, true, shape = (
         np.asarray(one, dtype=np.float64) for one in (found["height_mm"], known["height_mm"], known["shape_mm"])
     )
@@ -64,9 +67,13 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
     result = {"coverage": float(both.sum() / finger.sum()), "surface_rms_mm": float(np.std(error))}
 
     estimate, relief = (_ridge_band(one - shape, both, pitch_mm) for one in (height, true))
-    square = max(round(PERIOD_MM / pitch_mm), 1)
-    flat = ndimage.uniform_filter(relief**2, square) < 1e-6
-    ridged = inner & ~flat
+    if "pattern_weight" in known:
+        weight = np.asarray(known["pattern_weight"])
+        ridged, flat = inner & (weight > 0.5), weight < 0.1
+    else:
+        square = max(round(PERIOD_MM / pitch_mm), 1)
+        flat = ndimage.uniform_filter(relief**2, square) < 1e-6
+        ridged = inner & ~flat
     classes = {"": (0, CLASSES_DEG[-1])} | {f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)}
     stated = np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None
     for name, (low, high) in classes.items():
@@ -77,7 +84,7 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
         result[f"ridge_corr{name}"] = float(np.corrcoef(a, b)[0, 1])
         result[f"ridge_gain{name}"] = float(a @ b / (b @ b))
         result[f"ridge_rms_um{name}"] = _rms_um(a - b)
-    where = inner & (slant_deg < CLASSES_DEG[-1])
+    where = (ridged if ridged.sum() >= FEWEST else inner) & (slant_deg < CLASSES_DEG[-1])
     if stated is not None and (where & np.isfinite(stated)).sum() >= FEWEST:
         where &= np.isfinite(stated)
         off = 1000.0 * np.abs(estimate - relief)[where]

@@ -39,6 +39,14 @@ def add_simulate(verbs: Any) -> None:
         "--pattern", default=None, help="loop, whorl, arch or another master print the twin knows (default: drawn)"
     )
     verb.add_argument(
+        "--print",
+        dest="print_file",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="a real print of 500 pixels an inch, ridges dark, tip up: the finger that left it, instead of a drawn one",
+    )
+    verb.add_argument(
         "--scale", type=scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
     )
     verb.add_argument(
@@ -112,6 +120,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             rig=options.rig,
             lights=options.lights,
             impression=options.impression,
+            print_file=options.print_file,
             changes=changes,
             progress=progress.update,
         )
@@ -148,8 +157,9 @@ def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outco
     from splitknit.settings import override  # noqa: PLC0415
     from splitknit.simulator.bench_photos import BenchPhotos, bench_to_folder  # noqa: PLC0415
 
-    unused = [name for name in ("pattern", "rig") if getattr(options, name) is not None]
-    require(not unused, f"--bench and --{unused[0] if unused else ''} do not go together: the bench has no finger.")
+    unused = [name for name in ("pattern", "rig", "print_file") if getattr(options, name) is not None]
+    name = unused[0].removesuffix("_file") if unused else ""
+    require(not unused, f"--bench and --{name} do not go together: the bench has no finger.")
     photos = override(BenchPhotos(), changes)
     with Progress(options) as progress:
         facts = bench_to_folder(
@@ -199,6 +209,7 @@ def _run_population(options: argparse.Namespace) -> Outcome:
     names = ("pattern", "rig", "motion", "condition", "severity", "mirrors")
     unused = [name for name in names if getattr(options, name) is not None]
     unused += [name.replace("_", "-") for name in ("bench", "no_nir", "impression") if getattr(options, name)]
+    unused += ["print"] if options.print_file is not None else []
     require(not unused, f"--{unused[0] if unused else ''} does not go with a population.")
     changes = read_changes(options.settings, options.assignments)
     settings = override(PopulationSettings(seed=options.seed), changes)

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
+from splitknit.io.images import read_image
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Progress, Rig, default_rig, no_progress
 from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
 from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
@@ -58,10 +60,14 @@ def simulate_to_folder(
     rig: Path | None = None,
     lights: str = "white",
     impression: int = 0,
+    print_file: Path | None = None,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Simulate a capture and write its folder with the truth; return what was made."""
+    """Simulate a capture and write its folder with the truth; return what was made.
+
+    `print_file`: a print of 500 pixels an inch, whose ridges the finger has.
+    """
     started = time.perf_counter()
     settings = twin_settings(scale, changes)
     if rig is not None:
@@ -69,10 +75,14 @@ def simulate_to_folder(
         settings = replace(settings, rig=read_rig(rig))
     if lights != "white":
         settings = replace(settings, rig=_coloured_lights(lights, settings))
+    finger = None
+    if print_file is not None:
+        require(pattern is None, "a print has a pattern of its own; leave out the pattern.")
+        finger = replace(draw_finger(seed), pattern="print", printed=master_of_print_file(print_file, seed))
     check_target(out, "truth.npz", "an earlier simulated capture")
     with atomic_folder(out) as target:
         progress("simulating", 0.0)
-        capture, truth = simulate_capture(seed, pattern, settings, impression=impression)
+        capture, truth = simulate_capture(seed, pattern, settings, impression=impression, finger=finger)
         progress("writing", 0.8)
         write_capture(capture, target, truth, overwrite=True)
     progress("done", 1.0)
@@ -86,6 +96,13 @@ def simulate_to_folder(
         "px_per_mm": capture.rig.camera.px_per_mm,
         "total_s": time.perf_counter() - started,
     }
+
+
+def master_of_print_file(path: Path, seed: int = 0, settings: MasterPrintSettings | None = None) -> MasterPrint:
+    """Read a print of 500 pixels an inch (PNG, TIFF, JPEG) and return the master print of the finger that left it."""
+    pixels = read_image(path)
+    grey = pixels if pixels.ndim == 2 else pixels.mean(axis=-1)
+    return master_of_print(np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8), seed, settings=settings)
 
 
 EXPOSURES = {"coloured": 2, "coloured9": 3}

@@ -20,20 +20,6 @@ from splitknit.skin.glare import GlareFit, fit_glare, microfacet_glare
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all
 
-__all__ = [
-    "BandImages",
-    "CoarsePrior",
-    "CoarseStep",
-    "compare",
-    "integrate",
-    "lacking_coarse",
-    "lighting",
-    "predict",
-    "reached_by_all",
-    "start_shape",
-    "unit",
-]
-
 AnyFloat = NDArray[np.floating[Any]]
 
 

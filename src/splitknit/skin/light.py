@@ -54,9 +54,9 @@ def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
     return reached if reached.any() else grid.mask
 
 
-def predict(light: Lighting, grid: Grid, mean_normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
+def predict(light: Lighting, grid: Grid, normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
     """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
-    irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, mean_normals), 0) * light.entering
+    irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, normals), 0) * light.entering
     spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
     return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
 

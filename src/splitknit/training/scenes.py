@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
@@ -25,7 +26,7 @@ from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.light.skin import Boundary, SkinRanges, SkinSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface, Texture
-from splitknit.simulator.twin import photograph
+from splitknit.simulator.twin import master_of_print_file, photograph
 from splitknit.skin.grid import Grid
 
 Range = tuple[float, float]
@@ -71,6 +72,10 @@ class SceneRanges(Checked):
     """Mean height of ridges over valleys, positive."""
     ridgeless_share: Annotated[float, Limits(0, 1)] = 0.08
     """Part of the fingers without ridges."""
+    prints_folder: str = ""
+    """Of real prints of 500 pixels an inch (PNG) whose ridges a part of the fingers has; empty: none has."""
+    prints_share: Annotated[float, Limits(0, 1)] = 0.3
+    """That part."""
     steepness: Range = (0.6, 2.4)
     """Of the ridges' profile, from rounded to flat-topped."""
     duty: Range = (-0.2, 0.5)
@@ -204,7 +209,14 @@ def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> 
         thickness_mm=float(np.clip(finger.shape.thickness_mm * thick, 6.0, 30.0)),
         tip_length_mm=float(np.clip(finger.shape.tip_length_mm * long, 4.0, 14.0)),
     )
-    return replace(finger, shape=shape, skin=replace(finger.skin, ridge_depth_um=depth_um))
+    finger = replace(finger, shape=shape, skin=replace(finger.skin, ridge_depth_um=depth_um))
+    chosen = np.random.default_rng([number, 80])
+    if not data.prints_folder or chosen.random() >= data.prints_share:
+        return finger
+    files = sorted(Path(data.prints_folder).glob("*.png"))
+    require(len(files) > 0, f"data.prints_folder has no PNG images: {data.prints_folder}.")
+    master = master_of_print_file(files[int(chosen.integers(len(files)))], number, finger.print_settings)
+    return replace(finger, pattern=master.pattern, printed=master)
 
 
 def moved_rig(rig: Rig, rng: np.random.Generator, data: SceneRanges) -> Rig:

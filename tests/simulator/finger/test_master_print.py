@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
+from splitknit.simulator.finger.master_print import (
+    MasterPrint,
+    MasterPrintSettings,
+    ink_print,
+    master_of_print,
+    master_print,
+)
 from splitknit.simulator.finger.ridges import PATTERNS, orientation_field
 
 SMALL = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=2.0)
@@ -175,3 +181,33 @@ def test_bad_input_is_refused() -> None:
         master_print("spiral", 0)
     with pytest.raises(BadInput, match="pitch_mm"):
         MasterPrintSettings(pitch_mm=0.1)
+
+
+def test_the_finger_that_left_a_print_has_its_ridges(prints: list[MasterPrint]) -> None:
+    """Ink on paper and back: mirrored twice, at the print's scale, its middle 13.5 mm above the first crease."""
+    first = prints[0]
+    found = master_of_print(ink_print(first), settings=SMALL)
+    pad = (slice(None), np.abs(found.u_mm) < 4.0), (np.abs(found.v_mm - 13.5) < 6.0, slice(None))
+    one, other = (m.ridge[pad[1]][pad[0]] for m in (first, found))
+    best = max(
+        np.corrcoef(np.roll(other, (r, c), (0, 1))[8:-8, 8:-8].ravel(), one[8:-8, 8:-8].ravel())[0, 1]
+        for r in range(-6, 7, 2)
+        for c in range(-6, 7, 2)
+    )
+    assert best > 0.85
+    assert found.ridge[np.abs(found.v_mm - 1.0) < 1.0].std() < 1e-6  # beyond the print the skin is smooth
+    assert found.pattern == "print" and not found.cores_mm and len(found.minutiae) == 0
+
+
+@pytest.mark.parametrize(
+    ("image", "ppi", "message"),
+    [
+        (np.zeros((40, 30, 3), np.uint8), 500.0, "grey"),
+        (np.full((300, 300), 255, np.uint8), 500.0, "no ridges"),
+        (np.full((2000, 300), 255, np.uint8), 500.0, "no finger's"),
+        (np.full((300, 300), 255, np.uint8), 5.0, "pixels an inch"),
+    ],
+)
+def test_what_is_no_print_is_refused(image: np.ndarray, ppi: float, message: str) -> None:
+    with pytest.raises(BadInput, match=message):
+        master_of_print(image, resolution_ppi=ppi)

@@ -43,10 +43,13 @@ class Finger:
     shape: FingerShape = field(default_factory=FingerShape)
     skin: SkinSettings = field(default_factory=SkinSettings)
     print_settings: MasterPrintSettings = field(default_factory=MasterPrintSettings)
+    printed: MasterPrint | None = None
+    """Its ridges where they are a real print's, see
+    :func:`splitknit.simulator.finger.master_print.master_of_print`; None: drawn."""
 
     def master(self) -> MasterPrint:
         """Draw the finger's master print (the same at every call)."""
-        return master_print(self.pattern, self.seed, self.print_settings)
+        return self.printed or master_print(self.pattern, self.seed, self.print_settings)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from splitknit.errors import require
@@ -212,8 +213,7 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
     minutiae[:, 0] = u_mm[0] + coarse * minutiae[:, 0]
     minutiae[:, 1] = v_mm[0] - coarse * minutiae[:, 1]
     fine = twice_as_fine(wave)
-    fine_u = u_mm[0] + settings.pitch_mm * np.arange(fine.shape[1])
-    fine_v = v_mm[0] - settings.pitch_mm * np.arange(fine.shape[0])
+    fine_u, fine_v = _fine_axes(settings)
     return MasterPrint(
         pattern,
         seed,
@@ -248,6 +248,13 @@ def _axes(settings: MasterPrintSettings, pitch: float) -> tuple[Array, Array]:
     rows = scipy.fft.next_fast_len(int(np.ceil((settings.distal_mm + settings.proximal_mm) / pitch)) + 1, real=True)
     u_mm = (np.arange(columns, dtype=np.float64) - (columns - 1) / 2) * pitch
     return u_mm, settings.distal_mm - np.arange(rows, dtype=np.float64) * pitch
+
+
+def _fine_axes(settings: MasterPrintSettings) -> tuple[Array, Array]:
+    """u of the columns and v of the rows of a master print: two for each of the coarse axes."""
+    u_mm, v_mm = _axes(settings, 2 * settings.pitch_mm)
+    columns, rows = (settings.pitch_mm * np.arange(2 * axis.size) for axis in (u_mm, v_mm))
+    return u_mm[0] + columns, v_mm[0] - rows
 
 
 def _periods(
@@ -294,6 +301,84 @@ def ridge_profile(rng: np.random.Generator, wave: Array32, settings: MasterPrint
     low = np.tanh(steep * (duty - 1.1))  # interpolation overshoots 1 a little
     ridge = ((np.tanh(level) - low) / (1.0 - low)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(ridge, (0, 0), 0.02 / pitch), dtype=np.float32)
+
+
+def master_of_print(
+    image: NDArray[np.uint8], seed: int = 0, resolution_ppi: float = 500.0, settings: MasterPrintSettings | None = None
+) -> MasterPrint:
+    """The master print of a finger that left a real print: its own forks, breaks, scars, pores and widths.
+
+    Parameters
+    ----------
+    image : (H, W) a print as ink or a scanner shows it, mirrored against the finger, tip up, ridges dark
+    seed : of the ridges' profile, which a print does not show
+    resolution_ppi : pixels per inch
+    settings : profile and extent; the period is the print's own
+
+    Returns
+    -------
+    MasterPrint
+        The print's middle lies where a pad is pressed down, 13.5 mm above the first crease. Beyond the print the skin
+        is smooth, at the mean height of its ridges. Class, cores, deltas and minutiae are not known and left empty.
+
+    Raises
+    ------
+    BadInput
+        If the image is not grey, shows no ridges, or is larger than a finger.
+
+    Examples
+    --------
+    >>> own = ink_print(master_print("whorl", seed=1))
+    >>> master_of_print(own).pattern
+    'print'
+    """
+    settings = settings or MasterPrintSettings()
+    require(image.ndim == 2, f"a print is a grey image, but this one has the shape {image.shape}.")
+    require(50 <= resolution_ppi <= 5000, f"a print has 50 to 5000 pixels an inch, not {resolution_ppi:g}.")
+    step = settings.pitch_mm * resolution_ppi / 25.4
+    rows, columns = (round(length / step) for length in image.shape)
+    u_mm, v_mm = _fine_axes(settings)
+    require(
+        0 < rows <= v_mm.size and 0 < columns <= u_mm.size,
+        f"a print of {0.1 * settings.pitch_mm * columns:.3g} x {0.1 * settings.pitch_mm * rows:.3g} cm is no finger's; "
+        "check its resolution.",
+    )
+    how = cv2.INTER_AREA if step > 1 else cv2.INTER_CUBIC
+    turned = np.ascontiguousarray(image[:, ::-1], dtype=np.float32)
+    grey = np.asarray(cv2.resize(turned, (columns, rows), interpolation=how), dtype=np.float32) / np.float32(255)
+
+    def mean(field: Array32, sigma_mm: float) -> Array32:
+        return np.asarray(cv2.GaussianBlur(field, (0, 0), sigma_mm / settings.pitch_mm), dtype=np.float32)
+
+    band = mean(grey, _NOISE_MM) - mean(grey, settings.period_mm)
+    strength = np.sqrt(np.maximum(mean(band * band, 1.5 * settings.period_mm), 0))
+    usual = float(np.quantile(strength, 0.9))
+    require(usual > _FAINTEST, "the image shows no ridges.")
+    faintest = np.float32(0.35 * usual)
+    weight = (mean((strength > faintest).astype(np.float32), 2 * settings.period_mm) > 0.5).astype(np.float32)
+    border = round(1.5 * settings.period_mm / settings.pitch_mm)
+    weight[:border] = weight[-border:] = weight[:, :border] = weight[:, -border:] = 0
+    weight = mean(weight, 0.5 * settings.period_mm)
+    wave = np.clip(-band / (np.sqrt(np.float32(2)) * np.maximum(strength, faintest)), -1.3, 1.3)
+    ridge = ridge_profile(np.random.default_rng([seed, 0x9A18]), wave, settings)
+    require(float(weight.max()) > 0.9, "the image shows hardly any ridges.")
+    level = np.float32((ridge * weight).sum(dtype=np.float64) / weight.sum(dtype=np.float64))
+    middle = (np.argmin(np.abs(v_mm - _PAD_MM)), np.argmin(np.abs(u_mm)))
+    shift = [int(m - round(float(c))) for m, c in zip(middle, ndimage.center_of_mass(weight), strict=True)]
+    laid = np.full((v_mm.size, u_mm.size), level, dtype=np.float32)
+    r, c = (slice(max(s, 0), min(s + n, size)) for s, n, size in zip(shift, weight.shape, laid.shape, strict=True))
+    own = (slice(r.start - shift[0], r.stop - shift[0]), slice(c.start - shift[1], c.stop - shift[1]))
+    laid[r, c] += (ridge[own] - level) * weight[own]
+    flat = np.zeros_like(laid)
+    return MasterPrint("print", seed, laid, flat, u_mm, v_mm, settings.period_mm, (), (), np.zeros((0, 3)))
+
+
+_PAD_MM = 13.5
+"""Height of the middle of a pressed pad above the first crease."""
+_NOISE_MM = 0.05
+"""Standard deviation of the Gaussian mean that takes a scanner's noise from a print."""
+_FAINTEST = 0.02
+"""Contrast of ridges, relative to white, below which an image shows none."""
 
 
 def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:

@@ -143,7 +143,7 @@ def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> 
 
 
 def light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
-    """(h, w) light that enters skin with the `normals` (h, w, 3): Fresnel's transmittance to the power `entry_power`."""
+    """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to a power."""
     total = np.zeros(patch.mask.shape, dtype=np.float32)
     for one in (led, *led.also):
         lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)

@@ -104,7 +104,7 @@ def render_band(
     patch = cut_out(surface)
     gains = list(relief_gains(surface, patch, optics, settings))
     boundary = boundary or Boundary()
-    blur = Diffusion(patch, optics, walks, settings, roughness, boundary.blurred)
+    blur = Diffusion(patch, optics, walks, settings, roughness, blurred=boundary.blurred)
     if surface.texture is not None:
         blood = surface.texture.blood[patch.window]
         gains = [gain * np.exp(-BLOOD[name] * blood) for gain, name in zip(gains, _channels(optics), strict=True)]
@@ -198,6 +198,7 @@ class Diffusion:
         walks: WalkTable,
         settings: RenderSettings,
         roughness: float,
+        *,
         blurred: bool = False,
     ) -> None:
         """Prepare the transfer of every medium, and what of the light leaves towards the viewer.
@@ -214,8 +215,8 @@ class Diffusion:
         self.after = tuple(reach if side.any() else 0 for side in (mask[-1], mask[:, -1]))
         self.inner = tuple(slice(before, before + n) for before, n in zip(self.before, mask.shape, strict=True))
         self._area = None if blurred else patch.area
-        slopes = (self._continued(slope) for slope in patch.slopes)
-        self._sheet = None if blurred else Sheet(*slopes, self._continued(mask), self.inner)
+        along_x, along_y = (self._continued(slope) for slope in patch.slopes)
+        self._sheet = None if blurred else Sheet(along_x, along_y, self._continued(mask), self.inner)
         spread_over = self._continued(mask).shape if self._sheet is None else self._sheet.shape
         self.fft_shape = tuple(scipy.fft.next_fast_len(length + reach, True) for length in spread_over)
         self.transfers = [p.transfer_grid((self.fft_shape[0], self.fft_shape[1]), pitch_mm) for p in profiles]
@@ -309,18 +310,18 @@ class Sheet:
         self._nearest = np.ravel_multi_index(tuple(nearest), mask.shape)
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> tuple[int, int]:
         """Rows and columns of the plane, in pixels as large as those of the picture."""
-        return self._row.shape
+        return self._row.shape[0], self._row.shape[1]
 
     def laid_out(self, field: FloatArray) -> FloatArray:
         """A field of the picture (h', w') on the plane, zero where no skin is seen."""
         whole = np.take(field, self._nearest)
-        return _sampled(whole, self._row, self._column, cv2.INTER_CUBIC) * self._there
+        return _sampled(whole, self._row, self._column, cv2.INTER_LANCZOS4) * self._there
 
     def laid_back(self, field: FloatArray) -> FloatArray:
         """(h, w) a field of the plane in the picture."""
-        return _sampled(field, self._v, self._u, cv2.INTER_CUBIC)
+        return _sampled(field, self._v, self._u, cv2.INTER_LANCZOS4)
 
 
 def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -> FloatArray:
