@@ -8,9 +8,11 @@ import pytest
 from scipy import ndimage
 
 from splitknit.errors import BadInput
+from splitknit.io.images import write_image
 from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.presets import preset_settings
 from splitknit.simulator import twin
+from splitknit.simulator.finger.master_print import ink_print, master_print
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import COUNT, RELIEF_MM, features
 from splitknit.skin.learned import GLARE as GLARE_UNIT
@@ -224,3 +226,15 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
 def test_ranges_that_make_no_sense_are_refused(change, words) -> None:
     with pytest.raises(BadInput, match=words):
         ReliefData(**change)
+
+
+def test_a_part_of_the_fingers_has_the_ridges_of_real_prints(tmp_path) -> None:
+    with pytest.raises(BadInput, match="prints_folder"):
+        _draw_scene(5000, ReliefData(prints_folder=str(tmp_path), prints_share=1.0))
+    write_image(tmp_path / "one.png", ink_print(master_print("whorl", 5)))
+    data = ReliefData(prints_folder=str(tmp_path), prints_share=0.5)
+    fingers = [_draw_scene(number, data).finger for number in range(5000, 5012)]
+    assert {finger.pattern == "print" for finger in fingers} == {True, False}
+    assert all((finger.printed is not None) == (finger.pattern == "print") for finger in fingers)
+    plain = _draw_scene(5000, ReliefData()).finger
+    assert replace(fingers[0], pattern=plain.pattern, printed=None) == plain
