@@ -82,6 +82,8 @@ class SceneRanges(Checked):
     """Of the ridges' breadth, from narrower than the valleys to twice as broad."""
     form: Annotated[float, Limits(0, 0.3)] = 0.12
     """Standard deviation of the logarithms of thickness and tip length beyond those of people."""
+    undulation_mm: Annotated[Range, Limits(0, 0.5)] = (0.0, 0.15)
+    """Standard deviation of bumps and dents some 5 mm wide."""
     pigment: Annotated[Range, Limits(0, 0.2)] = (0.0, 0.03)
     """Standard deviation of the skin's brightness at the scale of ridges that is no relief."""
     mottling: Annotated[Range, Limits(0, 1)] = (0.0, 0.2)
@@ -209,8 +211,9 @@ def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> 
         thickness_mm=float(np.clip(finger.shape.thickness_mm * thick, 6.0, 30.0)),
         tip_length_mm=float(np.clip(finger.shape.tip_length_mm * long, 4.0, 14.0)),
     )
-    finger = replace(finger, shape=shape, skin=replace(finger.skin, ridge_depth_um=depth_um))
     chosen = np.random.default_rng([number, 80])
+    skin = replace(finger.skin, ridge_depth_um=depth_um, undulation_mm=float(chosen.uniform(*data.undulation_mm)))
+    finger = replace(finger, shape=shape, skin=skin)
     if not data.prints_folder or chosen.random() >= data.prints_share:
         return finger
     files = sorted(Path(data.prints_folder).glob("*.png"))

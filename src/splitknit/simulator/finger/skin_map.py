@@ -51,6 +51,8 @@ class SkinSettings(Checked):
     """Mean depth of the deepest pores."""
     pore_darkening: float = 0.06
     """Loss of diffuse reflectance at a pore."""
+    undulation_mm: Annotated[float, Limits(0.0, 0.5)] = 0.0
+    """Standard deviation of bumps and dents below the ridges, some 5 mm wide: no finger is as even as its model."""
     creases: tuple[Crease, ...] = (Crease(), Crease(v_mm=-23.0, depth_mm=0.5, side_lines=3))
     """From the first crease towards the palm."""
 
@@ -94,6 +96,10 @@ class SkinMap:
         )
 
 
+_UNDULATION_MM = 1.6
+"""Standard deviation of the Gaussian mean behind :attr:`SkinSettings.undulation_mm`."""
+
+
 def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
@@ -116,6 +122,9 @@ def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinM
         - depth * (1.0 - master.ridge) * (0.25 + 0.75 * flatten)
         - 1e-3 * settings.pore_depth_um * master.pores * flatten
     )
+    if settings.undulation_mm > 0:
+        soft = smooth_noise(np.random.default_rng([master.seed, 0x5C2]), master.ridge.shape, _UNDULATION_MM / pitch)
+        displacement += settings.undulation_mm * (soft - soft.max())
     pigment = (1.0 - shade) * (1.0 - settings.pore_darkening * master.pores * flatten)
     return SkinMap(
         ndimage.spline_filter(displacement, order=3, mode="mirror"),
