@@ -53,7 +53,7 @@ def test_points_lie_where_they_are(photographed: tuple[Capture, Truth]) -> None:
     assert across < 0.05
     assert across_flat > 0.15
     # on z = -x^2 / 2R a step of a pixel on the plane is one of 1 + 3 x^2 / (2 R D) on the skin: 6 % at 7 mm
-    assert scale - scale_flat == pytest.approx(0.05, abs=0.02)
+    assert scale - scale_flat == pytest.approx(0.06, abs=0.02)
 
 
 def test_the_top_sets_the_scale(photographed: tuple[Capture, Truth]) -> None:
