@@ -136,9 +136,8 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
     ),
     (
         "`splitknit rig cad`",
-        "Names may begin with `part.`; what follows from the rig file cannot be set. Numbers are 0.05 to 1000; "
-        "clearances, gaps and distances from a middle may be 0.",
-        (("part.", PartSettings()),),
+        "What follows from the rig file cannot be set.",
+        (("", PartSettings()),),
     ),
     (
         "`splitknit print`",

@@ -68,10 +68,11 @@ def _check_bed(dimensions: RigDimensions) -> None:
 
 def _check_height(dimensions: RigDimensions) -> None:
     least = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm + 1.0
+    above = math.ceil(10 * (least - dimensions.camera_height_mm)) / 10
     require(
         dimensions.board_z_mm >= least,
         f"the camera's board would lie at {dimensions.board_z_mm:.1f} mm, inside the LED frame, which ends at "
-        f"{least - 1.0:.1f} mm; set camera.board_above_lens_mm to {least - dimensions.camera_height_mm:.1f} or more, "
+        f"{least - 1.0:.1f} mm; set camera.board_above_lens_mm to {above:g} or more, "
         f"or lower the LEDs against the camera.",
     )
     nearest = math.hypot(CAMERA_HOLE_X_MM / 2, min(CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM))

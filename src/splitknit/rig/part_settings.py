@@ -141,7 +141,7 @@ class CameraSettings(Checked):
     """The camera's board (Raspberry Pi camera v2: 25 x 24 mm, holes 21 x 12.5 mm, M2) and its lens."""
 
     board_y_mm: Annotated[float, Limits(0.05, 1000)] = 24.0
-    """The same along y."""
+    """Length of the board along y."""
     board_above_lens_mm: Annotated[float, Limits(0.05, 1000)] = 12.0
     """From the lens's centre of projection, at the rig's camera height, up to the board's front: 12 mm for an M12
     holder with an 11 to 12 mm lens, about 5 mm for the stock lens."""
