@@ -15,6 +15,8 @@ from splitknit.skin.learned import (
     COUNT,
     GLARE,
     RELIEF_MM,
+    SLANT_DEG,
+    SLANT_ERROR,
     SHAPE_COUNT,
     SHAPE_SLOPE,
     _shape_features,
@@ -25,7 +27,7 @@ from splitknit.skin.learned import (
     ridge_tensor,
     slopes_by_network,
 )
-from splitknit.skin.light import fine_lighting
+from splitknit.skin.light import fine_lighting, slant_of
 
 FACTOR = 3
 SLOPES, WAVES = slice(3, 9), slice(9, 21)
@@ -150,7 +152,10 @@ def test_relief_and_glare_are_what_the_network_draws(scene):
     inner = scene.inner
     np.testing.assert_allclose(found.relief_mm[inner], true[inner], atol=0.003)
     assert not found.relief_mm[~grid.mask].any()
-    np.testing.assert_allclose(found.deviation_mm[inner], 0.5 * RELIEF_MM, rtol=0.01)
+    stated = found.deviation_mm / (0.5 * RELIEF_MM)
+    slant = slant_of(placed(scene), grid.pitch_mm)
+    np.testing.assert_allclose(stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01)
+    assert stated[inner & (slant < 10)].max() < 0.95 and np.ptp(slant[inner]) > 10
     azimuth = 2 * np.pi * np.arange(7) / 7
     size = np.linalg.norm(light.vectors, axis=1)
     level = features(scene.white, grid, placed(scene), light).level[1]

@@ -77,19 +77,18 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
     classes = {"": (0, CLASSES_DEG[-1])} | {f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)}
     stated = np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None
     for name, (low, high) in classes.items():
-        where = ridged & (slant_deg >= low) & (slant_deg < high)
+        where = (ridged if ridged.sum() >= FEWEST else inner) & (slant_deg >= low) & (slant_deg < high)
         if where.sum() < FEWEST:
             continue
         a, b = estimate[where], relief[where]
-        result[f"ridge_corr{name}"] = float(np.corrcoef(a, b)[0, 1])
-        result[f"ridge_gain{name}"] = float(a @ b / (b @ b))
-        result[f"ridge_rms_um{name}"] = _rms_um(a - b)
-    where = (ridged if ridged.sum() >= FEWEST else inner) & (slant_deg < CLASSES_DEG[-1])
-    if stated is not None and (where & np.isfinite(stated)).sum() >= FEWEST:
-        where &= np.isfinite(stated)
-        off = 1000.0 * np.abs(estimate - relief)[where]
-        result["error_over_stated"] = float(np.sqrt(np.mean(off**2) / np.mean(stated[where] ** 2)))
-        result["within_one_sigma"] = float(np.mean(off < stated[where]))
+        if (where & ridged).any():
+            result[f"ridge_corr{name}"] = float(np.corrcoef(a, b)[0, 1])
+            result[f"ridge_gain{name}"] = float(a @ b / (b @ b))
+            result[f"ridge_rms_um{name}"] = _rms_um(a - b)
+        if stated is not None and np.isfinite(stated[where]).all():
+            off = 1000.0 * np.abs(a - b)
+            result[f"error_over_stated{name}"] = float(np.sqrt(np.mean(off**2) / np.mean(stated[where] ** 2)))
+            result[f"within_one_sigma{name}"] = float(np.mean(off < stated[where]))
     where = inner & flat & (slant_deg < 45)
     if where.sum() >= FEWEST:
         result["false_relief_um"] = _rms_um((estimate - relief)[where])
