@@ -80,7 +80,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
     assert card["training"]["iterations_done"] == 5 and card["training"]["seed"] == 0
     data = card["data"]
     assert (data["pieces_used"], data["whole_fingers_used"], data["fingers_refused"]) == (3, 1, 2)
-    assert card["data"]["scattering_factor"] == [0.45, 2.2]
+    assert card["data"]["scattering_factor"] == [0.2, 2.2]
     judged = card["metrics"]["fingers"]
     assert [entry["finger"] for entry in judged] == [HELD_OUT_FROM, HELD_OUT_FROM + 1]
     assert set(judged[0]) == {"finger", "correlation", "gain", "rms_um", "error_ratio", "glare_r2"}

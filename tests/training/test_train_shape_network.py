@@ -141,4 +141,4 @@ def test_the_network_has_the_layers_of_the_one_that_ships() -> None:
         name: tuple(part.shape) for name, part in fields_network(ShapeSettings().widths, 32, 2).state_dict().items()
     }
     assert shapes["down.0.0.weight"] == (24, 32, 3, 3) and shapes["down.3.2.weight"] == (64, 64, 3, 3)
-    assert shapes["up.0.0.weight"] == (48, 112, 3, 3) and shapes["out.weight"] == (2, 24, 1, 1)
+    assert shapes["up.0.0.weight"] == (64, 128, 3, 3) and shapes["out.weight"] == (2, 24, 1, 1)

@@ -145,14 +145,14 @@ def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> Non
 
 
 def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, capsys) -> None:
-    words = "--fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 24 --seed 4 --first 10 --precision float32"
+    words = "--fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 32 --seed 4 --first 10 --precision float32"
     folder = tmp_path / "run"
     assert main(["train", "shape", "--out", str(folder), *words.split(), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert numbers == [10, 11, HELD_OUT_FROM]
-    assert facts["training"]["seed"] == 4 and facts["training"]["widths"] == [24, 32, 48, 64]
+    assert facts["training"]["seed"] == 4 and facts["training"]["widths"] == [24, 32, 48, 64, 64]
     command = (
-        "splitknit train shape --out DIR --fingers 2 --held-out 1 --first 10 --iterations 1 --batch 1 --patch 24 "
+        "splitknit train shape --out DIR --fingers 2 --held-out 1 --first 10 --iterations 1 --batch 1 --patch 32 "
         "--seed 4 --threads 1 --device cpu --precision float32"
     )
     assert facts["command"] == command == json.loads((folder / "shape.json").read_text())["command"]
@@ -166,7 +166,7 @@ def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, c
     ("words", "said"),
     [
         ("--fingers 0", "data.fingers must be from 1 to 100000"),
-        ("--patch 100", "patch_px must be a multiple of 8"),
+        ("--patch 100", "patch_px must be a multiple of 16"),
         ("--patch 16", "patch_px must be larger than beyond_px"),
         ("--iterations 0", "iterations"),
     ],
