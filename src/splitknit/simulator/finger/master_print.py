@@ -313,7 +313,7 @@ def master_of_print(
     image : (H, W) a print as ink or a scanner shows it, mirrored against the finger, tip up, ridges dark
     seed : of the ridges' profile, which a print does not show
     resolution_ppi : pixels per inch
-    settings : profile and extent; the period is the print's own
+    settings : profile, extent, and about the period; ridges lie where the print has them, whatever it says
 
     Returns
     -------
