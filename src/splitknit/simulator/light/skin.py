@@ -12,6 +12,7 @@ pair of coefficients. The histogram is shipped (``data/walks.npz``, made by ``to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -103,6 +104,17 @@ class Boundary(Checked):
         """Shading by ridge slopes over that behind a matt boundary."""
         return 1.0 - self.refraction * SLOPE_LOSS[channel]
 
+    def height_signal(self, scattering_per_mm: float) -> float:
+        """Brightness of heights over that behind a matt boundary above strong scattering.
+
+        Behind a matt boundary, light whose mean free path is longer than a ridge is wide tells nothing of its height;
+        refracted light brightens heights the more, the deeper it goes. Both follow our own reference walks
+        (docs/experiments/simulator-reference.md, ridges of 75 um, scattering of 1 to 10 per mm).
+        """
+        matt = max(1.0 - math.exp((1.0 - scattering_per_mm) / 0.65), 0.0)
+        smooth = min(3.8 / scattering_per_mm, 1.5)
+        return (1.0 - self.refraction) * matt + self.refraction * smooth
+
 
 SLOPE_LOSS: Mapping[Channel, float] = {"red": 2.3, "green": 1.65, "blue": 1.0, "nir": 4.8}
 """What a smooth boundary takes from the shading by slopes, over that of a matt one: our own reference walks
@@ -132,7 +144,8 @@ class SkinSettings(Checked):
     glare: Annotated[float, Limits(0.0, 5.0)] = 1.0
     """Weight of the surface reflection: 1 bare skin (Fresnel), 0 polarised away, above 1 oily."""
     relief_gain: Annotated[float, Limits(0.0, 3.0)] = 0.78
-    """The relief gain of a channel is this number times its effective attenuation: k h = gain x mu_eff x h."""
+    """Brightness of heights behind a matt boundary: that of a channel is this number times its effective attenuation
+    and :meth:`Boundary.height_signal`."""
     scattering_power: Annotated[float, Limits(0.0, 3.0)] = 1.42
     """Exponent of the wavelength in the reduced scattering: 1.42 Jacques's skin, 0.5 large scatterers."""
     layers: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
@@ -154,7 +167,8 @@ class SkinSettings(Checked):
         )
         absorption *= self.layers[CHANNELS.index(name)]
         optics = ChannelOptics(scattering, absorption, 0.0)
-        return replace(optics, relief_gain_per_um=self.relief_gain * optics.attenuation_per_mm * 1e-3)
+        gain = self.relief_gain * self.boundary.height_signal(scattering)
+        return replace(optics, relief_gain_per_um=gain * optics.attenuation_per_mm * 1e-3)
 
 
 @dataclass(frozen=True, slots=True)
