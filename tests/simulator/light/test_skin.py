@@ -9,9 +9,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.simulator.light.skin import (
-    Boundary,
     CHANNELS,
     RADIUS_EDGES,
+    Boundary,
     SkinRanges,
     SkinSettings,
     diffuse_transmittance,
