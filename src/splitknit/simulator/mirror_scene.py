@@ -15,7 +15,7 @@ from splitknit.simulator.light.renderer import (
     LED_RADIUS_MM,
     BandLight,
     Diffusion,
-    relief_gains,
+    Relief,
     render_ambient,
     render_lights,
 )
@@ -149,7 +149,8 @@ class MirrorScene:
             return entering, gloss * np.float32(skin.glare), None
 
         blur = Diffusion(patch, optics, self.walks, settings, skin.roughness)
-        return render_lights(patch, shine, len(lights), blur, list(relief_gains(surface, patch, optics, settings)))
+        relief = Relief(surface, patch, optics)
+        return render_lights(patch, shine, len(lights), blur, lambda k: relief.gains(lights[k][0].led))
 
     def _frame(self, front: BandLight, sides: Sequence[BandLight], k: int, led: Led) -> FloatArray:
         """(H, W, 3) radiance of the whole picture under light k."""

@@ -152,6 +152,13 @@ def light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float)
     return np.where(patch.mask, total, 0.0).astype(np.float32)
 
 
+def obliquity(patch: Patch, normals: FloatArray, led: Led) -> FloatArray:
+    """(h, w) ln(1 / cos t), t the angle between skin's normals (h, w, 3) and an LED; at most ln 10."""
+    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
+    cosine = lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2]
+    return np.where(patch.mask, -np.log(np.clip(cosine, 0.1, 1.0)), 0.0).astype(np.float32)
+
+
 _GRAZING = 0.12
 """Cosine to the camera: facets that lean away further are not resolved by the picture's pixels."""
 _LARGEST = 3.0

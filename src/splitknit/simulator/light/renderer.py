@@ -6,9 +6,9 @@ the Monte Carlo diffusion profile of each channel, times a term for the relief, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import cv2
@@ -20,7 +20,7 @@ from scipy import ndimage
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
-from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on
+from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on, obliquity
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
     Boundary,
@@ -101,16 +101,24 @@ def render_band(
     surface reflection.
     """
     settings = settings or RenderSettings()
+    if any(led.also for led in leds):
+        groups = [(replace(led, also=()), *led.also) for led in leds]
+        each = render_band(
+            surface, [led for group in groups for led in group], optics,
+            roughness=roughness, glare=glare, walks=walks, settings=settings, boundary=boundary,
+        )  # fmt: skip
+        starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
+        return replace(each, diffuse=np.add.reduceat(each.diffuse, starts), glare=np.add.reduceat(each.glare, starts))
     patch = cut_out(surface)
-    gains = list(relief_gains(surface, patch, optics, settings))
+    relief = Relief(surface, patch, optics)
     boundary = boundary or Boundary()
     blur = Diffusion(patch, optics, walks, settings, roughness, blurred=boundary.blurred)
     if surface.texture is not None:
         blood = surface.texture.blood[patch.window]
-        gains = [gain * np.exp(-BLOOD[name] * blood) for gain, name in zip(gains, _channels(optics), strict=True)]
+        relief.colour(lambda pigment, name: pigment * np.exp(-BLOOD[name] * blood))
     if surface.coat is not None:
         coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], roughness)
-        gains = [coat.over(gain, name) for gain, name in zip(gains, _channels(optics), strict=True)]
+        relief.colour(coat.over)
 
         def shine(k: int) -> Shine:
             return coat.light_on(leds[k], glare, LED_RADIUS_MM)
@@ -127,7 +135,7 @@ def render_band(
         if boundary.refraction > 0 or boundary.entry_power != 1:
             blur.enter_by(boundary, surface.shape_normals[patch.window], leds, _channels(optics))
 
-    return render_lights(patch, shine, len(leds), blur, gains)
+    return render_lights(patch, shine, len(leds), blur, lambda k: relief.gains(leds[k]))
 
 
 def _channels(optics: Sequence[ChannelOptics]) -> tuple[Channel, ...]:
@@ -140,16 +148,20 @@ Shine = tuple[FloatArray, FloatArray, FloatArray | None]
 
 
 def render_lights(
-    patch: Patch, shine: Callable[[int], Shine], count: int, blur: Diffusion, gains: Sequence[FloatArray]
+    patch: Patch,
+    shine: Callable[[int], Shine],
+    count: int,
+    blur: Diffusion,
+    gains: Callable[[int], Iterable[FloatArray]],
 ) -> BandLight:
-    """Render `count` images of a patch of skin, whatever it is that lights each of them (`shine`)."""
-    diffuse = np.empty((count, len(gains), *patch.mask.shape), dtype=np.float32)
+    """Render `count` images of a patch of skin, whatever lights each of them; `gains`: factors of its channels."""
+    diffuse = np.empty((count, len(blur.out), *patch.mask.shape), dtype=np.float32)
     gloss = np.empty((count, *patch.mask.shape), dtype=np.float32)
 
     def one(k: int) -> None:
         entering, gloss[k], extra = shine(k)
-        for c, light in enumerate(blur(entering, k)):
-            np.multiply(light, gains[c], out=diffuse[k, c])
+        for c, (light, gain) in enumerate(zip(blur(entering, k), gains(k), strict=True)):
+            np.multiply(light, gain, out=diffuse[k, c])
             if extra is not None:
                 diffuse[k, c] += extra
 
@@ -180,7 +192,7 @@ def render_ambient(
         facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
     blur = Diffusion(patch, optics, walks, settings, roughness)
-    gains = relief_gains(surface, patch, optics, settings)
+    gains = Relief(surface, patch, optics).gains()
     return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
 
 
@@ -330,23 +342,37 @@ def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -
     return np.asarray(found, dtype=np.float32)
 
 
-def relief_gains(
-    surface: Surface, patch: Patch, optics: Sequence[ChannelOptics], settings: RenderSettings
-) -> Iterator[FloatArray]:
-    """(h, w) for each channel: pigment times 1 + k h, h the band-passed relief in um."""
-    px_per_mm = patch.px_per_mm
-    inside = patch.mask.astype(np.float32)
-    relief = np.where(patch.mask, surface.relief_um[patch.window], 0).astype(np.float32)
+class Relief:
+    """Brightness of the relief: pigment times 1 + k h, h the band-passed relief in um."""
 
-    def smooth(sigma_mm: float) -> FloatArray:
-        if sigma_mm * px_per_mm < 0.2:
-            return relief
-        size, sigma = (0, 0), sigma_mm * px_per_mm
-        weight = cv2.GaussianBlur(inside, size, sigma, borderType=cv2.BORDER_REPLICATE)
-        blurred = cv2.GaussianBlur(relief, size, sigma, borderType=cv2.BORDER_REPLICATE)
-        return np.asarray(blurred / np.maximum(weight, 1e-3), dtype=np.float32)
+    def __init__(self, surface: Surface, patch: Patch, optics: Sequence[ChannelOptics]) -> None:
+        """Filter the relief of a patch of skin with these media."""
+        self._patch, self._optics = patch, optics
+        self._normals = surface.shape_normals[patch.window]
+        inside = patch.mask.astype(np.float32)
+        relief = np.where(patch.mask, surface.relief_um[patch.window], 0).astype(np.float32)
 
-    band = smooth(_RELIEF_LOW_MM) - smooth(_RELIEF_HIGH_MM)
-    pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
-    for one in optics:
-        yield pigment * np.clip(1.0 + np.float32(one.relief_gain_per_um) * band, 0.2, 1.8)
+        def smooth(sigma_mm: float) -> FloatArray:
+            sigma = sigma_mm * patch.px_per_mm
+            if sigma < 0.2:
+                return relief
+            weight = cv2.GaussianBlur(inside, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+            blurred = cv2.GaussianBlur(relief, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+            return np.asarray(blurred / np.maximum(weight, 1e-3), dtype=np.float32)
+
+        self._band = smooth(_RELIEF_LOW_MM) - smooth(_RELIEF_HIGH_MM)
+        pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
+        self._pigments = [pigment] * len(optics)
+
+    def colour(self, change: Callable[[FloatArray, Channel], FloatArray]) -> None:
+        """Change the pigment (h, w) of each channel."""
+        self._pigments = [change(one, name) for one, name in zip(self._pigments, _channels(self._optics), strict=True)]
+
+    def gains(self, led: Led | None = None) -> Iterator[FloatArray]:
+        """(h, w) for each channel, under one LED or (None) under light from everywhere."""
+        slanted = None if led is None else obliquity(self._patch, self._normals, led)
+        for one, pigment in zip(self._optics, self._pigments, strict=True):
+            gain: Any = np.float32(one.relief_gain_per_um)
+            if slanted is not None and one.oblique_gain_per_um > 0.0:
+                gain = gain + np.float32(one.oblique_gain_per_um) * slanted
+            yield pigment * np.clip(1.0 + gain * self._band, 0.2, 1.8)

@@ -22,7 +22,7 @@ from splitknit.errors import require
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on
-from splitknit.simulator.light.renderer import LED_RADIUS_MM, Diffusion, RenderSettings, relief_gains
+from splitknit.simulator.light.renderer import LED_RADIUS_MM, Diffusion, Relief, RenderSettings
 from splitknit.simulator.light.skin import BAND_CHANNELS, ChannelOptics, SkinSettings, WalkTable, load_walks
 from splitknit.simulator.surface import Surface
 
@@ -293,7 +293,7 @@ class _Scene:
         self.patch = cut_out(surface)
         # a pattern's edges are sharper than what can be laid out along the skin and back: it spreads in the picture
         self.diffusion = Diffusion(self.patch, media, walks or load_walks(), settings, skin.roughness, blurred=True)
-        gains = relief_gains(surface, self.patch, media, settings)
+        gains = Relief(surface, self.patch, media).gains(led)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
         entering, gloss = light_on(self.patch, led, skin.roughness, LED_RADIUS_MM)
         self.glare = np.asarray(gloss * np.float32(skin.glare), dtype=np.float32)
