@@ -76,6 +76,9 @@ class Texture:
     """(H, W) specular reflection over its mean: sweat."""
     blood: FloatArray
     """(H, W) how much darker blood makes green light, as a natural logarithm: mottled skin."""
+    grain: FloatArray | None = None
+    """(4, H, W) factor of red, green, blue and near-infrared light from within the skin, the same in all images: the
+    sensor's fixed pattern, or the noise of a light-transport simulation that all lights share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

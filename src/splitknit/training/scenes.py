@@ -23,7 +23,7 @@ from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings
-from splitknit.simulator.light.skin import Boundary, SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import CHANNELS, Boundary, SkinRanges, SkinSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface, Texture
 from splitknit.simulator.twin import master_of_print_file, photograph
@@ -90,6 +90,8 @@ class SceneRanges(Checked):
     """Standard deviation of the logarithm of green light under mottled blood, over 0.5 to 3 mm."""
     sweat: Annotated[Range, Limits(0, 1)] = (0.0, 0.6)
     """Relative standard deviation of the surface reflection over 0.4 to 2 mm."""
+    grain: Annotated[Range, Limits(0, 0.2)] = (0.0, 0.03)
+    """Relative standard deviation, from pixel to pixel and in each channel for itself, of what all images share."""
     full_well_e: Annotated[Range, Limits(100)] = (500.0, 5000.0)
     """Log-uniform electrons of a full-frame pixel: noise up to 2 % at half scale."""
     aperture_mm: Annotated[Range, Limits(0, above=True)] = (1.0, 4.0)
@@ -182,7 +184,7 @@ def drawn_sensor(rng: np.random.Generator, data: SceneRanges) -> SensorSettings:
 
 
 def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> Surface:
-    """The surface with pigment at the scale of ridges, mottled blood and patches of sweat."""
+    """The surface with pigment at the scale of ridges, mottled blood, patches of sweat and a fixed pattern."""
     px_per_mm = surface.camera.px_per_mm
 
     def even_noise(deviation: float, scale_mm: Range) -> FloatArray:
@@ -198,7 +200,9 @@ def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> S
     blood = even_noise(float(rng.uniform(*data.mottling)), (0.5, 3.0))
     gloss = np.maximum(1 + even_noise(float(rng.uniform(*data.sweat)), (0.4, 2.0)), 0)
     marked = np.asarray(surface.pigment * (1 + np.clip(pigment, -0.3, 0.3)), dtype=np.float32)
-    return replace(surface, pigment=marked, texture=Texture(gloss=gloss, blood=blood))
+    grain = rng.standard_normal((len(CHANNELS), *surface.mask.shape), dtype=np.float32)
+    grain = 1 + np.float32(rng.uniform(*data.grain)) * np.clip(grain, -4, 4)
+    return replace(surface, pigment=marked, texture=Texture(gloss=gloss, blood=blood, grain=grain))
 
 
 def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> Finger:

@@ -23,6 +23,7 @@ from splitknit.simulator.light.coat import CoatedPatch
 from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on, obliquity
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
+    CHANNELS,
     Boundary,
     Channel,
     ChannelOptics,
@@ -114,8 +115,10 @@ def render_band(
     boundary = boundary or Boundary()
     blur = Diffusion(patch, optics, walks, settings, roughness, blurred=boundary.blurred)
     if surface.texture is not None:
-        blood = surface.texture.blood[patch.window]
+        blood, grain = surface.texture.blood[patch.window], surface.texture.grain
         relief.colour(lambda pigment, name: pigment * np.exp(-BLOOD[name] * blood))
+        if grain is not None:
+            relief.colour(lambda pigment, name: pigment * grain[(CHANNELS.index(name), *patch.window)])
     if surface.coat is not None:
         coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], roughness)
         relief.colour(coat.over)
