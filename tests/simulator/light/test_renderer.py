@@ -275,19 +275,40 @@ def test_refracted_light_reverses_the_shading_of_slopes(walks):
     np.testing.assert_allclose(smooth / matt, [-1.3, -0.65, 0.0], atol=0.05)
 
 
+def test_light_that_slants_along_the_ridges_brightens_their_heights(walks):
+    """By ln(1 / cos t) times 0.7 of the root of the attenuation (1/mm), beside what upright light shows."""
+    x = _wave(0.0).height_mm[0] * 1e3
+    wave = replace(_wave(0.0), relief_um=np.broadcast_to(x, (x.size, x.size)).astype(np.float32).copy())
+    media = _all_channels()[:3]
+
+    def heights(slant_deg: float) -> np.ndarray:
+        angle = np.deg2rad(slant_deg)
+        led = Led("white", direction=(0.0, float(np.sin(angle)), float(np.cos(angle))))
+        image = render_band(wave, [led], media, roughness=0.25, glare=0.0, walks=walks)
+        rows = image.diffuse[0, :, 100, 40:-40]
+        return np.array([np.polyfit(x[40:-40], row / row.mean(), 1)[0] for row in rows])
+
+    added = heights(60) - heights(0)
+    expected = [0.7e-3 * np.sqrt(one.attenuation_per_mm) * np.log(2) for one in media]
+    np.testing.assert_allclose(added, expected, rtol=0.12)
+
+
 def test_texture_is_seen_by_colour_and_gloss_by_place(walks):
     wave = _wave(0.0)
     blood = np.zeros_like(wave.height_mm)
     blood[:, 120:] = 0.1
     gloss = np.ones_like(blood)
     gloss[120:] = 0.0
-    marked = replace(wave, texture=Texture(gloss=gloss, blood=blood))
+    grain = np.ones((4, *blood.shape), dtype=np.float32)
+    grain[1, :, :60] = 1.2
+    marked = replace(wave, texture=Texture(gloss=gloss, blood=blood, grain=grain))
     plain, other = (
         render_band(s, [OVERHEAD], _all_channels()[:3], roughness=0.3, glare=1.0, walks=walks) for s in (wave, marked)
     )
     np.testing.assert_allclose(other.glare, plain.glare * gloss, rtol=1e-5)
     ratio = (other.diffuse / plain.diffuse)[0, :, 0, :]
-    np.testing.assert_allclose(ratio[:, :120], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(ratio[:, 60:120], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(ratio[:, 30], [1.0, 1.2, 1.0], rtol=1e-5)
     np.testing.assert_allclose(-np.log(ratio[:, 130]), [0.015, 0.1, 0.08], rtol=1e-3)
 
 
