@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from summary import interval
 
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
@@ -28,7 +29,6 @@ from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
-from summary import interval
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 SCALE = 0.35
@@ -63,7 +63,9 @@ def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]
 
 def _farthest(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
     """Largest distance in pixels from the outline of one mask to that of the other."""
-    edges = [mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) for mask in (first, second)]
+    edges = [
+        mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) for mask in (first, second)
+    ]
     to_second = cv2.distanceTransform((~edges[1]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return float(to_second[edges[0]].max())
 
