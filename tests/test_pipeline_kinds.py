@@ -177,6 +177,18 @@ def test_the_tips_direction_from_a_file(tip_deg: int, capture: Capture, tmp_path
     assert tip[1] < 0.1 * result.upright_size[0]
 
 
+@pytest.mark.parametrize("quarter_turns", [1, 2])
+def test_the_tips_direction_is_found(quarter_turns: int, capture: Capture) -> None:
+    upright = reconstruct(capture, "ea")
+    result = reconstruct(kinds.turned(capture, quarter_turns, None), "ea")
+    assert result.facts["tip_direction"] == "found"
+    turn = result.facts["yaw_deg"] - upright.facts["yaw_deg"]
+    assert (turn - 90.0 * quarter_turns + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.5)
+    tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
+    assert tip[1] < 0.1 * result.upright_size[0]
+    assert result.facts["crease_found"] == upright.facts["crease_found"]
+
+
 def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
     """Column, row of the pixel of `mask` that lies furthest in the tip's direction."""
     rows, columns = np.nonzero(mask)

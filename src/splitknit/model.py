@@ -344,7 +344,7 @@ class Capture:
     material: str = "skin"
     """``skin`` or ``opaque`` (no subsurface scattering to undo)."""
     tip_direction_deg: float | None = None
-    """Where the tip points: 0 = row 0, counter-clockwise; None = up within 60 deg."""
+    """Where the tip points: 0 = row 0, counter-clockwise; None = found (beside mirrors and of opaque things: up)."""
     mask: BoolArray | None = None
     """(H, W) given by the user: used as it is."""
     subject: Mapping[str, Any] = field(default_factory=dict)

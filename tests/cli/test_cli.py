@@ -41,7 +41,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         settings: Mapping[str, Any] | None = None,
         progress: Callable[[str, float], None] | None = None,
     ) -> Reconstruction:
-        calls.update(preset=preset, settings=dict(settings or {}), shape=capture.shape)
+        calls.update(preset=preset, settings=dict(settings or {}), shape=capture.shape, tip=capture.tip_direction_deg)
         if progress is not None:
             progress("normals", 0.5)
         if "raise" in calls:
@@ -59,7 +59,7 @@ def test_reconstruct_writes_and_says_so(capture_folder: Path, seen: dict[str, An
     )
     said = capsys.readouterr()
     assert code == 0
-    assert seen == {"preset": "snk", "settings": {"knit.method": "addition"}, "shape": (440, 640)}
+    assert seen == {"preset": "snk", "settings": {"knit.method": "addition"}, "shape": (440, 640), "tip": None}
     assert {path.name for path in out.iterdir()} >= set(FILES)
     assert "preset snk" in said.out
     assert "Please note: No flexion crease is in view" in said.out
@@ -78,6 +78,14 @@ def test_json_is_one_object_and_nothing_else(capture_folder: Path, seen: dict[st
     assert facts["warnings"]
     assert facts["comparison"]["metric"]["ridge_correlation"] > 0.99
     assert said.err == ""
+
+
+def test_a_tip_direction_is_handed_on(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+    out = capture_folder.parent / "result"
+    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--tip-direction", "-90"]) == 0
+    assert seen["tip"] == -90.0
+    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--tip-direction", "inf"]) == 2
+    assert "--tip-direction must be an angle from -360 to 360" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) -> None:

@@ -82,6 +82,16 @@ def test_grey_images_fall_back_on_brightness(draw_finger, tone):
     assert overlap(finger_mask(scene.grey[..., None], scene.px_per_mm), scene.mask) > 0.985
 
 
+@pytest.mark.parametrize("colour", [(0.08, 0.30, 0.12), (0.06, 0.14, 0.40), (0.25, 0.08, 0.32)])
+@pytest.mark.parametrize("tone", ["dark", "medium", "very light"])
+def test_finds_the_finger_on_coloured_paper(draw_finger, tone, colour):
+    scene = draw_finger(tone)
+    falling = np.linspace(0.7, 1.3, scene.rgb.shape[1], dtype=np.float32)[None, :, None]
+    paper = falling * np.asarray(colour, dtype=np.float32) + (scene.rgb - 0.03)  # with the background's own noise
+    mask = finger_mask(np.where(scene.mask[..., None], scene.rgb, paper), scene.px_per_mm)
+    assert overlap(mask, scene.mask) > 0.985
+
+
 def test_scale_and_brightness_do_not_matter(draw_finger):
     scene = draw_finger("medium", px_per_mm=22.0)
     mask = finger_mask(scene.rgb, 22.0)

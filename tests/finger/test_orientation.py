@@ -55,6 +55,36 @@ def test_other_tip_directions(draw_finger, turn):
     assert (difference + 180) % 360 - 180 == pytest.approx(0.0, abs=0.5)
 
 
+@pytest.mark.parametrize("quarters", range(4))
+@pytest.mark.parametrize("yaw", [0.0, 30.0, -45.0])
+def test_any_direction_is_found(draw_finger, quarters, yaw):
+    scene = draw_finger("medium", yaw_deg=yaw, tip_at=(0.0, 8.0), noise=0.0, taper=0.05)
+    upright = find_upright(np.ascontiguousarray(np.rot90(scene.mask, quarters)))
+    assert upright.clear
+    assert upright.reliable
+    assert upright.note == ""
+    error = np.rad2deg(upright.yaw_rad) - (90.0 * quarters + yaw)
+    assert (error + 180) % 360 - 180 == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_finger_cut_off_inside_the_picture_points_with_its_round_end(draw_finger):
+    mask = draw_finger("medium", noise=0.0).mask
+    mask[int(np.flatnonzero(mask.any(axis=1))[0]) + 300 :] = False
+    down = find_upright(np.ascontiguousarray(mask[::-1]))
+    assert down.clear
+    assert abs(np.rad2deg(down.yaw_rad)) == pytest.approx(180.0, abs=0.5)
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_without_the_tip_in_view_the_direction_is_not_believed(draw_finger, quarters):
+    mask = draw_finger("medium", tip_at=(0.0, 15.0), noise=0.0, taper=0.05).mask[200:420]
+    upright = find_upright(np.ascontiguousarray(np.rot90(mask, quarters)))
+    assert not upright.clear
+    assert "does not show which way" in upright.note
+    assert "--tip-direction" in upright.note
+    assert abs(np.rad2deg(upright.yaw_rad)) < 95.0  # what is nearest to up
+
+
 def test_a_bitten_edge_and_a_slanting_cut_do_not_turn_it(draw_finger):
     scene = draw_finger("medium", noise=0.0)
     mask = scene.mask.copy()
@@ -68,6 +98,8 @@ def test_a_disc_is_reported_as_having_no_axis():
     y, x = np.mgrid[0:300, 0:300]
     upright = find_upright((x - 150) ** 2 + (y - 150) ** 2 < 100**2)
     assert abs(upright.yaw_rad) < np.deg2rad(20)
+    assert not upright.clear
+    assert upright.note != ""
     low = np.zeros((300, 300), dtype=bool)
     low[-6:, 50:250] = True
     flat = find_upright(low)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.verb import PRESETS, Outcome, Progress, add_settings, new_verb
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, require
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
@@ -38,6 +38,13 @@ def add_reconstruct(verbs: Any) -> None:
         help="where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in "
         "mirrors beside it (mirror)",
     )
+    verb.add_argument(
+        "--tip-direction",
+        type=float,
+        default=None,
+        metavar="DEG",
+        help="where the tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found",
+    )
     add_settings(verb)
 
 
@@ -54,6 +61,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             options.out,
             preset=options.preset,
             rig=options.rig,
+            tip_direction_deg=options.tip_direction,
             changes=changes,
             progress=progress.update,
         )
@@ -77,12 +85,14 @@ def _reconstruct_to_folder(
     *,
     preset: str,
     rig: Path | None,
+    tip_direction_deg: float | None,
     changes: Mapping[str, Any],
     progress: Callable[[str, float], None],
 ) -> dict[str, Any]:
     """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more.
 
-    `rig` names a rig file that replaces the capture's own, such as a later calibration.
+    `rig` names a rig file that replaces the capture's own, such as a later calibration; `tip_direction_deg` replaces
+    what the capture states.
     """
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
@@ -93,6 +103,10 @@ def _reconstruct_to_folder(
     from splitknit.settings import override  # noqa: PLC0415
 
     started = time.perf_counter()
+    require(
+        tip_direction_deg is None or abs(tip_direction_deg) <= 360.0,
+        "--tip-direction must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",
+    )
     override(preset_settings(preset), changes)  # a wrong setting is refused before the images are read
     check_target(out, "height.npz", "an earlier result", keep=capture_folder)
     with atomic_folder(out) as target:
@@ -100,6 +114,8 @@ def _reconstruct_to_folder(
         capture = read_capture(capture_folder)
         if rig is not None:
             capture = with_rig(capture, rig)
+        if tip_direction_deg is not None:
+            capture = replace(capture, tip_direction_deg=tip_direction_deg)
         read_s = time.perf_counter() - started
         try:
             result = reconstruct(

@@ -119,7 +119,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
             image = without_mirrors(image, capture.rig.camera, mirrors, binning)
         outline = finger_mask(image, small_px, settings.mask)
         check_borders(outline)
-    upright = find_upright(outline, capture.tip_direction_deg)
+    searched = capture.tip_direction_deg is None and capture.material == "skin" and not capture.rig.mirrors
+    upright = find_upright(outline, None if searched else capture.tip_direction_deg or 0.0)
     crease = find_crease(grey, outline, upright, small_px)
     cut = settings.cut_at_crease and not given
     kept = phalange_mask(outline, crease, upright) if cut else outline
@@ -141,6 +142,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     large = _scaled(upright, binning)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
+        "tip_direction": _source_of_direction(capture, searched and upright.clear),
         "mask": "given" if given else "found",
         "crease_found": bool(crease.found and cut),
         "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
@@ -148,6 +150,13 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
     }
     return Finger(mask, wide, _window(wide, px_per_mm), large, facts, quality, (*notes, *warnings))
+
+
+def _source_of_direction(capture: Capture, found: bool) -> str:
+    """``given`` by the capture, ``found`` by the outline, or ``assumed``: up, or what is nearest to it."""
+    if capture.tip_direction_deg is not None:
+        return "given"
+    return "found" if found else "assumed"
 
 
 def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> None:
@@ -255,14 +264,12 @@ def _scaled(upright: Upright, factor: int) -> Upright:
         return upright
     grow = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], dtype=np.float64)
     column, row = upright.tip
-    return Upright(
-        yaw_rad=upright.yaw_rad,
+    return replace(
+        upright,
         input_from_upright=grow @ upright.input_from_upright @ np.linalg.inv(grow),
         size=(upright.size[0] * factor, upright.size[1] * factor),
         tip=((column + 0.5) * factor - 0.5, (row + 0.5) * factor - 0.5),
         width_px=upright.width_px * factor,
-        reliable=upright.reliable,
-        note=upright.note,
     )
 
 

@@ -196,6 +196,10 @@ _EDGE_MARGIN_MM = 1.0
 """Width of the zone along the outline that counts neither as finger nor as background while either is measured."""
 _MIN_WIDTH_MM = 4.0
 """A region nowhere as wide as this is no finger."""
+_BRIGHT = 0.1
+"""A background at least this bright against the brightest of the image may be darker than skin in some places only."""
+_COLOURED = 0.3
+"""A bright background whose channels differ by more than this fraction is distinguished by its colour."""
 _MIN_STEP = 0.15
 """A region across whose outline neither brightness nor colour changes by this fraction is no finger."""
 
@@ -211,13 +215,14 @@ class MaskSettings(Checked):
 
 
 def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
-    """Find the finger on a dark background.
+    """Find the finger on a dark background, or on an even, coloured one.
 
     Seed: k-means (k = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that
     separates better (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's
     border: a finger enters through a part of one side, the background surrounds it. Then the background is fitted
     outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut,
-    the largest component kept and its holes (specular reflection) filled.
+    the largest component kept and its holes (specular reflection) filled. Before a bright,
+    coloured background all this is done on the sum of the channels in which the background's own colour vanishes.
 
     Parameters
     ----------
@@ -252,6 +257,9 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse_px = px_per_mm * fine_scale * coarse_scale
     coarse = blur(coarse, 0.5 * BLUR_MM * coarse_px)
 
+    weights = _colour_filter(coarse)
+    if weights is not None:
+        coarse, fine = _filtered(coarse, weights), _filtered(fine, weights)
     try:
         mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
@@ -273,6 +281,35 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
     require(2.0 * float(depth_inside(mask).max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
     require(_rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
     return mask
+
+
+def _colour_filter(image: FloatArray) -> NDArray[np.float32] | None:
+    """(3,) weights of the channels in whose sum a bright, coloured background vanishes; None before any other.
+
+    The background's colour is the median along the image's border. Light of one colour is a line through the origin,
+    however strong it is, so what is orthogonal to it is zero all over the background; of that, the direction in which
+    the rest of the image is strongest. Skin itself along most of the border is no background.
+    """
+    if image.ndim == 2:
+        return None
+    border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]).astype(np.float64)
+    light = border.sum(axis=1)
+    if float(np.median(light)) <= _BRIGHT * max(float(np.percentile(image.sum(axis=2), 99.0)), 0.0):
+        return None
+    colour = np.median(border[light > 0.0] / light[light > 0.0, None], axis=0)
+    if float(colour.min()) > (1.0 - _COLOURED) * float(colour.max()):
+        return None
+    colour /= np.sqrt(np.sum(colour * colour))
+    pixels = image.reshape(-1, 3).astype(np.float64)
+    rest = pixels - np.einsum("ni,i->n", pixels, colour)[:, None] * colour
+    weights = np.linalg.eigh(np.einsum("ni,nj->ij", rest, rest))[1][:, -1]
+    sign = 1.0 if float(np.sum(rest.mean(axis=0) * weights)) >= 0.0 else -1.0
+    return np.asarray(sign * weights, dtype=np.float32)
+
+
+def _filtered(image: FloatArray, weights: NDArray[np.float32]) -> FloatArray:
+    """(H, W) sum of the channels with the given weights."""
+    return np.asarray(np.einsum("hwc,c->hw", image, weights), dtype=np.float32)
 
 
 def _bright_side(image: FloatArray) -> BoolArray:

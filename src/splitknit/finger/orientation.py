@@ -6,7 +6,8 @@ fraction of a pixel, and the angle follows from hundreds of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,18 @@ _TIP_EXCLUSION = 0.5
 """Rows nearer to the tip than this fraction of the widest row are left out of the fit."""
 _LIMIT_DEG = 75.0
 """Largest turn from the expected direction that is accepted (captures guarantee 60 deg)."""
+_SEARCHED_SIDE = 96
+"""Longer side of the copy on which the direction of the tip is searched, pixels."""
+_STEP_DEG = 5.0
+"""Between the directions that are tried."""
+_CAPS = (0.45, 0.65, 0.9)
+"""Lengths of the rounded tip that are tried, in widths of the finger: blunt to slender."""
+_HIDDEN = (0.0, 0.5, 1.5)
+"""How much of the tip may lie beyond the image's border, in widths."""
+_CLEAR = 0.03
+"""The direction is clear if all others, more than 60 deg away, differ from the mask by so many squared widths more."""
+_UNLIKE = 0.3
+"""A mask that differs from every finger by this many squared widths shows no direction."""
 _MARGIN_FRACTION = 0.02
 """Margin around the finger in the upright frame, as a fraction of its longer side."""
 
@@ -44,6 +57,8 @@ class Upright:
     """Median full width of the finger, pixels."""
     reliable: bool
     """Whether an axis was found; if not, the tip is taken to point where it was expected."""
+    clear: bool
+    """Whether the outline shows which way the tip points, or it was given."""
     note: str = ""
     """Remarks on the result; empty if there are none."""
 
@@ -69,13 +84,14 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
     ----------
     mask : (H, W) bool
     tip_direction_deg : float, optional
-        Expected direction of the tip, 0 = up, counter-clockwise. The search starts where the finger leaves the image
-        and stays within 75 degrees of this direction (default 0).
+        Direction of the tip within 75 deg, 0 = up, counter-clockwise. None: any direction, found by the outline
+        (:func:`tip_directions`).
 
     Returns
     -------
     Upright
-        With `reliable` false, and the reason in `note`, where the mask has no measurable axis.
+        With `reliable` false, and the reason in `note`, where the mask has no measurable axis; with `clear` false where
+        several directions fit as well, of which that nearest to up was taken.
 
     References
     ----------
@@ -83,13 +99,15 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
     """
     array = np.asarray(mask)
     mask = check_mask(array, (array.shape[0], array.shape[1]))
-    expected = np.deg2rad(tip_direction_deg or 0.0)
+    expected, clear = (np.deg2rad(tip_direction_deg), True) if tip_direction_deg is not None else _found(mask)
     scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
     visible = np.ones(small.shape, dtype=np.float32)
     visible[[0, -1], :] = 0.0
     visible[:, [0, -1]] = 0.0
     angle = _start(small, expected)
+    if tip_direction_deg is None and abs(_between(angle, expected)) > np.deg2rad(30.0):
+        angle = expected
     reliable = False
     for _ in range(12):
         correction, reliable = _tilt(small, visible, angle)
@@ -99,7 +117,7 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
         if abs(correction) < np.deg2rad(0.02):
             break
     note = ""
-    turn = (angle - expected + np.pi) % (2 * np.pi) - np.pi
+    turn = _between(angle, expected)
     if not reliable:
         note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
     elif abs(turn) > np.deg2rad(_LIMIT_DEG):
@@ -108,8 +126,77 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
             "believed (set tip_direction_deg)."
         )
         reliable = False
-    yaw = float(expected + turn) if reliable else float(expected)
-    return _frame(mask, small, yaw, reliable, note)
+    yaw = float(_between(expected + turn if reliable else expected, 0.0))
+    if not clear and not note:
+        note = (
+            f"the outline does not show which way the finger's tip points; it was taken to point {np.rad2deg(yaw):.0f} "
+            "deg from up, counter-clockwise. If it does not, give --tip-direction (tip_direction_deg in capture.json)."
+        )
+    return replace(_frame(mask, yaw), reliable=reliable, clear=clear, note=note)
+
+
+def _between(angle: float, other: float) -> float:
+    """Turn from `other` to `angle`, -pi to pi."""
+    return float((angle - other + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _found(mask: BoolArray) -> tuple[float, bool]:
+    """Direction of the tip by the outline, and whether it is clear; of several that fit, that nearest to up."""
+    directions = tip_directions(mask)
+    best, differs = min(directions, key=itemgetter(1))
+    close = [angle for angle, more in directions if more < differs + _CLEAR]
+    if differs < _UNLIKE and all(abs(_between(angle, best)) <= np.deg2rad(60.0) for angle in close):
+        return best, True
+    return min(close, key=lambda angle: (abs(angle), angle)), False
+
+
+def tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
+    """How well a finger that points in each direction covers the mask, for directions all around.
+
+    The finger is a strip of the mask's own width with one round end, which may lie beyond the border of the image; the
+    other end leaves the image or is cut off straight. Only what the image shows of it is compared, so the border's cut,
+    at whatever slant, is no evidence, and an end in view is.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+
+    Returns
+    -------
+    list of (direction in radians, counter-clockwise from up; area by which they differ, in squared widths)
+    """
+    scale = min(1.0, _SEARCHED_SIDE / max(mask.shape))
+    small = reduce_mask(mask, scale) > 0.5
+    if not small.any():
+        small = mask
+    rows, columns = np.indices(small.shape, dtype=np.float64)
+    inside = small.ravel()
+    found = []
+    for angle in np.deg2rad(np.arange(-180.0, 180.0, _STEP_DEG)):
+        across = (np.cos(angle) * columns - np.sin(angle) * rows).ravel()
+        down = (np.sin(angle) * columns + np.cos(angle) * rows).ravel()
+        found.append((angle, *_difference(across, down, inside)))
+    width = max(min(found, key=itemgetter(1))[2], 1.0)
+    return [(float(angle), differs / width**2) for angle, differs, _ in found]
+
+
+def _difference(across: NDArray[np.float64], down: NDArray[np.float64], inside: NDArray[np.bool_]) -> tuple[int, float]:
+    """In how many pixels the mask `inside` (N,) differs from an upright finger at best, and the finger's width."""
+    first, last = float(down[inside].min()), float(down[inside].max())
+    strip = np.floor(down[inside] - first).astype(np.intp)
+    widths = np.bincount(strip)
+    width = float(np.percentile(widths, 90))
+    middles = np.bincount(strip, across[inside]) / np.maximum(widths, 1)
+    middle = float(np.median(middles[widths > 0.5 * width])) if width > 0 else 0.0
+    aside = np.abs(across - middle) / max(0.5 * width, 0.5)
+    best = inside.size
+    for hidden in _HIDDEN:
+        for cap in _CAPS:
+            left = np.clip(1.0 - (down - first + hidden * width) / (cap * width), 0.0, 1.0)
+            finger = (aside * aside < 1.0 - left * left) & (down >= first - hidden * width)
+            for drawn in (finger, finger & (down <= last)):
+                best = min(best, int(np.count_nonzero(drawn != inside)))
+    return best, width
 
 
 def _start(small: FloatArray, expected: float) -> float:
@@ -188,7 +275,7 @@ def _robust_slope(rows: NDArray[np.float64], columns: NDArray[np.float64]) -> fl
     return slope
 
 
-def _frame(mask: BoolArray, small: FloatArray, yaw: float, reliable: bool, note: str) -> Upright:
+def _frame(mask: BoolArray, yaw: float) -> Upright:
     """Bounding box of the turned mask, its tip and its width, from the outline's pixels at full resolution."""
     rows, columns = _outline(mask)
     turn = rotation_about((0.0, 0.0), -yaw)  # input to turned, both about the first pixel
@@ -216,8 +303,8 @@ def _frame(mask: BoolArray, small: FloatArray, yaw: float, reliable: bool, note:
         size=(int(size[1]), int(size[0])),
         tip=(float(tip[0]), float(tip[1])),
         width_px=width,
-        reliable=reliable,
-        note=note,
+        reliable=True,
+        clear=True,
     )
 
 

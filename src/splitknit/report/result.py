@@ -324,6 +324,7 @@ EXPLAINED = {
     "borders": "Borders of the image that the finger touches. Good: one.",
     "led_relative": "Brightness of every image relative to what the rig file promises. Good: all near 1.",
     "yaw_deg": "Turn of the finger in the image, counter-clockwise; it is taken out.",
+    "tip_direction": "Where the tip's direction comes from: the capture, the outline, or an assumption.",
     "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
     "motion_mm": "How far the finger moved against the other shots, in every image. Good: below 0.05 mm.",
     "motion_reliability": "How well that is known, for every image: 1 = certain.",

@@ -156,7 +156,7 @@ class MirrorScene:
         """(H, W, 3) radiance of the whole picture under light k."""
         camera = self.rig.camera
         card = white_card(camera, led, -BACKGROUND_MM)
-        frame = self.front.frame(front, k, card)
+        frame = self.front.frame(front, k, self.front.background(card, led.band))
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             inside = _background_of(plates, camera, led)
             _put(inside, view.surface, light.window, light.diffuse[k], light.glare[k])

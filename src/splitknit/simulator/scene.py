@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any
 
 import cv2
@@ -24,6 +25,7 @@ from splitknit.simulator.light.renderer import BandLight, RenderSettings, render
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
+    Channel,
     SkinRanges,
     SkinSettings,
     WalkTable,
@@ -51,6 +53,9 @@ class BackgroundSettings(Checked):
     """Bright specks on the background."""
     hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
     """Fraction of the light that the hand takes away at the finger's base, 0 to 1."""
+    colour: Annotated[tuple[float, float, float, float] | None, Limits(0.0, 1.0)] = None
+    """Diffuse reflectance in red, green, blue and NIR of coloured paper in place of the black background. What it sends
+    on to the finger's flanks is simulated too, as from an endless, evenly lit plane. Not between mirrors."""
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
     """Ambient light: radiance of a white card relative to the same card under one LED."""
 
@@ -68,6 +73,18 @@ def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.rand
     for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
         _speck(albedo, camera.px_per_mm, _DUST_ALBEDO, rng)
     return albedo
+
+
+def _background_albedos(
+    camera: Camera, settings: BackgroundSettings, rng: np.random.Generator
+) -> dict[Channel, FloatArray]:
+    """(H, W) albedo of the background for every channel; dust is white."""
+    if settings.colour is None:
+        return dict.fromkeys(CHANNELS, background_albedo(camera, settings, rng))
+    return {
+        channel: background_albedo(camera, replace(settings, albedo=albedo), deepcopy(rng))
+        for channel, albedo in zip(CHANNELS, settings.colour, strict=True)
+    }
 
 
 def _hand_shadow(camera: Camera, settings: BackgroundSettings) -> FloatArray:
@@ -141,6 +158,10 @@ class TwinSettings(Checked):
             self.motion.amplitude_mm == 0 or not self.between_mirrors,
             "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
         )
+        require(
+            self.background.colour is None or not self.between_mirrors,
+            "the background between mirrors is black in the twin; leave out mirrors, or background.colour.",
+        )
 
     @property
     def between_mirrors(self) -> bool:
@@ -207,7 +228,8 @@ class Scene:
         """Lay the background, whose dust `rng` draws, and find how far each pixel is out of focus."""
         surface, rig, skin = subject
         self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
-        self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
+        albedos = _background_albedos(rig.camera, settings.background, rng)
+        self.albedo = {channel: np.where(surface.mask, 0, albedo) for channel, albedo in albedos.items()}
         self.shade = _hand_shadow(rig.camera, settings.background)
         self.scale = settings.sensor_scale or binning_scale(rig.camera)
         self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
@@ -245,10 +267,31 @@ class Scene:
     def render(self, name: str, leds: Sequence[Led]) -> BandLight:
         """Light of the finger under LEDs of one band."""
         optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
-        return render_band(
+        light = render_band(
             self.surface, leds, optics, roughness=self.skin.roughness, glare=self.skin.glare, walks=self.walks,
             settings=self.settings.render, boundary=self.skin.boundary,
         )  # fmt: skip
+        if self.settings.background.colour is not None:
+            self._add_reflected(light, name, leds)
+        return light
+
+    def _add_reflected(self, light: BandLight, name: str, leds: Sequence[Led]) -> None:
+        """Add to the finger's light what comes by way of the background, in place: a hemisphere from below."""
+        channels = BAND_CHANNELS[name]
+        below = render_ambient(
+            self.surface, 1.0, [self.skin.channel(channel) for channel in channels], roughness=self.skin.roughness,
+            walks=self.walks, settings=self.settings.render, up=np.array([0.0, 0.0, -1.0]),
+        )  # fmt: skip
+        colour = dict(zip(CHANNELS, self.settings.background.colour or (), strict=True))
+        for k, led in enumerate(leds):
+            card = float(white_card(self.rig.camera, led, -BACKGROUND_MM).mean())
+            for c, channel in enumerate(channels):
+                light.diffuse[k, c] += np.float32(card * colour[channel]) * below[c]
+
+    def background(self, light: FloatArray | np.float32, name: str) -> FloatArray:
+        """(H, W, 3) radiance of the background, none where the finger is, where a white card sends `light`."""
+        channels = BAND_CHANNELS[name]
+        return np.stack([light * self.albedo[channels[min(c, len(channels) - 1)]] for c in range(3)], axis=-1)
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
         """(H, W, 3) what the sensor's pixels see while the LEDs of a group are lit together, and the ambient light.
@@ -263,7 +306,8 @@ class Scene:
         mixing = self._mixing
         frame = ambient.copy()
         for k in group:
-            lit = self.frame(light, k, white_card(self.rig.camera, leds[k], -BACKGROUND_MM))
+            card = white_card(self.rig.camera, leds[k], -BACKGROUND_MM)
+            lit = self.frame(light, k, self.background(card, leds[k].band))
             if leds[k].colour:
                 c = COLOURS.index(leds[k].colour)
                 frame += lit[..., c : c + 1] * mixing[:, c].astype(np.float32)
@@ -298,9 +342,8 @@ class Scene:
         crosstalk = self.rig.camera.crosstalk
         return np.eye(3) if crosstalk is None else np.asarray(crosstalk)
 
-    def frame(self, light: BandLight, k: int, card: FloatArray) -> FloatArray:
-        """(H, W, 3) radiance of the whole frame under light k."""
-        frame = np.repeat((card * self.albedo)[..., None], 3, axis=2)
+    def frame(self, light: BandLight, k: int, frame: FloatArray) -> FloatArray:
+        """(H, W, 3) radiance of the whole frame under light k, written over that of the background, `frame`."""
         window = frame[light.window]
         for c in range(3):
             diffuse = light.diffuse[k, min(c, light.diffuse.shape[1] - 1)]
@@ -311,7 +354,7 @@ class Scene:
     def ambient(self, name: str, leds: Sequence[Led]) -> FloatArray:
         """(H, W, 3) radiance of finger and background with all LEDs off."""
         level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
-        frame = np.repeat((np.float32(level) * self.albedo)[..., None], 3, axis=2)
+        frame = self.background(np.float32(level), name)
         if level > 0.0:
             optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
             skin = render_ambient(

@@ -465,7 +465,7 @@ class FingerScene:
             band = self._rendered(self.leds[index].band)
             members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
             card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
-            frame += ((card * scene.albedo) * scene.shade)[..., None]
+            frame += scene.background(card, self.leds[index].band) * scene.shade[..., None]
             planes = band.planes[members.index(index)]
             shade = scene.shade[band.window[0]]
             for c in range(3):

@@ -113,7 +113,7 @@ def _above_crease(  # noqa: PLR0917
     """The front's mask without what lies beyond the finger's first crease."""
     if not settings.cut_at_crease:
         return mask
-    upright = find_upright(small, capture.tip_direction_deg)
+    upright = find_upright(small, capture.tip_direction_deg or 0.0)
     px_per_mm = capture.rig.camera.px_per_mm / binning
     crease = find_crease(pick_channel(mean, "grey"), small, upright, px_per_mm)
     if not crease.found:

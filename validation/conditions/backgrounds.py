@@ -1,0 +1,140 @@
+"""Segmentation and ridges before coloured paper: ``python validation/conditions/backgrounds.py SCRATCH --page PAGE``.
+
+Six simulated fingers (or ``--seeds``) before the twin's black background and before black, green, blue and purple paper
+(the thesis, section 4.1.2); presets metric and snk. A row of SCRATCH/backgrounds.jsonl is one preset on one capture;
+running it again goes on. ``--page`` writes the table between the page's ``<!-- backgrounds -->`` marks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from summary import interval
+
+from splitknit.errors import BadInput
+from splitknit.evaluation.accuracy import compare
+from splitknit.finger.locate import SURVEY_PX_PER_MM, enlarged
+from splitknit.finger.mask import finger_mask
+from splitknit.imaging.band import linear_survey
+from splitknit.model import Capture
+from splitknit.pipeline import reconstruct
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import BackgroundSettings, TwinSettings
+from splitknit.simulator.twin import simulate_capture
+from splitknit.steps import Memory
+
+SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
+SCALE = 0.35
+COLOURS = {
+    "the twin's black": None,
+    "black paper": (0.045, 0.045, 0.045, 0.06),
+    "green paper": (0.08, 0.30, 0.12, 0.75),
+    "blue paper": (0.06, 0.14, 0.40, 0.70),
+    "purple paper": (0.25, 0.08, 0.32, 0.75),
+}
+"""Reflectance in red, green, blue and NIR. Assumed: dyed papers take their colour from the dye, which is transparent in
+NIR; black paper holds soot, which is not."""
+FIGURES = {
+    "iou": ("overlap of mask and truth", "{:.4f}"),
+    "border_mm": ("worst distance of the outlines, mm", "{:.2f}"),
+    "ridge_correlation": ("ridge correlation", "{:.3f}"),
+    "ridge_gain": ("ridge gain", "{:.2f}"),
+    "normals_mean_deg": ("normals, deg", "{:.1f}"),
+    "shape_rms_mm": ("shape, mm", "{:.3f}"),
+}
+
+
+def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]:
+    """Overlap and worst distance of the outline from the truth's, in mm, where it does not run along the border."""
+    px_per_mm = capture.rig.camera.px_per_mm
+    binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
+    mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
+    found = enlarged(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
+    distances = [_farthest(first, second) for first, second in ((found, truth), (truth, found))]
+    return {"iou": float((found & truth).sum() / (found | truth).sum()), "border_mm": max(distances) / px_per_mm}
+
+
+def _farthest(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
+    """Largest distance in pixels from the outline of one mask to that of the other."""
+    edges = [
+        mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) for mask in (first, second)
+    ]
+    to_second = cv2.distanceTransform((~edges[1]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return float(to_second[edges[0]].max())
+
+
+def rows_of(seed: int, background: str, presets: list[str], scale: float) -> list[dict[str, Any]]:
+    """What segmentation and every preset make of one capture."""
+    settings = TwinSettings(
+        scale=scale, render=RenderSettings(workers=1), background=BackgroundSettings(colour=COLOURS[background])
+    )
+    capture, truth = simulate_capture(seed, settings=settings)
+    row: dict[str, Any] = {"seed": seed, "background": background}
+    try:
+        row |= segmentation(capture, truth["mask"])
+    except BadInput as refusal:
+        return [{**row, "preset": preset, "refused": str(refusal)} for preset in presets]
+    memory = Memory(capture)
+    rows = []
+    for preset in presets:
+        try:
+            figures = compare(reconstruct(capture, preset, memory=memory), truth).figures
+            rows.append({**row, "preset": preset, **{name: figures[name] for name in FIGURES if name in figures}})
+        except BadInput as refusal:
+            rows.append({**row, "preset": preset, "refused": str(refusal)})
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Medians over fingers with 95 % intervals."""
+    head = ["background", "preset", "fingers", *(title for title, _ in FIGURES.values())]
+    lines = ["| " + " | ".join(head) + " |", "| " + " | ".join(["---"] * len(head)) + " |"]
+    for background in COLOURS:
+        for preset in sorted({row["preset"] for row in rows}):
+            mine = [row for row in rows if (row["background"], row["preset"]) == (background, preset)]
+            good = [row for row in mine if "refused" not in row]
+            cells = [background, f"`{preset}`", f"{len(good)} of {len(mine)}"]
+            for name, (_, form) in FIGURES.items():
+                values = np.array([row[name] for row in good])
+                cells.append("{} ({} to {})".format(*(form.format(v) for v in (np.median(values), *interval(values)))))
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Simulate, segment, reconstruct, append, write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scratch", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--presets", nargs="+", default=["metric", "snk"])
+    parser.add_argument("--scale", type=float, default=SCALE)
+    parser.add_argument("--page", type=Path)
+    options = parser.parse_args()
+    options.scratch.mkdir(parents=True, exist_ok=True)
+    kept = options.scratch / "backgrounds.jsonl"
+    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
+    done = {(row["seed"], row["background"], row["preset"]) for row in rows}
+    for seed in options.seeds:
+        for background in COLOURS:
+            missing = [preset for preset in options.presets if (seed, background, preset) not in done]
+            for row in rows_of(seed, background, missing, options.scale) if missing else []:
+                rows.append(row)
+                with kept.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+                print(json.dumps(row), flush=True)
+    print(table(rows))
+    if options.page:
+        page = options.page.read_text()
+        parts = re.split("(<!-- /?backgrounds -->)", page)
+        options.page.write_text("".join([*parts[:2], "\n", table(rows), "\n", *parts[3:]]))
+
+
+if __name__ == "__main__":
+    main()
