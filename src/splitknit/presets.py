@@ -116,7 +116,6 @@ class PipelineSettings(FingerSettings):
         """The part that defines how the capture is read and the finger is found in it."""
         return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
 
-
     @property
     def whole(self) -> bool:
         """Whether the surface is not split: its height is what the thesis's matcher takes."""

@@ -71,7 +71,7 @@ def _against(first: str, case: str, trials: Sequence[Trial]) -> list[tuple[Trial
     return [(named[first], named[name]) for name in named if first in named and name != first]
 
 
-def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row], name: str = "cases") -> Row:
+def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row], part: str = "cases") -> Row:
     """Figures 5.4 and 5.5: cases on normals and on relief, by the thesis's matcher."""
     captures = read_captures(store, options.cases)
     table = read_table(store, captures, options.cases, ("thesis",))
@@ -80,8 +80,8 @@ def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row],
     trials = [trial for group in by_attribute.values() for trial in group]
     rows = rate_rows(work, trials, options.jobs)
     differences = difference_rows(work, by_attribute.values(), COMPARED, options.jobs)
-    _write(options, name, rows, differences)
-    if name != "cases":
+    _write(options, part, rows, differences)
+    if part != "cases":
         return _facts(table, trials)
     for figure, name in (("figure-5-4", "normals"), ("figure-5-5", "relief")):
         _rocs(options, work, figure, by_attribute[name], lambda trial: trial.case)
@@ -130,7 +130,7 @@ def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
         work = _work(options, table, truth)
         trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, "")]
         rows += rate_rows(work, trials, options.jobs, (PLAIN, WHOLE))
-        base = next((trial for trial in trials if trial.case == "ea"), None)
+        base = next((trial for name in ("ea", "ea-split") for trial in trials if trial.case == name), None)
         groups = [(trial, base) for trial in trials if base is not None and trial is not base]
         differences += difference_rows(work, groups, (WHOLE,), options.jobs)
         facts[matcher] = _facts(table, trials)
