@@ -121,8 +121,9 @@ def contrast_section(results: Tree) -> str:
     head = ["", *(COLUMNS[key][0] for key in CONTRAST_COLUMNS)]
     lines = [
         f"`snk` on {len(seeds)} fingers of the simulator (seeds {seeds[0]} to {seeds[-1]}, scale "
-        f"{results['scale']:g}); mean [95 % interval, bootstrap over fingers], direct light by the shipped network unless it says all light. "
-        "Limits of 2, 3 and 4 are those of the text.",
+        f"{results['scale']:g}); mean [95 % interval, bootstrap over fingers], direct light by the shipped network, "
+        "except where it says all light. Limits of 2, 3 and 4 are those of the text. In italics: differences, finger "
+        "by finger.",
         "",
         "| " + " | ".join(head) + " |",
         "| --- " * len(head) + "|",

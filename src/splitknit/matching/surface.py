@@ -47,7 +47,7 @@ def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
 
 
 def surface_images(surface: Surface) -> FingerImages:
-    """Channels of a reconstruction for the thesis's matcher: of a surface that is not split, the height is its relief."""
+    """Channels for the thesis's matcher; where the surface is not split, its height is its relief."""
     across, up = height_gradients(surface.shape_mm, surface.pitch_mm)
     return finger_images(
         surface.normals,
