@@ -17,8 +17,10 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients,
 from splitknit.imaging.view import _pixel_axes_mm
 from splitknit.io.capture import read_capture
 from splitknit.io.npz import read_npz
-from splitknit.io.results import _upright_mesh
-from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.io.results import _upright_mesh, read_result
+from splitknit.matching.inputs import read_surface
+from splitknit.matching.surface import surface_images
+from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig, surface_of
 from splitknit.pipeline import reconstruct, undoes_blur
 from splitknit.presets import PRESETS, PipelineSettings, preset_settings
 from splitknit.settings import flatten
@@ -76,7 +78,7 @@ def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], t
 
 def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], capture: Capture) -> None:
     for preset, result in results.items():
-        assert ("direct light by the network" in result.facts["separation"]) == (preset in ("pr", "snk"))
+        assert ("direct light by the network" in result.facts["separation"]) == (preset in ("pr", "pr-split", "snk"))
         # a sixth of the full scale is too coarse for the network
         assert any("the network of the relief needs" in words for words in result.warnings) == (preset == "metric")
         assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
@@ -230,8 +232,32 @@ def test_whole_settings_are_taken_too(capture: Capture) -> None:
 def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
     assert differing(PRESETS["ea"], PRESETS["pr"]) == {"enhance.clahe": True, "direct.method": "network"}
     assert differing(PRESETS["pr"], PRESETS["snk"]) == {"knit.method": "addition"}
+    assert differing(PRESETS["pr"], PRESETS["pr-split"]) == {"knit.method": "none"}
+    assert differing(PRESETS["ea"], PRESETS["ea-split"]) == {"knit.method": "none"}
     assert PRESETS["ea"].height.method == "frankot_chellappa"
     assert PRESETS["snk"].shapelets.scales == 3
+
+
+@pytest.mark.parametrize("preset", ["ea", "pr"])
+def test_what_is_not_split_is_matched_by_its_height(
+    results: dict[str, Reconstruction], preset: str, tmp_path: Path
+) -> None:
+    unsplit, split = results[preset], results[f"{preset}-split"]
+    assert unsplit.whole and not split.whole
+    np.testing.assert_array_equal(unsplit.height_mm, split.height_mm)
+    inside = unsplit.mask
+    assert np.abs(unsplit.shape_mm - unsplit.height_mm)[inside].max() < 1  # its slow part, not nothing
+    assert 0.005 < np.std(unsplit.ridge_mm[inside]) < 0.1
+    unsplit.save(tmp_path / "result")
+    kept = read_result(tmp_path / "result")
+    assert kept.whole
+    of_heights = surface_images(replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm))
+    for result in (surface_of(unsplit), surface_of(kept), read_surface(tmp_path / "result" / "height.npz")):
+        np.testing.assert_array_equal(surface_images(result).channels["relief"], of_heights.channels["relief"])
+    relief = surface_images(surface_of(split)).channels["relief"]
+    assert np.corrcoef(relief.ravel(), of_heights.channels["relief"].ravel())[0, 1] < 0.5
+    if preset == "pr":  # what SnK adds its shape to
+        np.testing.assert_array_equal(split.ridge_mm, results["snk"].ridge_mm)
 
 
 def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
@@ -257,7 +283,7 @@ def test_cases_that_share_a_memory_are_what_they_are_alone(
         for name in ("height_mm", "ridge_mm", "shape_mm", "normals", "albedo", "mask"):
             np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name), err_msg=f"{preset} {name}")
         assert shared.warnings == alone.warnings and shared.quality == alone.quality
-    assert len(asked) == 1  # snk and pr share their direct light
+    assert len(asked) == 1  # snk, pr and pr-split share their direct light
     # other settings of a stage that the slopes follow from are not mistaken for the same
     coarse = {"enhance.cells.cell_px": 2 * preset_settings("snk").enhance.cells.cell_px}
     np.testing.assert_array_equal(

@@ -376,7 +376,8 @@ class Reconstruction:
     height_mm: FloatArray
     """(H, W) knitted surface, NaN outside the mask."""
     ridge_mm: FloatArray
-    """(H, W) ridge-valley relief alone, NaN outside the mask."""
+    """(H, W) ridge-valley relief alone, NaN outside the mask; of a surface that is not split (`whole`) its height less
+    its slow part."""
     shape_mm: FloatArray
     """(H, W) finger shape alone, NaN outside the mask."""
     mask: BoolArray
@@ -396,6 +397,8 @@ class Reconstruction:
     parallel and the pixels lie at their pitch."""
     y_mm: FloatArray | None = None
     """(H, W) y, likewise."""
+    whole: bool = False
+    """Whether the surface was not split (the thesis's EA and PR): its matcher takes the height itself as the relief."""
     uncertainty_um: FloatArray | None = None
     """(H, W) standard deviation of the relief where the skin's blur was inverted, NaN outside the mask."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -476,6 +479,8 @@ class Surface:
     pitch_mm: float
     input_from_upright: NDArray[np.float64]
     upright_size: tuple[int, int]
+    whole: bool = False
+    """See :class:`Reconstruction`."""
 
 
 def surface_of(result: Reconstruction) -> Surface:
@@ -488,6 +493,7 @@ def surface_of(result: Reconstruction) -> Surface:
         result.pitch_mm,
         result.input_from_upright,
         result.upright_size,
+        result.whole,
     )
 
 

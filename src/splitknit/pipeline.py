@@ -61,6 +61,8 @@ Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
 WAYS = (0, 3, 5, 6)
 """Ways to lay the finger down for the last estimate of the relief: upright, and turned by 180, 90 and 270 degrees."""
+SLOW_MM = 0.32
+"""Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
@@ -119,7 +121,10 @@ def reconstruct(
     algorithm = split_and_knit if chosen.method == "thesis" else metric
     with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)
-    return replace(result, preset=preset, settings=asdict(chosen), hashes=capture.hashes, timings_s=dict(seconds))
+    return replace(
+        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), hashes=capture.hashes,
+        timings_s=dict(seconds),
+    )  # fmt: skip
 
 
 def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstruction:
@@ -127,7 +132,7 @@ def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstructi
 
     References
     ----------
-    The thesis, chapter 3; its cases EA and PR (section 5.4) knit nothing and keep the visible surface whole.
+    The thesis, chapter 3; its cases EA and PR (section 5.4) neither split nor knit: the visible surface stays whole.
     """
     capture, finger = locate_finger(capture, settings.finding())
     mirrors = views_in_mirrors(capture, settings)
@@ -136,11 +141,13 @@ def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstructi
     # Split: direct visible light shows the ridges, near-infrared light the shape beneath them.
     seen_by = settings.lights, settings.enhance, settings.direct, settings.normals
     slopes, albedo = visible_slopes(capture, white, finger, *seen_by)
-    ridge_mm = ridge_relief(slopes, finger, capture, settings)
-    if settings.knit.method == "none":
+    if visible_alone(settings):
         height_mm = integrate(slopes, finger, capture, settings)
+        whole = settings.knit.method == "whole"
+        ridge_mm = fast_part(height_mm, finger, capture) if whole else ridge_relief(slopes, finger, capture, settings)
         shape_mm = height_mm - ridge_mm
     else:
+        ridge_mm = ridge_relief(slopes, finger, capture, settings)
         below = shape_slopes(capture, nir, finger, settings.enhance, settings.normals)
         shape_mm = integrate(below, finger, capture, settings)
         # Knit: the sum of both.
@@ -268,13 +275,17 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
 def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
     """The band of the ridges, that of the shape, and a warning where they are one by necessity."""
     white = capture.bands["white"]
-    whole = settings.method == "thesis" and settings.knit.method == "none"
-    if settings.shape.source != "nir" or whole:
+    if settings.shape.source != "nir" or visible_alone(settings):
         return white, white, ()
     if "nir" not in capture.bands:
         skin = capture.material == "skin"
         return white, white, (NO_NIR.format("ridges, scattering and glare" if skin else "ridges and glare"),)
     return white, capture.bands["nir"], ()
+
+
+def visible_alone(settings: PipelineSettings) -> bool:
+    """Whether the white band gives the whole surface: the thesis's cases that knit nothing."""
+    return settings.method == "thesis" and settings.knit.method in {"none", "whole"}
 
 
 @shared
@@ -414,6 +425,17 @@ def ridge_relief(slopes: Slopes, finger: Finger, capture: Capture, settings: Pip
 
 
 @step("surface")
+def fast_part(height_mm: FloatArray, finger: Finger, capture: Capture) -> FloatArray:
+    """(h, w) relief in mm of a surface that is not split: its height less its slow part, for pictures and prints.
+
+    The slow part is a Gaussian mean, and that of what the first one missed beside the outline and on the curved finger.
+    """
+    sigma_px = SLOW_MM * capture.rig.camera.px_per_mm
+    rest = height_mm - smoothed(height_mm, finger.inside, sigma_px)
+    return rest - smoothed(rest, finger.inside, sigma_px)
+
+
+@step("surface")
 def knit(  # noqa: PLR0917
     ridge_mm: FloatArray,
     shape_mm: FloatArray,
@@ -510,7 +532,7 @@ def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirr
     from splitknit.mirrors.captured import seen_in_mirrors  # noqa: PLC0415 - large, and needed where there are mirrors
 
     require(
-        settings.method != "thesis" or settings.knit.method != "none",
+        not visible_alone(settings),
         "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
         "metric or snk.",
     )

@@ -116,14 +116,19 @@ class PipelineSettings(FingerSettings):
         """The part that defines how the capture is read and the finger is found in it."""
         return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
 
+    @property
+    def whole(self) -> bool:
+        """Whether the surface is not split: its height is what the thesis's matcher takes."""
+        return self.method == "thesis" and self.knit.method == "whole"
 
-def _thesis(split: bool, knit: Literal["addition", "none"]) -> PipelineSettings:
-    """`split`: with contrast enhancement and direct light."""
+
+def _thesis(direct: bool = False, knit: Literal["addition", "none", "whole"] = "whole") -> PipelineSettings:
+    """`direct`: with contrast enhancement and direct light; nothing given: case EA."""
     return PipelineSettings(
         method="thesis",
         camera="orthographic",
-        enhance=EnhanceSettings(clahe=split),
-        direct=DirectSettings(method="network" if split else "none"),
+        enhance=EnhanceSettings(clahe=direct),
+        direct=DirectSettings(method="network" if direct else "none"),
         normals=NormalsSettings(method="lambertian"),
         height=HeightSettings(method="frankot_chellappa"),
         shapelets=ShapeletSettings(scales=3),
@@ -143,7 +148,7 @@ def _kumar() -> PipelineSettings:
     A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
     37(3), 2015; A. Kumar, "Contactless 3D Fingerprint Identification", Springer 2018.
     """
-    return replace(_thesis(split=False, knit="none"), smooth=SmoothSettings(sigma_mm=0.05))
+    return replace(_thesis(), smooth=SmoothSettings(sigma_mm=0.05))
 
 
 def _xie() -> PipelineSettings:
@@ -156,7 +161,7 @@ def _xie() -> PipelineSettings:
     """
     skin = HanrahanKruegerSettings(weights="equal")
     normals = NormalsSettings(method="hanrahan_krueger", hanrahan_krueger=skin)
-    return replace(_thesis(split=False, knit="none"), normals=normals)
+    return replace(_thesis(), normals=normals)
 
 
 def _lin() -> PipelineSettings:
@@ -170,16 +175,18 @@ def _lin() -> PipelineSettings:
     C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
     Trans. PAMI 40(12), 2018.
     """
-    return replace(_thesis(split=False, knit="none"), lights=LightsSettings(compose=2, balance=True))
+    return replace(_thesis(), lights=LightsSettings(compose=2, balance=True))
 
 
 PRESETS: dict[str, PipelineSettings] = {
     "metric": PipelineSettings(shapelets=ShapeletSettings(scales=4)),
-    "snk": _thesis(split=True, knit="addition"),
-    "pr": _thesis(split=True, knit="none"),
-    "ea": _thesis(split=False, knit="none"),
+    "snk": _thesis(direct=True, knit="addition"),
+    "pr": _thesis(direct=True),
+    "ea": _thesis(),
+    "pr-split": _thesis(direct=True, knit="none"),
+    "ea-split": _thesis(knit="none"),
     "kumar": _kumar(),
-    "zheng": _thesis(split=False, knit="none"),
+    "zheng": _thesis(),
     "lin": _lin(),
     "xie": _xie(),
 }
@@ -190,7 +197,7 @@ def preset_settings(preset: str) -> PipelineSettings:
 
     Parameters
     ----------
-    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``kumar``, ``zheng``, ``lin`` or ``xie``
+    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``pr-split``, ``ea-split``, ``kumar``, ``zheng``, ``lin`` or ``xie``
 
     Returns
     -------

@@ -45,7 +45,10 @@ def test_relief_and_normals_of_their_own_come_back_too() -> None:
     kept, height = surface()
     turned = np.where(kept.mask[..., None], kept.normals[..., ::-1], 0).astype(np.float32)
     other = replace(kept, normals=turned, ridge_mm=(kept.ridge_mm * np.float32(1.7)).astype(np.float32))
-    assert_equal(unpack_surface(pack_surface(other, height)), other)
+    for whole in (False, True):
+        given = replace(other, whole=whole)
+        assert_equal(unpack_surface(pack_surface(given, height)), given)
+        assert unpack_surface(pack_surface(replace(kept, whole=whole), height)).whole == whole
 
 
 @pytest.mark.parametrize("change", [lambda p: p[:50], lambda p: p[:-1], lambda p: p + b"\0", lambda p: b"XXXX" + p[4:]])

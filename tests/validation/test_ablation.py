@@ -149,16 +149,16 @@ def run(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_one_tiny_finger(tmp_path: Path) -> None:
-    command = ("--fingers", "1", "--rows", "ea", "snk_plain_all")
+    command = ("--fingers", "1", "--rows", "ea-split", "snk_plain_all")
     done = run(tmp_path, *command)
     assert done.returncode == 0 and done.stderr == "", done.stderr
     results = json.loads((tmp_path / "ablation.json").read_text())
-    assert list(results["rows"]) == ["ea", "snk_plain_all"] and results["seeds"] == [1000]
+    assert list(results["rows"]) == ["ea-split", "snk_plain_all"] and results["seeds"] == [1000]
     (pair,) = results["pairs"]
     (finger,) = results["fingers"]
     for key, figure in pair["figures"].items():
         assert figure["interval"] is None
-        one, other = (finger["rows"][name][key] for name in ("snk_plain_all", "ea"))
+        one, other = (finger["rows"][name][key] for name in ("snk_plain_all", "ea-split"))
         assert figure["mean"] == pytest.approx(one - other, abs=2e-4 * abs(one))
     # a second run takes the finger from the disk
     (single,) = (tmp_path / "scratch").glob("*/01000.json")
@@ -184,11 +184,11 @@ def test_rows_of_a_changed_network_are_measured_again(
     rows, ablation = script("ablation_rows"), script("ablation")
     monkeypatch.setattr(rows, "Bench", Counting)
     monkeypatch.setattr(ablation, "_one_thread", lambda: None)
-    for sha, wanted in (("a", ["ea", "metric"]), ("a", []), ("b", ["metric"])):
+    for sha, wanted in (("a", ["ea-split", "metric"]), ("a", []), ("b", ["metric"])):
         asked.clear()
-        found = ablation._measure_all([7], {"ea": {}, "metric": {"relief": sha}}, rows.Options(), tmp_path, 1)
+        found = ablation._measure_all([7], {"ea-split": {}, "metric": {"relief": sha}}, rows.Options(), tmp_path, 1)
         assert asked == wanted
-    assert found == [{"ea": {"ridge_gain": 1.0}, "metric": {"ridge_gain": 1.0}}]
+    assert found == [{"ea-split": {"ridge_gain": 1.0}, "metric": {"ridge_gain": 1.0}}]
 
 
 def test_unknown_row_is_refused(tmp_path: Path) -> None:
@@ -205,13 +205,13 @@ def test_statistics(script: Script) -> None:
 
     keys = script("ablation_rows").FIGURES
     fingers = [
-        {"ea": dict.fromkeys(keys, 0.5 + 0.1 * k), "snk_plain_all": dict.fromkeys(keys, 0.7 + 0.1 * k)}
+        {"ea-split": dict.fromkeys(keys, 0.5 + 0.1 * k), "snk_plain_all": dict.fromkeys(keys, 0.7 + 0.1 * k)}
         for k in range(3)
     ]
-    fingers.append({"ea": dict.fromkeys(keys, 0.1), "snk_plain_all": {"refused": "no finger"}})
-    results = ablation.summarised(fingers, ["ea", "snk_plain_all"])
+    fingers.append({"ea-split": dict.fromkeys(keys, 0.1), "snk_plain_all": {"refused": "no finger"}})
+    results = ablation.summarised(fingers, ["ea-split", "snk_plain_all"])
     assert results["rows"]["snk_plain_all"]["refused"] == 1
-    assert results["rows"]["ea"]["figures"]["ridge_gain"]["mean"] == pytest.approx(0.475)
+    assert results["rows"]["ea-split"]["figures"]["ridge_gain"]["mean"] == pytest.approx(0.475)
     (pair,) = results["pairs"]
     assert pair["fingers"] == 3
     difference = pair["figures"]["normals_mean_deg"]
@@ -223,14 +223,30 @@ def test_rows_are_what_they_are_called(script: Script, bench: Any) -> None:
     rows = script("ablation_rows")
     for _, first, second in rows.PAIRS:
         assert first in rows.ROWS and second in rows.ROWS
-    for name, preset in (("snk_clahe_network", "snk"), ("ea", "ea"), ("metric", "metric")):
+    for name, preset in (("snk_clahe_network", "snk"), ("ea-split", "ea-split"), ("metric", "metric")):
         assert bench._settings(rows.ROWS[name]) == rows.preset_settings(preset)
 
 
 def test_the_page_shows_the_figures(script: Script) -> None:
     assert script("ablation_report").main(["--check"]) == 0, "run validation/separation/ablation_report.py"
     results = json.loads((FOLDER / "ablation.json").read_text())
-    assert list(results["rows"]) == list(script("ablation_rows").ROWS)
+    rows = script("ablation_rows")
+    assert list(results["rows"]) == [name for name in rows.ROWS if name not in rows.CONTRAST_ROWS]
+
+
+def test_contrast_is_shown_with_intervals_over_fingers(script: Script) -> None:
+    report = script("ablation_report")
+    fingers = [
+        {"rows": {"a": dict.fromkeys(report.COLUMNS, 0.5 + 0.1 * k), "b": dict.fromkeys(report.COLUMNS, 0.1 * k)}}
+        for k in range(3)
+    ]
+    rows = {"a": {"words": "one"}, "b": {"words": "other"}}
+    pairs = [{"words": "one instead of the other", "row": "a", "against": "b"}]
+    results = {"seeds": [1, 2, 3], "scale": 0.5, "rows": rows, "pairs": pairs, "fingers": fingers}
+    text = report.contrast_section(results)
+    # of three fingers the mean of a draw is that of the lowest or of the highest in one of 27
+    assert "| one | 0.600 [0.500, 0.700] |" in text and "| other | 0.100 [0.000, 0.200] |" in text
+    assert "| *one instead of the other* | +0.500 [+0.500, +0.500] |" in text
 
 
 def test_page_is_filled(script: Script, tmp_path: Path) -> None:
@@ -240,7 +256,7 @@ def test_page_is_filled(script: Script, tmp_path: Path) -> None:
         "seeds": [1000, 1001],
         "scale": 0.5,
         "check_mm": 0.42,
-        "rows": {"ea": {"group": "one", "words": "all light", "refused": 1, "figures": figures}},
+        "rows": {"ea-split": {"group": "one", "words": "all light", "refused": 1, "figures": figures}},
         "pairs": [{"words": "a against b", "figures": figures}],
     }
     text = report.section(results)

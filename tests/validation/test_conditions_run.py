@@ -138,7 +138,7 @@ def test_specks_are_measured_and_the_run_goes_on(script: Script, tmp_path: Path,
 @pytest.mark.slow
 def test_a_small_run_goes_on_where_it_stopped(script: Script, tmp_path: Path, monkeypatch) -> None:
     run = script("run")
-    command = ["run.py", str(tmp_path), "--seeds", "5", "--presets", "ea", "--scale", "0.12", "--most"]
+    command = ["run.py", str(tmp_path), "--seeds", "5", "--presets", "ea-split", "--scale", "0.12", "--most"]
     for most in ("1", "2"):
         monkeypatch.setattr(sys, "argv", [*command, most])
         run.main()

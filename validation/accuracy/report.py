@@ -30,7 +30,7 @@ PAGES = {
     ROOT / "README.md": ("run", "targets"),
 }
 """The marks of every page."""
-ORDER = ("metric", "snk", "pr", "ea")
+ORDER = ("metric", "snk", "pr", "ea", "pr-split", "ea-split")
 Tree = Mapping[str, Any]
 
 

@@ -71,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--first-seed", type=int, default=1000, help="fingers have this seed and those that follow")
     parser.add_argument("--impressions", type=int, default=1, help="captures of each finger, each in a pose of its own")
     parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
-    parser.add_argument("--presets", nargs="+", choices=["metric", "snk", "pr", "ea"])
+    parser.add_argument("--presets", nargs="+", choices=["metric", "snk", "pr", "ea", "pr-split", "ea-split"])
     parser.add_argument("--vary", nargs="+", metavar=("NAME", "VALUE"), help="vary one thing (or all) instead")
     parser.add_argument("--varied-fingers", type=int, default=3, help="fingers of a variation, at most")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")

@@ -1,10 +1,11 @@
 """Fingers in every condition, photographed and reconstructed: ``python validation/conditions/run.py SCRATCH``.
 
 Six simulated fingers (or ``--seeds``) x five conditions x severities 0.25 to 1, clean ones beside them; presets metric,
-snk and ea. A row of SCRATCH/rows.jsonl holds what one preset made of one capture: error against the truth, quality of
-the unrolled print, similarity with another, clean capture of the same finger, and all that the software said. Running
-it again goes on; ``--keep`` leaves the captures in SCRATCH/captures (84 MB each), for a later run of other presets and
-for ``specks.py``. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and ``conditions.json``.
+snk and ea-split. A row of SCRATCH/rows.jsonl holds what one preset made of one capture: error against the truth,
+quality of the unrolled print, similarity with another, clean capture of the same finger, and all that the software
+said. Running it again goes on; ``--keep`` leaves the captures in SCRATCH/captures (84 MB each), for a later run of
+other presets and for ``specks.py``. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and
+``conditions.json``.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from splitknit.steps import Memory
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 KINDS = ("wet", "dry", "dusty", "scarred", "glossy")
 SEVERITIES = (1.0, 0.5, 0.25, 0.75)
-PRESETS = ("metric", "snk", "ea")
+PRESETS = ("metric", "snk", "ea-split")
 SCALE = 0.35
 """The least at which metric uses its network for the relief, 26 px/mm."""
 COMPARED = (

@@ -32,8 +32,8 @@ REPORTED = tuple(f"S{k:02d}" for k in range(1, 11))
 CHOOSING = ("S11", "S12")
 PRESS_SEED = 1
 PARTS = (
-    ("metric", 1), ("truth", 1), ("metric", 2), ("pressed", 1), ("choosing", 1), ("snk", 1), ("pr", 1), ("ea", 1),
-    ("snk", 2), ("pr", 2), ("ea", 2),
+    ("metric", 1), ("truth", 1), ("metric", 2), ("pressed", 1), ("choosing", 1), ("snk", 1), ("pr-split", 1),
+    ("ea-split", 1), ("snk", 2), ("pr-split", 2), ("ea-split", 2),
 )  # fmt: skip
 """Presets and sessions, the most important first; ``pressed`` has a seed in the session's place, ``choosing`` is
 ``metric`` of the two others."""

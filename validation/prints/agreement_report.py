@@ -14,8 +14,8 @@ RESULTS = HERE / "agreement.json"
 PAGE = HERE.parents[1] / "docs" / "experiments" / "prints.md"
 MARKS = "<!-- agreement -->", "<!-- /agreement -->"
 WORDS = {
-    "metric": "`metric`", "truth": "true relief", "snk": "`snk`", "pr": "`pr`", "ea": "`ea`",
-    "pressed": "pressed print",
+    "metric": "`metric`", "truth": "true relief", "snk": "`snk`", "pr-split": "`pr-split`",
+    "ea-split": "`ea-split`", "pressed": "pressed print",
 }  # fmt: skip
 PICTURES = {"print": "mindtct", "enhanced": "mindtct, enhanced", "phase": "phase"}
 

@@ -49,7 +49,7 @@ def summary(reported: Records, choosing: Records) -> dict[str, Any]:
         facts["threshold"] = thresholds(choosing["metric", 1], reported.get(("metric", 1), {}))
     facts["bozorth3"] = {
         name: found
-        for preset in ("metric", "snk", "pr", "ea")
+        for preset in ("metric", "snk", "pr-split", "ea-split")
         for name, found in between_sessions(reported, preset, PICTURES).items()
     }
     if ("pressed", 1) in reported and ("metric", 1) in reported:

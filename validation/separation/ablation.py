@@ -1,8 +1,9 @@
 """What each part of the light does to the surface: contrast, direct light, glare and blur, alone and together.
 
     python validation/separation/ablation.py             # eight fingers, 23 ways each: about seven minutes of one core
-    python validation/separation/ablation_report.py      # the table of docs/experiments/separation.md from
-    ablation.json
+    python validation/separation/ablation.py --clahe     # the contrast enhancement of snk on 24 fingers: clahe.json
+    python validation/separation/ablation_report.py      # the tables of docs/experiments/separation.md and of
+    docs/explain/reconstruction.md from ablation.json and clahe.json
 
 The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the same finger in the
 same mask, found once in the images as they are; ``ablation_rows.py`` lists them. One JSON a finger lands in
@@ -37,19 +38,22 @@ Found = Mapping[str, Mapping[str, Any]]
 def main(arguments: Sequence[str] | None = None) -> int:
     # before numpy is imported: one thread of linear algebra a process
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from ablation_rows import ROWS, Options  # noqa: PLC0415
+    from ablation_rows import CONTRAST_ROWS, ROWS, Options  # noqa: PLC0415
 
     parser = _parser()
     chosen = parser.parse_args(arguments)
     unknown = set(chosen.rows or ()) - set(ROWS)
     if unknown:
         parser.error(f"there is no row '{min(unknown)}'; known are {', '.join(ROWS)}.")
-    names = [name for name in ROWS if not chosen.rows or name in chosen.rows]
+    wanted = chosen.rows or [name for name in ROWS if (name in CONTRAST_ROWS) == chosen.clahe]
+    names = [name for name in ROWS if name in wanted]
+    fingers = chosen.fingers or (24 if chosen.clahe else 8)
+    out = chosen.out or HERE / ("clahe.json" if chosen.clahe else "ablation.json")
     options = Options(chosen.scale, chosen.check_mm, chosen.direct, chosen.relief, chosen.shape)
     networks = _networks({need for name in names for need in ROWS[name].networks}, options)
     code = source_hash()
     folder = chosen.scratch / f"{code[:12]}_{chosen.scale:g}_{chosen.check_mm:g}"
-    seeds = list(range(chosen.first_seed, chosen.first_seed + chosen.fingers))
+    seeds = list(range(chosen.first_seed, chosen.first_seed + fingers))
     needed = {name: {need: networks[need] for need in ROWS[name].networks} for name in names}
     found = _measure_all(seeds, needed, options, folder, chosen.workers)
     results = {
@@ -64,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "fingers": [{"seed": seed, "rows": figures} for seed, figures in zip(seeds, found, strict=True)],
     }
     text = json.dumps(_rounded(results), indent=1, allow_nan=False)
-    chosen.out.write_text(text + "\n", encoding="ascii")
+    out.write_text(text + "\n", encoding="ascii")
     from ablation_report import pairs_table, rows_table  # noqa: PLC0415
 
     results = json.loads(text)
@@ -74,7 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fingers", type=int, default=8)
+    parser.add_argument("--clahe", action="store_true", help="the contrast enhancement of snk, and nothing else")
+    parser.add_argument("--fingers", type=int, help="default: 8, of --clahe 24")
     parser.add_argument("--first-seed", type=int, default=1000, help="fingers have this seed and those that follow")
     parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
     parser.add_argument("--check-mm", type=float, default=0.42, help="checks of the true direct light")
@@ -82,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     for name in ("direct", "relief", "shape"):
         parser.add_argument(f"--{name}", default=name, help="network: name of a shipped one, or path of an .onnx file")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--out", type=Path, default=HERE / "ablation.json")
+    parser.add_argument("--out", type=Path, help="default: ablation.json, of --clahe clahe.json, beside this file")
     parser.add_argument("--scratch", type=Path, default=OUT, help="folder of the single results")
     return parser
 

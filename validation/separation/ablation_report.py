@@ -1,4 +1,5 @@
-"""Write the tables of ``ablation.json`` into ``docs/experiments/separation.md``, between their marks.
+"""Write the tables of ``ablation.json`` into ``docs/experiments/separation.md``, and those of ``clahe.json`` into
+``docs/explain/reconstruction.md``, between their marks.
 
 python validation/separation/ablation_report.py            # writes
 python validation/separation/ablation_report.py --check    # exit code 1 if the page does not show what the file holds
@@ -13,10 +14,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "docs" / "experiments" / "separation.md"
 HEADING = "## Ablation"
 MARKS = ("<!-- ablation -->", "<!-- /ablation -->")
+CONTRAST = HERE / "clahe.json"
+CONTRAST_PAGE = HERE.parents[1] / "docs" / "explain" / "reconstruction.md"
+CONTRAST_MARKS = ("<!-- clahe -->", "<!-- /clahe -->")
+CONTRAST_COLUMNS = ("ridge_correlation", "ridge_gain", "ridge_rms_um", "normals_mean_deg", "surface_rms_mm")
+REPLICATES = 4000
 COLUMNS = {
     "ridge_correlation": ("ridge correlation", 3),
     "ridge_gain": ("gain", 2),
@@ -96,9 +104,38 @@ def section(results: Tree) -> str:
     )
 
 
-def filled(page: str, text: str) -> str:
+def contrast_section(results: Tree) -> str:
+    """The contrast enhancement of ``snk``: its ways, and differences finger by finger, with bootstrap intervals."""
+    seeds = results["seeds"]
+    fingers = [finger["rows"] for finger in results["fingers"]]
+    drawn = np.random.default_rng(0).integers(len(fingers), size=(REPLICATES, len(fingers)))
+
+    def line(words: str, name: str, against: str, sign: str) -> str:
+        cells = []
+        for key in CONTRAST_COLUMNS:
+            values = np.array([rows[name][key] - (rows[against][key] if against else 0.0) for rows in fingers])
+            ends = np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist()
+            cells.append(_cell({"mean": float(values.mean()), "interval": ends}, COLUMNS[key][1], sign))
+        return f"| {words} | " + " | ".join(cells) + " |"
+
+    head = ["", *(COLUMNS[key][0] for key in CONTRAST_COLUMNS)]
+    lines = [
+        f"`snk` on {len(seeds)} fingers of the simulator (seeds {seeds[0]} to {seeds[-1]}, scale "
+        f"{results['scale']:g}); mean [95 % interval, bootstrap over fingers], direct light by the shipped network, "
+        "except where it says all light. Limits of 2, 3 and 4 are those of the text. In italics: differences, finger "
+        "by finger.",
+        "",
+        "| " + " | ".join(head) + " |",
+        "| --- " * len(head) + "|",
+        *(line(row["words"], name, "", "") for name, row in results["rows"].items()),
+        *(line(f"*{pair['words']}*", pair["row"], pair["against"], "+") for pair in results["pairs"]),
+    ]
+    return "\n".join(lines)
+
+
+def filled(page: str, text: str, marks: tuple[str, str] = MARKS) -> str:
     """The page with `text` between its marks; they are added at its end, under a heading, if it has none."""
-    first, last = MARKS
+    first, last = marks
     if first not in page:
         return f"{page.rstrip()}\n\n{HEADING}\n\n{first}\n{text}\n{last}\n"
     before, rest = page.split(first, 1)
@@ -113,13 +150,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, default=HERE / "ablation.json")
     parser.add_argument("--page", type=Path, default=PAGE)
     options = parser.parse_args(arguments)
-    results = json.loads(options.results.read_text(encoding="ascii"))
-    page = options.page.read_text(encoding="utf-8") if options.page.exists() else ""
-    wanted = filled(page, section(results))
-    if options.check:
-        return int(wanted != page)
-    options.page.write_text(wanted, encoding="utf-8")
-    return 0
+    jobs = [(options.page, options.results, section, MARKS)]
+    if options.page == PAGE:
+        jobs.append((CONTRAST_PAGE, CONTRAST, contrast_section, CONTRAST_MARKS))
+    stale = False
+    for place, file, text_of, marks in jobs:
+        page = place.read_text(encoding="utf-8") if place.exists() else ""
+        wanted = filled(page, text_of(json.loads(file.read_text(encoding="ascii"))), marks)
+        stale |= wanted != page
+        if not options.check:
+            place.write_text(wanted, encoding="utf-8")
+    return int(options.check and stale)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,16 @@ class Row:
 
 
 THESIS = "thesis's chain (`snk`)"
+CONTRAST = "CLAHE of `snk`"
+CELLS = {"cells": "cells of 64 px", "tiles": "64 x 64 tiles"}
+CLAHE: dict[str, dict[str, Any]] = {
+    f"{grey}_{cells}_{clip}": {"grey": grey, "tiles": 64 if cells == "tiles" else 0, "clip_limit": float(clip)}
+    for grey, cells, clip in (
+        ("linear", "cells", 3), ("linear", "tiles", 3), ("srgb", "cells", 2), ("srgb", "cells", 3),
+        ("srgb", "cells", 4), ("srgb", "tiles", 3),
+    )
+}  # fmt: skip
+"""Contrast enhancement in linear light or in its sRGB code, in cells of 64 px or 64 x 64 tiles, by the limit."""
 NEAR = "near lights, blur left in"
 GREY = "blur inverted, images in grey"
 COLOUR = "blur inverted, images in colour (`metric`)"
@@ -72,7 +82,7 @@ GLARES = {
 
 
 def _rows() -> dict[str, Row]:
-    rows = {"ea": Row("thesis's chain, not split (`ea`)", "all light", "ea")}
+    rows = {"ea-split": Row("photometric stereo, split but not knitted (`ea-split`)", "all light", "ea-split")}
     for clahe in (False, True):
         for light, (words, fraction) in LIGHTS.items():
             # where the twin gives the light, it does so in the network's place
@@ -94,10 +104,25 @@ def _rows() -> dict[str, Row]:
     return rows
 
 
-ROWS = _rows()
+def _contrast_rows() -> dict[str, Row]:
+    rows = {}
+    for name, change in CLAHE.items():
+        grey, cells, clip = name.split("_")
+        of_cells = {f"enhance.cells.{key}": value for key, value in change.items()}
+        words = f"{'linear light' if grey == 'linear' else 'sRGB code'}, {CELLS[cells]}, limit {clip}"
+        rows[f"clahe_{name}"] = Row(CONTRAST, words, "snk", of_cells, networks=("direct",))
+        if cells == "cells" and clip == "3":
+            no_network = of_cells | {"direct.method": "none"}
+            rows[f"clahe_{name}_all"] = Row(CONTRAST, f"{words}, all light", "snk", no_network)
+    return rows
+
+
+CONTRAST_ROWS = _contrast_rows()
+"""What ``--clahe`` measures, and nothing else does."""
+ROWS = _rows() | CONTRAST_ROWS
 PAIRS: tuple[tuple[str, str, str], ...] = (
-    ("`snk` against `ea`", "snk_clahe_network", "ea"),
-    ("split and knit without CLAHE and direct light against `ea`", "snk_plain_all", "ea"),
+    ("`snk` against `ea-split`", "snk_clahe_network", "ea-split"),
+    ("split and knit without CLAHE and direct light against `ea-split`", "snk_plain_all", "ea-split"),
     ("CLAHE, all light", "snk_clahe_all", "snk_plain_all"),
     ("direct light by the network, CLAHE off", "snk_plain_network", "snk_plain_all"),
     ("direct light by the network, CLAHE on", "snk_clahe_network", "snk_clahe_all"),
@@ -115,6 +140,13 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("blur inverted (grey): glare truly out", "grey_truth", "grey_in"),
     ("`metric` by colour against glare and blur left in", "colour", "near_in"),
     ("`metric` by networks against `metric` by colour", "metric", "colour"),
+    ("sRGB code instead of linear light", "clahe_srgb_cells_3", "clahe_linear_cells_3"),
+    ("the same without the network", "clahe_srgb_cells_3_all", "clahe_linear_cells_3_all"),
+    ("64 x 64 tiles instead of cells, linear light", "clahe_linear_tiles_3", "clahe_linear_cells_3"),
+    ("64 x 64 tiles instead of cells, sRGB code", "clahe_srgb_tiles_3", "clahe_srgb_cells_3"),
+    ("limit 4 instead of 2, sRGB code", "clahe_srgb_cells_4", "clahe_srgb_cells_2"),
+    ("network instead of all light, linear light", "clahe_linear_cells_3", "clahe_linear_cells_3_all"),
+    ("network instead of all light, sRGB code", "clahe_srgb_cells_3", "clahe_srgb_cells_3_all"),
 )
 """Words, row, and the row that it is compared with, finger by finger."""
 

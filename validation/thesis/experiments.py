@@ -71,7 +71,7 @@ def _against(first: str, case: str, trials: Sequence[Trial]) -> list[tuple[Trial
     return [(named[first], named[name]) for name in named if first in named and name != first]
 
 
-def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row], part: str = "cases") -> Row:
     """Figures 5.4 and 5.5: cases on normals and on relief, by the thesis's matcher."""
     captures = read_captures(store, options.cases)
     table = read_table(store, captures, options.cases, ("thesis",))
@@ -80,10 +80,17 @@ def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row])
     trials = [trial for group in by_attribute.values() for trial in group]
     rows = rate_rows(work, trials, options.jobs)
     differences = difference_rows(work, by_attribute.values(), COMPARED, options.jobs)
-    _write(options, "cases", rows, differences)
+    _write(options, part, rows, differences)
+    if part != "cases":
+        return _facts(table, trials)
     for figure, name in (("figure-5-4", "normals"), ("figure-5-5", "relief")):
         _rocs(options, work, figure, by_attribute[name], lambda trial: trial.case)
     return _facts(table, trials)
+
+
+def run_order(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """The same on a population of its own: surfaces that are not split beside the same ones split by shapelets."""
+    return run_cases(options, store, truth, "order")
 
 
 def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
@@ -123,7 +130,7 @@ def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
         work = _work(options, table, truth)
         trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, "")]
         rows += rate_rows(work, trials, options.jobs, (PLAIN, WHOLE))
-        base = next((trial for trial in trials if trial.case == "ea"), None)
+        base = next((trial for name in ("ea", "ea-split") for trial in trials if trial.case == name), None)
         groups = [(trial, base) for trial in trials if base is not None and trial is not base]
         differences += difference_rows(work, groups, (WHOLE,), options.jobs)
         facts[matcher] = _facts(table, trials)
@@ -212,7 +219,7 @@ def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[
 
 
 PARTS = ("fusion", "cases", "matchers", "sensitivity", "failures", "scales")
-"""What ``all`` makes; ``family`` has cases of its own, and a store of its own where those are of fewer people."""
+"""What ``all`` makes; ``family`` and ``order`` have cases of their own, and stores of their own, of fewer people."""
 PART_OF = {
     "fusion": run_fusion,
     "cases": run_cases,
@@ -220,6 +227,7 @@ PART_OF = {
     "sensitivity": run_sensitivity,
     "failures": run_failures,
     "family": run_family,
+    "order": run_order,
 }
 
 

@@ -78,10 +78,12 @@ def run_words(runs: Mapping[str, Any]) -> str:
                 f"| {name} | {part['genuine']:,} / {part['impostors']:,} | {part['impostors_passing_everywhere']:,} | "
                 f"{part['fingers']} | {', '.join(part['missing']) or 'nothing'} | {seconds} |"
             )
-    one = next(part for part in runs.values() if "population_sha256" in part)
-    lines.append("")
-    lines.append(
-        f"Population of seed {one['population_seed']}, scale {one['population_scale']}, hash "
-        f"`{one['population_sha256'][:12]}`; {one['replicates']} replicates, seed {one['seed']}."
+    return "\n".join([*lines, "", population_words(runs["cases"])])
+
+
+def population_words(run: Mapping[str, Any]) -> str:
+    """Of what population the figures are."""
+    return (
+        f"Population of seed {run['population_seed']}, scale {run['population_scale']}, hash "
+        f"`{run['population_sha256'][:12]}`; {run['replicates']} replicates, seed {run['seed']}."
     )
-    return "\n".join(lines)

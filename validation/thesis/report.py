@@ -14,9 +14,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from page_facts import failures_table, run_words, sensitivity_table
+from page_facts import failures_table, population_words, run_words, sensitivity_table
 from page_tables import (
-    CASES,
     JUDGED,
     PLAIN,
     WHOLE,
@@ -62,7 +61,6 @@ def blocks(folder: Path) -> dict[str, str]:
     runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
     tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
-    by_name = {case: case for case in CASES}
     made = {
         "run": run_words(runs),
         "thesis": thesis_table(tables),
@@ -83,13 +81,19 @@ def blocks(folder: Path) -> dict[str, str]:
     made["fusion_minutiae_differences"] = difference_table(read(folder / "fusion_minutiae_differences.csv"), (WHOLE,))
     for name in ("normals", "relief"):
         rows = [row for row in tables["cases"] if row["attribute"] == name]
-        made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))
+        made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
         made[f"{name}_differences"] = difference_table([r for r in differ["cases"] if r["attribute"] == name])
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        made[name] = rate_table(rows, "case", lambda row: by_name[row["case"]], tuple(JUDGED))
+        made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
         made[f"{name}_margin"] = margin_table(rows)
         made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
+    ordered, apart = (read(folder / f"order{ending}.csv") for ending in ("", "_differences"))
+    made["order_run"] = population_words(runs["order"]) if "order" in runs else "Not measured."
+    for name in ("relief", "normals"):
+        rows, two = ([row for row in part if row["attribute"] == name] for part in (ordered, apart))
+        made[f"order_{name}"] = rate_table(rows, f"matched: {name}", lambda row: row["case"], (WHOLE,))
+        made[f"order_{name}_differences"] = difference_table(two, (WHOLE,))
     made["family"] = rate_table(
         read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
     )

@@ -3,7 +3,7 @@
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures --store STORE --population POPULATION
     python validation/thesis/run.py scales --population POPULATION --people 5
-    python validation/thesis/run.py family --store STORE --population POPULATION
+    python validation/thesis/run.py family|order --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # from nothing: simulate, batch, then all
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
     python validation/thesis/report.py                                # docs/experiments/thesis-tables.md from what
@@ -31,7 +31,7 @@ from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
 from splitknit.io.provenance import provenance
 
 HERE = Path(__file__).resolve().parent
-CASES = ("snk", "ea", "pr", "metric")
+CASES = ("snk", "pr", "ea", "pr-split", "ea-split", "metric")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -90,7 +90,7 @@ def _store(options: argparse.Namespace) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "family", "all", "chain"])
+    parser.add_argument("part", choices=[*PARTS, "family", "order", "all", "chain"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=HERE)

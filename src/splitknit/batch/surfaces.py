@@ -20,8 +20,8 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Surface
 
 _HEAD = struct.Struct("<4sII4IId9dII")
-"""Magic; rows, columns; top, left, rows and columns of the box; whether normals are stored; pitch in mm; matrix that
-takes the upright frame to the input; rows and columns of the upright frame."""
+"""Magic; rows, columns; top, left, rows and columns of the box; 1 if normals are stored, and 2 more if the surface is
+not split; pitch in mm; matrix that takes the upright frame to the input; rows and columns of the upright frame."""
 _MAGIC = b"SKS1"
 _MAX_PIXELS = 40_000_000
 """Of a capture's images, five times those of the rig's camera: a surface takes 21 bytes for each once unpacked."""
@@ -46,7 +46,7 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
         box[1].start,
         box[0].stop - box[0].start,
         box[1].stop - box[1].start,
-        int(not follow),
+        int(not follow) + 2 * int(surface.whole),
         surface.pitch_mm,
         *np.asarray(surface.input_from_upright, dtype=np.float64).ravel().tolist(),
         *surface.upright_size,
@@ -67,15 +67,16 @@ def unpack_surface(payload: bytes) -> Surface:
         If it is damaged.
     """
     with refusing(_DAMAGED):
-        magic, rows, columns, top, left, high, wide, stored, pitch, *rest = _HEAD.unpack_from(payload)
+        magic, rows, columns, top, left, high, wide, kinds, pitch, *rest = _HEAD.unpack_from(payload)
         require(magic == _MAGIC and 0 < top + high <= rows and 0 < left + wide <= columns, _DAMAGED)
         require(rows * columns <= _MAX_PIXELS and rest[9] * rest[10] <= 2 * _MAX_PIXELS, _DAMAGED)
-        require(stored in (0, 1) and 1e-6 < pitch < 1e3 and bool(np.isfinite(rest[:9]).all()), _DAMAGED)
+        require(kinds in range(4) and 1e-6 < pitch < 1e3 and bool(np.isfinite(rest[:9]).all()), _DAMAGED)
         at = _HEAD.size
         size = (high * wide + 7) // 8
         require(len(payload) > at + size, _DAMAGED)
         bits = np.unpackbits(np.frombuffer(payload, np.uint8, size, at), count=high * wide)
         at, count = at + size, int(np.count_nonzero(bits))
+        stored = kinds % 2
         planes = 3 + 3 * stored
         require(len(payload) == at + 4 * count * planes and count > 0, _DAMAGED)
         words = [_words(payload, at + 4 * count * k, count) for k in range(planes)]
@@ -100,6 +101,7 @@ def unpack_surface(payload: bytes) -> Surface:
         pitch_mm=pitch,
         input_from_upright=np.asarray(rest[:9], dtype=np.float64).reshape(3, 3),
         upright_size=(rest[9], rest[10]),
+        whole=kinds >= 2,
     )
 
 

@@ -25,8 +25,8 @@ def add_reconstruct(verbs: Any) -> None:
         "--preset",
         choices=PRESETS,
         default="metric",
-        help="metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), or "
-        "another published case: kumar, zheng, lin, xie",
+        help="metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), these "
+        "two split by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin, xie",
     )
     verb.add_argument(
         "--rig", type=Path, default=None, metavar="RIG", help="rig file instead of the capture's, such as a calibration"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "lin", "xie")
+PRESETS = ("metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin", "xie")
 
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""

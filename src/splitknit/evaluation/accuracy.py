@@ -6,8 +6,9 @@ Definitions (the same for every preset and for the validation):
   border is an edge). The rms is taken after the mean difference is removed: a camera without stereo does not know the
   distance.
 - *ridge band*: value minus its mask-normalised Gaussian mean with sigma 0.32 mm, on the surface where the slant of the
-  true shape is below 60 deg. The relief (`ridge_mm`) is compared with the true relief (`height_mm - shape_mm`); the
-  whole height (`height_mm`) with the true height is given beside it, where curvature and mask edge count as well.
+  true shape is below 60 deg. The relief (`ridge_mm`; of a surface that is not split, as in `ea` and `pr`, its height
+  less its slow part) is compared with the true relief (`height_mm - shape_mm`); the whole height (`height_mm`) with
+  the true height is given beside it, where curvature and mask edge count as well.
 - *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right, below 1 too flat.
 - *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's mean; the area is
   the fraction of the ridge band's pixels where it exceeds 0.8.

@@ -1,4 +1,4 @@
-"""Contrast-limited adaptive histogram equalisation of linear float images.
+"""Contrast-limited adaptive histogram equalisation of float images of linear light.
 
 At full resolution, inside the mask's bounding box. OpenCV's CLAHE has 256 grey levels on 8-bit images (visible steps in
 a relief) and no usable clip limit on 16-bit ones (65,536 bins for 4,096 pixels), and it lets the black background into
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,22 @@ from splitknit.settings import Checked, Limits
 
 _BINS = 256
 """Bins of the histograms; the mapping between them is interpolated."""
+_LEAST_CELL_PX = 8
+"""Least side of a cell."""
+_Cell = tuple[int, int]
+"""Rows and columns of a cell."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClaheSettings(Checked):
     """Adaptive equalisation."""
 
+    grey: Literal["srgb", "linear"] = "srgb"
+    """What is equalised: light in its ``srgb`` code, as pictures store it, or ``linear`` light."""
     cell_px: Annotated[float, Limits(0, above=True)] = 64.0
     """Side of a cell in pixels at 75.7 px/mm; scales with px_per_mm."""
+    tiles: Annotated[int, Limits(0, 512)] = 0
+    """This many cells across the finger and as many along it, whatever `cell_px` is; 0: cells of `cell_px`."""
     clip_limit: Annotated[float, Limits(1)] = 3.0
     """Bins are clipped at this many times the mean bin (the thesis: usually 2 to 4); contrast grows at most by this
     factor and one."""
@@ -43,7 +51,7 @@ def clahe(
     *,
     mask: BoolArray | None = None,
 ) -> FloatArray:
-    """Equalise `image` in cells of 64 x 64 pixels (at 75.7 px/mm) with limited contrast.
+    """Equalise `image` in cells of 64 x 64 pixels (at 75.7 px/mm), or as the settings say, with limited contrast.
 
     Every cell's histogram, taken over the finger's pixels only, is clipped, the excess spread evenly, and summed to a
     grey-value mapping; a pixel takes the bilinear mean of the mappings of the four cells around it. Cells with little
@@ -72,23 +80,30 @@ def clahe(
     inside = mask[box]
     white = float(np.percentile(image[box][inside], settings.high_percentile))
     grey = np.clip(image[box] / np.float32(max(white, 1e-12)), 0.0, 1.0)
+    if settings.grey == "srgb":  # IEC 61966-2-1
+        coded = np.float32(1.055) * grey ** np.float32(1 / 2.4) - np.float32(0.055)
+        grey = np.where(grey <= 0.0031308, np.float32(12.92) * grey, coded).astype(np.float32)
     level = grey * np.float32(_BINS - 1)
-    cell = max(8, round(settings.cell_px * px_per_mm / 75.7))
+    side = max(_LEAST_CELL_PX, round(settings.cell_px * px_per_mm / 75.7))
+    cell = side, side
+    if settings.tiles:
+        high, wide = (max(_LEAST_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)
+        cell = high, wide
     counts = _histograms(level, inside, cell, _BINS)
-    mappings = _mappings(_borrow(counts, 0.25 * cell * cell), settings.clip_limit)
+    mappings = _mappings(_borrow(counts, 0.25 * cell[0] * cell[1]), settings.clip_limit)
     result = np.zeros(image.shape, dtype=np.float32)
     result[box] = np.where(inside, _apply(level, mappings, cell), np.float32(0.0))
     return result
 
 
-def _histograms(level: FloatArray, inside: BoolArray, cell: int, bins: int) -> NDArray[np.float64]:
+def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell, bins: int) -> NDArray[np.float64]:
     """Counts (cell rows, cell columns, bins) over the finger's pixels."""
-    rows, columns = -(-level.shape[0] // cell), -(-level.shape[1] // cell)
+    rows, columns = (-(-size // side) for size, side in zip(level.shape, cell, strict=True))
     counts = np.empty((rows, columns, bins), dtype=np.float64)
     nearest = (level + np.float32(0.5)).astype(np.intp)
     for i in range(rows):
         for j in range(columns):
-            part = np.s_[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
+            part = np.s_[i * cell[0] : (i + 1) * cell[0], j * cell[1] : (j + 1) * cell[1]]
             counts[i, j] = np.bincount(nearest[part][inside[part]], minlength=bins)
     return counts
 
@@ -121,17 +136,17 @@ def _mappings(counts: NDArray[np.float64], clip_limit: float) -> FloatArray:
     return np.asarray(summed / summed[..., -1:], dtype=np.float32)
 
 
-def _apply(level: FloatArray, mappings: FloatArray, cell: int) -> FloatArray:
+def _apply(level: FloatArray, mappings: FloatArray, cell: _Cell) -> FloatArray:
     """Map every pixel by the bilinear mean of the four nearest cells, block by block between cell centres."""
     height, width = level.shape
     low = np.minimum(level.astype(np.intp), mappings.shape[2] - 2)
     part = level - low.astype(np.float32)
     result = np.empty_like(level)
-    starts_y, starts_x = _blocks(height, cell), _blocks(width, cell)
+    starts_y, starts_x = _blocks(height, cell[0]), _blocks(width, cell[1])
     for i, (top, bottom) in enumerate(starts_y):
-        upper, lower, weight_y = _between(i, top, bottom, cell, mappings.shape[0])
+        upper, lower, weight_y = _between(i, top, bottom, cell[0], mappings.shape[0])
         for j, (first, last) in enumerate(starts_x):
-            left, right, weight_x = _between(j, first, last, cell, mappings.shape[1])
+            left, right, weight_x = _between(j, first, last, cell[1], mappings.shape[1])
             block = np.s_[top:bottom, first:last]
             index, fraction = low[block], part[block]
             corners = []

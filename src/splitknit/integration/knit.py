@@ -19,8 +19,9 @@ from splitknit.settings import Checked
 class KnitSettings(Checked):
     """How relief and shape are joined."""
 
-    method: Literal["addition", "crossover", "none"] = "crossover"
-    """``addition`` as the thesis; ``crossover``; ``none``: the visible surface is kept whole, not split."""
+    method: Literal["addition", "crossover", "none", "whole"] = "crossover"
+    """``addition`` as the thesis; ``crossover``; ``none``: the visible surface alone, split by the shapelets;
+    ``whole``: the visible surface alone, not split, whose height is what the thesis's matcher takes."""
 
 
 def add(ridge_mm: Any, shape_mm: Any, mask: Any = None) -> FloatArray:

@@ -68,7 +68,7 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     folder = Path(path)
     file = folder / "height.npz" if folder.is_dir() else folder
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
-    arrays = read_fields(file, names, ("x_mm", "y_mm", "uncertainty_um", "provenance"))
+    arrays = read_fields(file, names, ("x_mm", "y_mm", "uncertainty_um", "whole", "provenance"))
     origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
     facts: dict[str, Any] = {}
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
@@ -120,7 +120,7 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
         require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
     shape = arrays["mask"].shape
-    sizes = {"pitch_mm": (), "provenance": (), "input_from_upright": (3, 3), "upright_size": (2,)}
+    sizes = {"pitch_mm": (), "provenance": (), "whole": (), "input_from_upright": (3, 3), "upright_size": (2,)}
     sizes["normals"] = (*shape, 3)
     for name, array in arrays.items():
         kinds = "U" if name == "provenance" else "iu" if name == "upright_size" else "fiub"
@@ -138,8 +138,10 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
     )
     for name in (*names, *optional):
-        if name in arrays and name != "provenance":
+        if name in arrays and name not in {"provenance", "whole"}:
             arrays[name] = arrays[name].astype(np.float32, copy=False)
+    if "whole" in arrays:
+        arrays["whole"] = bool(arrays["whole"])
     frame = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
     return {**arrays, "mask": arrays["mask"].astype(np.bool_), **frame}
 
@@ -161,6 +163,8 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
             arrays[name] = getattr(result, name)
     if result.uncertainty_um is not None:
         arrays["uncertainty_um"] = result.uncertainty_um
+    if result.whole:
+        arrays["whole"] = np.True_
     arrays["provenance"] = np.array(canonical_json(origin))
     write_npz(path, arrays)
 

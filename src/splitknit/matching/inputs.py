@@ -86,7 +86,7 @@ def read_surface(path: Path) -> Surface:
     BadInput
         If it is damaged, or an array is missing or of another shape.
     """
-    arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"))
+    arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))
     return Surface(**arrays)
 
 

@@ -47,11 +47,11 @@ def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
 
 
 def surface_images(surface: Surface) -> FingerImages:
-    """Channels of a reconstruction for the thesis's matcher."""
+    """Channels for the thesis's matcher; where the surface is not split, its height is its relief."""
     across, up = height_gradients(surface.shape_mm, surface.pitch_mm)
     return finger_images(
         surface.normals,
-        surface.ridge_mm,
+        surface.ridge_mm + surface.shape_mm if surface.whole else surface.ridge_mm,
         surface.mask,
         surface.pitch_mm,
         surface.input_from_upright,

@@ -189,7 +189,7 @@ def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
         seed=np.random.SeedSequence([seed, 0x0D]),
         rendered=study.camera == "renderer",
     )
-    preset = "metric" if study.method == "metric" else "ea"
+    preset = "metric" if study.method == "metric" else "ea-split"  # the surface of ea, ridges by shapelets
     changes = {"height.method": "poisson"} if study.method == "ea-poisson" else {}
     result = reconstruct(shot.capture, preset, changes)
     return {**_exposed(shot), **_compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
