@@ -112,6 +112,12 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
     return _frame(mask, small, yaw, reliable, note)
 
 
+def as_it_lies(mask: BoolArray) -> Upright:
+    """The frame of a thing that is no finger, not turned."""
+    scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
+    return _frame(mask, reduce_mask(mask, scale), 0.0, True, "")
+
+
 def _start(small: FloatArray, expected: float) -> float:
     """First guess: from the middle of the finger's entry at the image's border to the middle of the mask."""
     rows, columns = np.nonzero(small > 0.5)
