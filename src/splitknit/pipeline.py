@@ -66,7 +66,10 @@ WAYS = (0, 3, 5, 6)
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 USUAL_PERIOD_MM = 0.45
-NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
+NO_NIR = (
+    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and glare bend "
+    "it."
+)
 
 
 def reconstruct(
@@ -378,8 +381,7 @@ def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, 
     if settings.shape.source != "nir" or whole:
         return white, white, ()
     if "nir" not in capture.bands:
-        skin = capture.material == "skin"
-        return white, white, (NO_NIR.format("ridges, scattering and glare" if skin else "ridges and glare"),)
+        return white, white, (NO_NIR,) if capture.material == "skin" else ()
     return white, capture.bands["nir"], ()
 
 

@@ -58,10 +58,10 @@ def test_bmp_and_floats(tmp_path: Path) -> None:
     Image.fromarray(picture()).save(tmp_path / "x.bmp")
     np.testing.assert_array_equal(read_photo(tmp_path / "x.bmp").pixels, picture())
     values = (picture() / 7.0).astype(np.float32)
-    tifffile.imwrite(tmp_path / "x.tif", values)
+    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
     np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
     values[3, 4] = np.nan
-    tifffile.imwrite(tmp_path / "x.tif", values)
+    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
     with pytest.raises(BadInput, match="not finite"):
         read_photo(tmp_path / "x.tif")
 
