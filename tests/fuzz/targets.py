@@ -258,6 +258,7 @@ def _pixels(path: Path) -> None:
 
 @cache
 def _photographs() -> list[Files]:
+    """RAW files are left out: LibRaw prints a line of its own on stderr where one is damaged."""
     from PIL import Image
 
     exif = Image.Exif()

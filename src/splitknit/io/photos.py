@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,8 @@ SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
 _JPEG, _BMP = b"\xff\xd8\xff", b"BM"
+_APP1, _START_OF_SCAN, _FILL = 0xE1, 0xDA, 0xFF
+"""Second bytes of JPEG's markers."""
 _EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG or TIFF."
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}
@@ -118,22 +119,32 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     return np.ascontiguousarray(pixels)
 
 
-def _sound_orientation(value: object) -> int:
-    """1 to 8; whatever else stands there means nothing."""
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
-
-
 def _exif_orientation(data: bytes, name: str) -> int:
-    from PIL import JpegImagePlugin, PngImagePlugin  # noqa: PLC0415 - slow to import
+    """Of a JPEG file (segment APP1) or a PNG file (chunk eXIf), both known to be sound; 1 where there is none."""
+    place, exif = 2 if data.startswith(_JPEG) else len(png.SIGNATURE), b""
+    if data.startswith(_JPEG):
+        while place + 4 <= len(data) and data[place + 1] != _START_OF_SCAN and not exif:
+            length = int.from_bytes(data[place + 2 : place + 4], "big")
+            if data[place + 1] == _APP1:
+                exif = _after(data[place + 4 : place + 2 + length])
+            place += 1 if data[place + 1] == _FILL else 2 + length
+    else:
+        while place + 8 <= len(data) and not exif:
+            length = int.from_bytes(data[place : place + 4], "big")
+            if data[place + 4 : place + 8] == b"eXIf":
+                exif = data[place + 8 : place + 8 + length]
+            place += 12 + length
+    return tiff.exif_orientation(exif, name)
 
-    kind = JpegImagePlugin.JpegImageFile if data.startswith(_JPEG) else PngImagePlugin.PngImageFile
-    with refusing(f"{name} has damaged EXIF data; export it again."), warnings.catch_warnings(action="ignore"):
-        return _sound_orientation(kind(io.BytesIO(data)).getexif().get(tiff.ORIENTATION, 1))
+
+def _after(data: bytes) -> bytes:
+    """EXIF data without the word before them; nothing where it is missing."""
+    return data.removeprefix(b"Exif\0\0") if data.startswith(b"Exif\0\0") else b""
 
 
 def _tiff(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     page = tiff.tiff_page(data, name)
-    orientation = _sound_orientation(int(page.tags[tiff.ORIENTATION][0]) if tiff.ORIENTATION in page.tags else 1)
+    orientation = tiff.exif_orientation(data, name)
     _check_room(page.rows * page.columns * page.channels * page.dtype.itemsize, name, room)
     if page.dtype.kind != "f":
         return tiff.decode_tiff(data, name), orientation
@@ -159,7 +170,7 @@ def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
     columns, rows = int(words[1]), abs(int(words[2]))
     _checked(rows, columns, 3, name, room)
     require(rows * columns * bits // 8 <= len(data), f"{name} is truncated: the BMP file ends within the image.")
-    with refusing(_UNREADABLE.format(name)), warnings.catch_warnings(action="ignore"):
+    with refusing(_UNREADABLE.format(name)):
         image = BmpImagePlugin.BmpImageFile(io.BytesIO(data))
         require(image.size == (columns, rows), _UNREADABLE.format(name))
         return _plain(np.asarray(image.convert("L" if image.mode == "L" else "RGB")))
@@ -170,11 +181,12 @@ def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
 
     rows, columns = _webp_size(data, name)
     _checked(rows, columns, 4, name, room)
-    with refusing(_UNREADABLE.format(name)), warnings.catch_warnings(action="ignore"):
+    with refusing(_UNREADABLE.format(name)):
         image = WebPImagePlugin.WebPImageFile(io.BytesIO(data))
         require(image.size == (columns, rows), _UNREADABLE.format(name))
-        orientation = _sound_orientation(image.getexif().get(tiff.ORIENTATION, 1))
-        return _plain(np.asarray(image.convert("RGB"))), orientation
+        exif = bytes(image.info.get("exif", b""))
+        pixels = _plain(np.asarray(image.convert("RGB")))
+    return pixels, tiff.exif_orientation(_after(exif) or exif, name)
 
 
 def _webp_size(data: bytes, name: str) -> tuple[int, int]:
@@ -194,7 +206,7 @@ def _heic(data: bytes, name: str, room: int | None) -> NDArray[Any]:
         import pillow_heif  # noqa: PLC0415 - of the extra `photos`
     except ImportError as error:
         raise BadInput(_EXTRA.format(f"{name} (HEIC)")) from error
-    with refusing(_UNREADABLE.format(name)), warnings.catch_warnings(action="ignore"):
+    with refusing(_UNREADABLE.format(name)):
         image = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
         columns, rows = image.size
         _checked(rows, columns, 8, name, room)
