@@ -186,10 +186,10 @@ def write_capture(
 
 
 def photographs_hint(folder: Path) -> str:
-    """What to do with a folder of photographs where a capture is wanted."""
+    """What to do with a folder of photographs where a capture is wanted, in brackets."""
     return (
-        f"If it holds photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out "
-        "RESULT (splitknit import makes a capture of them)."
+        f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT, or "
+        "splitknit import)"
     )
 
 
@@ -200,7 +200,7 @@ def _document(path: str | os.PathLike[str]) -> Path:
         if given.is_dir():
             file = given / "capture.json"
             require(
-                file.is_file(), f"{given} is not a capture folder: it holds no capture.json. {photographs_hint(given)}"
+                file.is_file(), f"{given} is not a capture folder: it holds no capture.json {photographs_hint(given)}."
             )
             return file
         require(given.is_file(), f"{given} does not exist; name a capture folder.")

@@ -62,8 +62,8 @@ def read_side(
         known = kind == "result" or (path / "capture.json").is_file()
         require(
             known,
-            f"'{path}' is neither a result (height.npz) nor a capture (capture.json); name one. "
-            + photographs_hint(path),
+            f"'{path}' is neither a result (height.npz) nor a capture (capture.json); name one "
+            f"{photographs_hint(path)}.",
         )
         if kind == "result":
             surface = read_surface(path / "height.npz")

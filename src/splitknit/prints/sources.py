@@ -86,7 +86,7 @@ def read_source(
     result = path / "height.npz" if folder else path
     require(
         result.is_file() and result.suffix.lower() == ".npz",
-        f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one. {photographs_hint(path)}",
+        f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one {photographs_hint(path)}.",
     )
     require(
         not photo,

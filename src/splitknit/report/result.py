@@ -387,7 +387,6 @@ FILES = (
     "height.tiff",
     "height.npz",
     "normals.png",
-    "normals_measured.png",
     "albedo.png",
     "print.png",
     "preview.png",
@@ -398,9 +397,8 @@ FILES = (
 
 def files_of(result: Reconstruction) -> tuple[str, ...]:
     """Files of a result's folder: a print of a finger whose scale is known, measured normals where there are any."""
-    left_out = set() if _is_printed(result) else {"print.png"}
-    left_out |= {"normals_measured.png"} if result.normals_measured is None else set()
-    return tuple(name for name in FILES if name not in left_out)
+    measured = () if result.normals_measured is None else ("normals_measured.png",)
+    return (*(name for name in FILES if name != "print.png" or _is_printed(result)), *measured)
 
 
 def _is_printed(result: Reconstruction) -> bool:
